@@ -1,0 +1,179 @@
+//! The bus: everything that nodes say to one another goes through [`Bus`].
+//!
+//! `ZenohBus` is the real one; `VirtualBus` keeps a whole fleet in one process on virtual time, with faults. Both
+//! match keys by the same rules (crate `zenoh-keyexpr`) and pass one conformance suite, so that an actor cannot tell
+//! which it is on.
+//!
+//! What is promised, and what is not:
+//! - Samples of one publisher on one key arrive in the order sent, or not at all. Nothing else is ordered.
+//! - A publication may be lost: what must arrive is acknowledged by the application (use a query).
+//! - A query streams the replies of all matching services and ends when all have finished, or at its limit.
+//! - A token's disappearance is a hint that its node is gone, never a proof.
+
+use async_trait::async_trait;
+use bytes::Bytes;
+use std::sync::Arc;
+use std::time::Duration;
+
+/// How a payload is to be read. It is set on every sample.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Encoding {
+    /// `application/octet-stream`: our own wire format.
+    Wire,
+    /// `application/json`.
+    Json,
+}
+
+/// What happens to a publication when a receiver is slow.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Delivery {
+    /// It may be dropped: for what repeats or repairs itself.
+    Drop,
+    /// The publisher is held up rather than lose it. One frozen receiver holds up everybody for seconds.
+    Block,
+}
+
+/// Something published.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Sample {
+    /// The key it was published on.
+    pub key: String,
+    /// Its content.
+    pub payload: Bytes,
+    /// How to read it.
+    pub encoding: Encoding,
+}
+
+/// An answer to a query.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Reply {
+    /// The key it answers on: every service answers on its own.
+    pub key: String,
+    /// Content, or the error that the service gave instead.
+    pub payload: Result<Bytes, String>,
+}
+
+/// A change in who is there.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Presence {
+    /// The token's key.
+    pub key: String,
+    /// Whether it appeared or vanished.
+    pub alive: bool,
+}
+
+/// Why the bus did not do as asked. Nothing was sent or declared.
+#[derive(Debug, thiserror::Error)]
+pub enum BusError {
+    /// Our own mistake, or a name that should have been checked before.
+    #[error("{key:?} is no key expression: {problem}")]
+    Key {
+        /// The text given.
+        key: String,
+        /// What is wrong with it.
+        problem: String,
+    },
+    /// The bus is closed or broken; ordinary while a node shuts down.
+    #[error("the bus failed to {what}: {problem}")]
+    Failed {
+        /// What was attempted.
+        what: String,
+        /// What the bus said.
+        problem: String,
+    },
+}
+
+/// A stream of what arrives; dropping it ends the declaration behind it.
+pub struct Stream<T> {
+    receiver: tokio::sync::mpsc::UnboundedReceiver<T>,
+    /// Whatever keeps the declaration alive.
+    _guard: Box<dyn Send + Sync>,
+}
+
+impl<T> Stream<T> {
+    /// A stream fed through `receiver`, whose declaration lives as long as `guard`.
+    pub fn new(receiver: tokio::sync::mpsc::UnboundedReceiver<T>, guard: Box<dyn Send + Sync>) -> Self {
+        Stream { receiver, _guard: guard }
+    }
+
+    /// The next one; `None` once there will be no more.
+    pub async fn recv(&mut self) -> Option<T> {
+        self.receiver.recv().await
+    }
+
+    /// The next one if it is already here.
+    pub fn try_recv(&mut self) -> Option<T> {
+        self.receiver.try_recv().ok()
+    }
+}
+
+/// A question from some node or client. Dropping it ends the answer.
+pub struct Query {
+    /// The key expression that was asked.
+    pub key: String,
+    /// The selector's parameters, as text (`a=1;b=2`), empty if none.
+    pub parameters: String,
+    /// The question's content, empty if none.
+    pub payload: Bytes,
+    /// How to answer.
+    pub replier: Box<dyn Replier>,
+}
+
+/// How a service answers one query.
+#[async_trait]
+pub trait Replier: Send + Sync {
+    /// Answers on `key`, which must match the query's key expression.
+    async fn reply(&self, key: &str, payload: Bytes, encoding: Encoding) -> Result<(), BusError>;
+
+    /// Answers that it cannot answer, and why.
+    async fn refuse(&self, reason: &str) -> Result<(), BusError>;
+}
+
+/// Keeps a presence token alive.
+pub struct Token {
+    _guard: Box<dyn Send + Sync>,
+}
+
+impl Token {
+    /// A token whose declaration lives as long as `guard`.
+    pub fn new(guard: Box<dyn Send + Sync>) -> Self {
+        Token { _guard: guard }
+    }
+}
+
+/// A neighbour this node has a link to.
+#[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord)]
+pub struct Link {
+    /// The neighbour's id on the bus.
+    pub peer: String,
+    /// `router`, `peer` or `client`.
+    pub kind: String,
+}
+
+/// The bus as actors see it.
+#[async_trait]
+pub trait Bus: Send + Sync + 'static {
+    /// Publishes on a key.
+    async fn publish(&self, key: &str, payload: Bytes, encoding: Encoding, delivery: Delivery) -> Result<(), BusError>;
+
+    /// Hears what is published on keys that match.
+    async fn subscribe(&self, key_expr: &str) -> Result<Stream<Sample>, BusError>;
+
+    /// Asks all services that match; the stream ends when all have answered, or at the limit.
+    async fn query(&self, key_expr: &str, payload: Bytes, limit: Duration) -> Result<Stream<Reply>, BusError>;
+
+    /// Answers queries that match.
+    async fn serve(&self, key_expr: &str) -> Result<Stream<Query>, BusError>;
+
+    /// Declares presence under a key.
+    async fn announce(&self, key: &str) -> Result<Token, BusError>;
+
+    /// Hears of presence: what is there already, then every change.
+    async fn watch(&self, key_expr: &str) -> Result<Stream<Presence>, BusError>;
+
+    /// The neighbours this node is connected to at this moment, in order.
+    async fn links(&self) -> Vec<Link>;
+}
+
+/// A bus that is shared by the actors of a node.
+pub type SharedBus = Arc<dyn Bus>;

@@ -1,0 +1,8 @@
+//! Carries decisions out: the bus, and the robot, coordinator, gossip and ledger actors around the pure core.
+//!
+//! An actor owns its mailbox, its timers and its share of the bus; what to do is decided by values from
+//! `consort-protocol` and `consort-skills`. Only tokio's clock is used, chance comes from a seeded generator that is
+//! handed in, and whatever is iterated to choose or to send is an ordered map, so that a whole fleet repeats exactly on
+//! paused time.
+
+pub mod bus;

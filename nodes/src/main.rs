@@ -1,0 +1,2 @@
+//! The one binary of Consort.
+fn main() {}

@@ -1,0 +1,172 @@
+//! Names of things. Each kind of name is a type of its own, checked once where it enters the program.
+//!
+//! Names that become part of a key expression ([`RobotId`], [`MissionId`], …) are *slugs*: 1 to 64 characters of
+//! `A–Z a–z 0–9 _ . -`, so that no name can hold a `/`, a `*` or anything else that Zenoh gives a meaning to. Place
+//! names are *labels* as people write them on a map (`IC Room 6`): 1 to 64 characters without control characters.
+
+use serde::{Deserialize, Serialize};
+use std::fmt;
+
+/// Why a text cannot be a name of its kind. Ordinary in hand-written files; nothing was changed.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error("{text:?} cannot name a {kind}: {problem}; allowed are 1 to {max} {allowed}", max = MAX_CHARS)]
+pub struct NameError {
+    /// What was to be named, in words.
+    pub kind: &'static str,
+    /// The text as given.
+    pub text: String,
+    /// What is wrong with it.
+    pub problem: String,
+    /// Which characters are allowed.
+    pub allowed: &'static str,
+}
+
+/// Longest name, in characters.
+pub const MAX_CHARS: usize = 64;
+
+const SLUG: &str = "characters of A-Z, a-z, 0-9, `_`, `.` and `-`";
+const LABEL: &str = "characters, none of them a control character, without space at either end";
+
+fn check(kind: &'static str, text: &str, allowed: &'static str) -> Result<(), NameError> {
+    let refuse = |problem: String| Err(NameError { kind, text: text.to_owned(), problem, allowed });
+    let length = text.chars().count();
+    if length == 0 {
+        return refuse("it is empty".to_owned());
+    }
+    if length > MAX_CHARS {
+        return refuse(format!("it has {length} characters"));
+    }
+    let slug = allowed == SLUG;
+    let wrong = |c: &char| if slug { !(c.is_ascii_alphanumeric() || "_.-".contains(*c)) } else { c.is_control() };
+    if let Some(c) = text.chars().find(wrong) {
+        return refuse(format!("it holds {c:?}"));
+    }
+    if !slug && text.trim() != text {
+        return refuse("it begins or ends with space".to_owned());
+    }
+    Ok(())
+}
+
+macro_rules! names {
+    ($($(#[$doc:meta])* $name:ident, $kind:literal, $allowed:expr;)*) => {$(
+        $(#[$doc])*
+        #[derive(Clone, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+        #[serde(try_from = "String", into = "String")]
+        pub struct $name(String);
+
+        impl $name {
+            /// Checks `text` and takes it as a name.
+            ///
+            /// # Errors
+            /// [`NameError`] says what is wrong with the text and what is allowed.
+            pub fn new(text: impl Into<String>) -> Result<Self, NameError> {
+                let text = text.into();
+                check($kind, &text, $allowed)?;
+                Ok(Self(text))
+            }
+
+            /// The name as text.
+            pub fn as_str(&self) -> &str {
+                &self.0
+            }
+        }
+
+        impl TryFrom<String> for $name {
+            type Error = NameError;
+            fn try_from(text: String) -> Result<Self, NameError> {
+                Self::new(text)
+            }
+        }
+
+        impl std::str::FromStr for $name {
+            type Err = NameError;
+            fn from_str(text: &str) -> Result<Self, NameError> {
+                Self::new(text)
+            }
+        }
+
+        impl From<$name> for String {
+            fn from(name: $name) -> String {
+                name.0
+            }
+        }
+
+        impl fmt::Display for $name {
+            fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+                f.pad(&self.0)
+            }
+        }
+
+        impl fmt::Debug for $name {
+            fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+                write!(f, "{}({:?})", stringify!($name), self.0)
+            }
+        }
+    )*};
+}
+
+names! {
+    /// A fleet: all nodes that share one ledger. First segment of every key after `consort/`.
+    FleetId, "fleet", SLUG;
+    /// A node: one process (or one set of actors on the virtual bus). A robot's node bears the robot's name.
+    NodeId, "node", SLUG;
+    /// A robot, as missions and people know it.
+    RobotId, "robot", SLUG;
+    /// A mission in the ledger.
+    MissionId, "mission", SLUG;
+    /// A client's own name for a request, so that sending it twice asks once.
+    RequestId, "request", SLUG;
+    /// A role within a mission (`r1`, `lab_arm`, `nurse`).
+    RoleId, "role", SLUG;
+    /// A task within a mission: unique in its tree.
+    TaskId, "task", SLUG;
+    /// A kind of task (`navigation`, `operate_drawer`), which is also the name of the skill that realises it.
+    TaskType, "task type", SLUG;
+    /// An ensemble, as the fleet file names it.
+    EnsembleId, "ensemble", SLUG;
+    /// A place on the map, as people write it (`IC Room 6`).
+    PlaceId, "place", LABEL;
+}
+
+impl From<RobotId> for NodeId {
+    /// A robot's node bears the robot's name.
+    fn from(robot: RobotId) -> NodeId {
+        NodeId(robot.0)
+    }
+}
+
+impl From<NodeId> for RobotId {
+    /// A robot's node bears the robot's name.
+    fn from(node: NodeId) -> RobotId {
+        RobotId(node.0)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_slug_cannot_hold_what_zenoh_gives_a_meaning_to() {
+        for text in ["", "a/b", "a*", "a b", "$x", "ä", &"x".repeat(65)] {
+            assert!(RobotId::new(text).is_err(), "{text:?}");
+        }
+        let error = RobotId::new("a/b").unwrap_err().to_string();
+        assert_eq!(
+            error,
+            "\"a/b\" cannot name a robot: it holds '/'; allowed are 1 to 64 characters of A-Z, a-z, 0-9, `_`, `.` and `-`"
+        );
+    }
+
+    #[test]
+    fn a_place_is_written_as_on_the_map() {
+        assert_eq!(PlaceId::new("IC Room 6").unwrap().as_str(), "IC Room 6");
+        assert!(PlaceId::new(" IC Room 6").is_err());
+        assert!(PlaceId::new("IC\nRoom").is_err());
+    }
+
+    #[test]
+    fn names_are_checked_where_they_are_read() {
+        assert!(serde_json::from_str::<RobotId>("\"a/b\"").is_err());
+    }
+}

@@ -1,0 +1,11 @@
+//! What Consort decides, in plain values.
+//!
+//! Missions and their division into local plans, knowledge and membership, bids and their selection, leases, the
+//! ledger's state machine, the messages between nodes and every key they travel on. Nothing here waits: there is no
+//! async, no clock, no socket and no actor in this crate, so every decision can be called, compared and fuzzed alone.
+
+pub mod ids;
+pub mod mission;
+pub mod plan;
+pub mod pose;
+pub mod units;

@@ -1,0 +1,12 @@
+//! Missions: what is to be done, in which order, by which roles.
+//!
+//! A mission is an instantiated hierarchical task network (iHTN: Lesire et al. 2016, as extended with roles by
+//! Rodrigues): abstract tasks are refined by methods, whose tasks are in sequence or in no order, down to
+//! elementary tasks, each assigned to one role or jointly to several.
+//!
+//! [`Mission`] is the checked value that travels, is divided and is kept in the ledger. It is flat (children by
+//! index) so that decoding one can never recurse. Files, their parameters and the flat iHTN import produce it.
+
+mod model;
+
+pub use model::{Body, Method, Mission, Order, Role, RoleKind, TaskIndex, TaskNode, TaskSpec};

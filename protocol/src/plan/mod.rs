@@ -1,0 +1,11 @@
+//! Local plans: what one role does, with the messages that keep it in step with the others.
+//!
+//! A global plan is divided (Lesire et al. 2016; thesis 2.1.1.1) into one [`LocalPlan`] per role, the unmanaged ones
+//! too. Where a task of one role must follow a task of another, the first sends a [`Signal`] and the second waits for
+//! it; a joint task begins when all its roles have said that they are ready. Steps are partly ordered by `after`:
+//! a robot may begin any step whose predecessors are done, and a wait for a message that has not come holds up
+//! only what stands after it.
+
+mod local;
+
+pub use local::{Division, LocalPlan, Signal, SignalKind, Step, StepAction, StepIndex};

@@ -1,0 +1,1 @@
+//! A world for robots to act in, behind the robot-actions interface.

@@ -1,0 +1,247 @@
+//! The robot-actions interface: how skills move a body, and how a body is hosted.
+//!
+//! The vocabulary is Nav2's: a *goal* is sent, answered with *feedback* while it is executed, and ends with a *result*:
+//! succeeded, canceled or aborted with an error code. Behind it is a simulated world (in this process or another) or a
+//! real robot's adapter; skills cannot tell which.
+//!
+//! ```text
+//!  skill (behavior tree) ── RobotActions ──▶ goals   ┌────────────┐
+//!                        ◀── status, telemetry ──────│  BodyHost  │  a world, or an adapter
+//! ```
+
+use consort_protocol::ids::{PlaceId, RobotId, RoleId};
+use consort_protocol::mission::TaskSpec;
+use consort_protocol::pose::Pose;
+use consort_protocol::units::{BatteryShare, Metres, Seconds, WorldTime};
+use serde::{Deserialize, Serialize};
+
+/// Names one goal among all that a robot ever sends; later goals have larger numbers.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+pub struct GoalId(pub u64);
+
+/// What a body is asked to do.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub enum Goal {
+    /// Drive to a pose in a straight line along one leg of a route.
+    NavigateToPose {
+        /// Where to.
+        pose: Pose,
+        /// The place on the map that the pose stands for, if it is one.
+        place: Option<PlaceId>,
+    },
+    /// Come within reach of a person who plays `role` and is at the robot's place.
+    ApproachPerson {
+        /// The person's role in the mission.
+        role: RoleId,
+    },
+    /// Have the approached person prove who they are.
+    AuthenticatePerson {
+        /// The person's role in the mission.
+        role: RoleId,
+    },
+    /// Open or close the robot's own drawer.
+    OperateDrawer {
+        /// Whether it is to stand open afterwards.
+        open: bool,
+    },
+    /// Come within reach of another robot at the robot's place.
+    ApproachRobot {
+        /// Which one.
+        robot: RobotId,
+    },
+    /// Take what lies in another robot's open drawer.
+    PickUp {
+        /// Whose drawer.
+        from: RobotId,
+    },
+    /// Put what is held into another robot's open drawer or, without one, onto the place's table.
+    Deposit {
+        /// Whose drawer, if one.
+        into: Option<RobotId>,
+    },
+    /// Stand still.
+    Wait {
+        /// For how long.
+        time: Seconds,
+    },
+}
+
+/// How far a goal has come.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub enum GoalStatus {
+    /// Sent; the host has not answered yet.
+    Sent,
+    /// Accepted and under way.
+    Executing(Feedback),
+    /// Ended as asked.
+    Succeeded,
+    /// Ended because it was canceled; the body stands still.
+    Canceled,
+    /// Refused, or ended without success.
+    Aborted(ActionError),
+}
+
+impl GoalStatus {
+    /// Whether nothing more will come of it.
+    pub fn is_final(&self) -> bool {
+        matches!(self, GoalStatus::Succeeded | GoalStatus::Canceled | GoalStatus::Aborted(_))
+    }
+}
+
+/// What is known of a goal under way.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct Feedback {
+    /// Way left; zero where nothing is driven.
+    pub distance_remaining: Metres,
+    /// Time left as far as the host can tell.
+    pub time_remaining: Seconds,
+}
+
+/// Why a goal did not succeed. The body stands still where it is.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, thiserror::Error)]
+#[error("{code}: {message}")]
+pub struct ActionError {
+    /// For programs.
+    pub code: ErrorCode,
+    /// For people: names who and which.
+    pub message: String,
+}
+
+/// The kinds of failure that skills may treat differently.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum ErrorCode {
+    /// No such robot, person or place here.
+    Unknown,
+    /// The way is blocked or there is none.
+    NoRoute,
+    /// Not close enough to who or what is needed.
+    OutOfReach,
+    /// The person is not who they should be, or declined.
+    NotAuthenticated,
+    /// The drawer is closed, open, full or empty where it must not be.
+    DrawerState,
+    /// The battery is too low to move.
+    BatteryLow,
+    /// The robot is doing something else.
+    Busy,
+    /// Not done within the time allowed.
+    TimedOut,
+}
+
+impl std::fmt::Display for ErrorCode {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(match self {
+            ErrorCode::Unknown => "unknown",
+            ErrorCode::NoRoute => "no route",
+            ErrorCode::OutOfReach => "out of reach",
+            ErrorCode::NotAuthenticated => "not authenticated",
+            ErrorCode::DrawerState => "drawer state",
+            ErrorCode::BatteryLow => "battery low",
+            ErrorCode::Busy => "busy",
+            ErrorCode::TimedOut => "timed out",
+        })
+    }
+}
+
+/// What a body reports of itself.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Telemetry {
+    /// When, on the world's clock.
+    pub time: WorldTime,
+    /// Where.
+    pub pose: Pose,
+    /// The place it stands at, or the last one it passed when under way.
+    pub place: PlaceId,
+    /// Charge left.
+    pub battery: BatteryShare,
+    /// Whether it can still move: false once its battery fell below the stopping share.
+    pub able: bool,
+}
+
+/// A body as its robot's skills drive it. Calls never wait: answers show in [`status`](RobotActions::status) later.
+pub trait RobotActions {
+    /// Sends a goal.
+    fn send_goal(&mut self, goal: Goal) -> GoalId;
+
+    /// How far a goal has come; `None` for one never sent, or which ended long ago.
+    fn status(&self, goal: GoalId) -> Option<GoalStatus>;
+
+    /// Asks to end a goal early. Its status becomes [`GoalStatus::Canceled`] when the body stands still.
+    fn cancel(&mut self, goal: GoalId);
+
+    /// The latest report of the body; `None` before the first.
+    fn telemetry(&self) -> Option<&Telemetry>;
+}
+
+/// What a person who plays an unmanaged role is asked to do, by the messages of the mission's plan.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct PersonAsk {
+    /// The person's role in the mission.
+    pub role: RoleId,
+    /// The task, as the mission has it.
+    pub task: TaskSpec,
+    /// Who holds the managed roles.
+    pub holders: std::collections::BTreeMap<RoleId, RobotId>,
+}
+
+/// Something that happened to a body or a person.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub enum BodyEvent {
+    /// A robot's goal ended; the status is final.
+    GoalEnded {
+        /// Whose.
+        robot: RobotId,
+        /// Which.
+        goal: GoalId,
+        /// How.
+        status: GoalStatus,
+    },
+    /// A robot's battery fell below the share it needs to move: it stands where it is.
+    Stranded {
+        /// Which robot.
+        robot: RobotId,
+    },
+    /// A person ended what they were asked to do.
+    PersonEnded {
+        /// The number the ask was given.
+        ask: GoalId,
+        /// `Err` when they declined or could not.
+        result: Result<(), ActionError>,
+    },
+}
+
+/// What hosts bodies: a simulated world, or an adapter to real ones. Time only moves in [`advance`](BodyHost::advance).
+pub trait BodyHost: Send {
+    /// The robots whose bodies are here.
+    fn robots(&self) -> Vec<RobotId>;
+
+    /// Begins a goal. A refusal, too, comes as [`BodyEvent::GoalEnded`] from the next `advance`. A goal sent while
+    /// another is under way is refused with [`ErrorCode::Busy`]; a repeated id changes nothing.
+    fn start(&mut self, robot: &RobotId, id: GoalId, goal: Goal);
+
+    /// Ends a goal early; one that is not under way is left as it is.
+    fn cancel(&mut self, robot: &RobotId, id: GoalId);
+
+    /// Asks a person; the answer comes as [`BodyEvent::PersonEnded`]. They take their time: what they wait for (a robot
+    /// beside them with an open drawer) may come much later. A repeated id changes nothing.
+    fn ask_person(&mut self, id: GoalId, ask: PersonAsk);
+
+    /// Withdraws an ask.
+    fn dismiss_person(&mut self, id: GoalId);
+
+    /// The world's clock.
+    fn now(&self) -> WorldTime;
+
+    /// When something will next happen by itself; `None` while nothing is under way. Never earlier than `now`.
+    fn next_due(&self) -> Option<WorldTime>;
+
+    /// Lets time pass up to and including `to` and says what happened, in order.
+    fn advance(&mut self, to: WorldTime) -> Vec<BodyEvent>;
+
+    /// The state of one goal under way (`Executing` with fresh feedback) or lately ended; `None` if unknown.
+    fn status(&self, robot: &RobotId, id: GoalId) -> Option<GoalStatus>;
+
+    /// The body's report as of `now`; `None` for a robot that is not here.
+    fn telemetry(&self, robot: &RobotId) -> Option<Telemetry>;
+}

@@ -1,0 +1,6 @@
+//! What a robot can do and what it costs.
+//!
+//! Skills are behavior trees over the [robot-actions interface](actions); skill descriptors price them with knowledge of
+//! the place that environment descriptors hold. Nothing here knows who coordinates whom.
+
+pub mod actions;
