@@ -4,7 +4,12 @@
 //! ledger's state machine, the messages between nodes and every key they travel on. Nothing here waits: there is no
 //! async, no clock, no socket and no actor in this crate, so every decision can be called, compared and fuzzed alone.
 
+pub mod auction;
+pub mod codec;
+pub mod ensemble;
 pub mod ids;
+pub mod knowledge;
+pub mod lease;
 pub mod mission;
 pub mod plan;
 pub mod pose;
