@@ -180,7 +180,7 @@ mod tests {
             owner: NodeId::new(format!("node{owner}")).unwrap(),
             stamp: Stamp { incarnation, version },
             knowledge: Knowledge {
-                may_vote: version % 2 == 0,
+                may_vote: version.is_multiple_of(2),
                 stationary: false,
                 mains_powered: false,
                 replica: Some(incarnation * 1000 + version),
