@@ -4,7 +4,11 @@
 //! greedy pick per role): one robot fills at most one role, and either every open role is filled or none is.
 
 mod bid;
+mod conclude;
+mod record;
 mod select;
 
 pub use bid::{Answer, AuctionId, Bid, BidPart, CallForBids, Limits, Refusal, RefusalReason, Tender, Unviable};
+pub use conclude::{Circumstances, Conclusion, conclude};
+pub use record::{AuctionEntry, AuctionRecord, Verdict};
 pub use select::{NoCoalition, select};

@@ -7,6 +7,7 @@
 pub mod auction;
 pub mod codec;
 pub mod ensemble;
+pub mod event;
 pub mod ids;
 pub mod keys;
 pub mod knowledge;

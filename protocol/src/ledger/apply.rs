@@ -1,6 +1,7 @@
 //! The state machine.
 
-use super::entry::{AuctionRecord, Holder, MissionEntry, MissionState, RoleEntry, RolePhase, Submission};
+use super::entry::{Holder, MissionEntry, MissionState, RoleEntry, RolePhase, Submission};
+use crate::auction::AuctionRecord;
 use crate::ids::{MissionId, RequestId, RobotId, RoleId};
 use crate::lease::Epoch;
 use crate::mission::RoleKind;

@@ -16,6 +16,4 @@ mod apply;
 mod entry;
 
 pub use apply::{Command, HISTORY_MAX, Ledger, Outcome, Refused};
-pub use entry::{
-    AuctionEntry, AuctionRecord, Holder, MissionEntry, MissionState, RoleEntry, RolePhase, Submission, Verdict,
-};
+pub use entry::{Holder, MissionEntry, MissionState, RoleEntry, RolePhase, Submission};
