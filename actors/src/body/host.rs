@@ -1,6 +1,7 @@
 //! The host's side: an actor that lets a [`BodyHost`]'s time pass and carries commands to it.
 
 use super::wire::{BodyCommand, BodyState, Order, PeopleAsk, PersonDone, PersonState};
+use crate::answer;
 use crate::bus::{Delivery, Encoding, Query, SharedBus};
 use crate::clock::Clock;
 use crate::tasks::Tasks;
@@ -142,16 +143,13 @@ impl HostState {
 
     async fn command(&mut self, query: Query) {
         let Some(Key::Body(robot, BodyCall::Command)) = self.settings.keys.read(&query.key) else {
-            return refuse(&query, "not a command to a body").await;
+            return answer::refuse(&query, "not a command to a body").await;
         };
-        let command = match codec::decode::<BodyCommand>(&query.payload) {
-            Ok(command) => command,
-            Err(problem) => return refuse(&query, &problem.to_string()).await,
-        };
+        let Some(command) = answer::read::<BodyCommand>(&query).await else { return };
         let now = self.settings.clock.now();
         let Some(entry) = self.bodies.get_mut(&robot) else {
             let here: Vec<_> = self.bodies.keys().map(RobotId::as_str).collect();
-            return refuse(&query, &format!("no body of {robot} here; here are {}", here.join(", "))).await;
+            return answer::refuse(&query, &format!("no body of {robot} here; here are {}", here.join(", "))).await;
         };
         entry.driver = Some(now);
         match command.order {
@@ -170,27 +168,24 @@ impl HostState {
         // Refusals and cancellations show at once.
         let events = self.advance();
         if let Some(state) = self.state_of(&robot) {
-            reply(&query, &state).await;
+            answer::wire(&query, &query.key, &state).await;
         }
         self.tell(events).await;
     }
 
     async fn ask(&mut self, query: Query) {
-        let ask = match codec::decode::<PeopleAsk>(&query.payload) {
-            Ok(ask) => ask,
-            Err(problem) => return refuse(&query, &problem.to_string()).await,
-        };
+        let Some(ask) = answer::read::<PeopleAsk>(&query).await else { return };
         match ask.ask {
             Some(what) => self.world.ask_person(ask.id, what),
             None => self.world.dismiss_person(ask.id),
         }
         let events = self.advance();
         self.tell(events).await;
-        let answer = match self.people.get(&ask.id) {
+        let said = match self.people.get(&ask.id) {
             Some(result) => PersonState::Ended(result.clone()),
             None => PersonState::Asked,
         };
-        reply(&query, &answer).await;
+        answer::wire(&query, &query.key, &said).await;
     }
 
     /// A robot without its driver stands still: nobody would notice if it went wrong.
@@ -260,19 +255,5 @@ impl HostState {
         let goals = entry.goals.iter().map(status).collect();
         self.number += 1;
         Some(BodyState { robot: robot.clone(), number: self.number, telemetry, goals })
-    }
-}
-
-async fn reply<T: Serialize>(query: &Query, message: &T) {
-    let bytes = Bytes::from(codec::encode(message).expect("a state fits a message"));
-    if let Err(problem) = query.replier.reply(&query.key, bytes, Encoding::Wire).await {
-        warn!(%problem, "a command was not answered");
-    }
-}
-
-async fn refuse(query: &Query, reason: &str) {
-    warn!(key = query.key, reason, "refused");
-    if let Err(problem) = query.replier.refuse(reason).await {
-        warn!(%problem, "a refusal was not sent");
     }
 }
