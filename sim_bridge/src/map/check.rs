@@ -39,7 +39,7 @@ pub enum MapProblem {
     #[error("{0}")]
     PlaceName(#[from] NameError),
     /// Two places of one name.
-    #[error("place {place:?} stands more than once")]
+    #[error("place {:?} stands more than once", place.as_str())]
     Duplicate {
         /// Its name.
         place: PlaceId,
@@ -105,7 +105,7 @@ pub enum MapProblem {
         lane: LaneName,
     },
     /// A place without a way to or from the rest of the map.
-    #[error("place {place:?} {how} the rest of the map")]
+    #[error("place {:?} {how} the rest of the map", place.as_str())]
     CutOff {
         /// The place.
         place: PlaceId,

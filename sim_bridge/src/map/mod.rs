@@ -20,6 +20,8 @@
 mod check;
 mod file;
 mod shipped;
+#[cfg(test)]
+mod tests;
 
 pub use check::{LaneName, MapProblem, Seclusion};
 pub use file::{LaneEntry, MapError, MapFile, PlaceEntry, limits, load, read};
