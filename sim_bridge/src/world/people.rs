@@ -31,7 +31,9 @@ pub(super) struct AskNumber(u64);
 pub(super) struct Asks {
     open: BTreeMap<AskNumber, Ask>,
     ids: BTreeMap<GoalId, AskNumber>,
-    ended: VecDeque<GoalId>,
+    ended: BTreeSet<GoalId>,
+    /// The same in the order of their ends.
+    ended_order: VecDeque<GoalId>,
     next: u64,
 }
 
@@ -173,9 +175,13 @@ impl World {
         if let Some(number) = self.asks.ids.remove(&id) {
             self.asks.open.remove(&number);
         }
-        self.asks.ended.push_back(id);
-        if self.asks.ended.len() > self.limits.ended_kept {
-            self.asks.ended.pop_front();
+        if self.asks.ended.insert(id) {
+            self.asks.ended_order.push_back(id);
+        }
+        if self.asks.ended.len() > self.limits.asks_max
+            && let Some(oldest) = self.asks.ended_order.pop_front()
+        {
+            self.asks.ended.remove(&oldest);
         }
         BodyEvent::PersonEnded { ask: id, result }
     }

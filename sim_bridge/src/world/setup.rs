@@ -169,11 +169,11 @@ impl Default for Durations {
 pub struct WorldLimits {
     /// Robots, and people, and samples.
     pub entities_max: usize,
-    /// Asks of people that have not ended.
+    /// Asks of people that have not ended. As many that have ended are told from new ones.
     pub asks_max: usize,
     /// Samples in one drawer.
     pub drawer_slots: usize,
-    /// Ended goals of one robot whose status can still be asked for; likewise ended asks that are told from new ones.
+    /// Ended goals of one robot whose status can still be asked for.
     pub ended_kept: usize,
     /// Changes of hands remembered of one sample, and entries of the journal until it is drained; the oldest go first.
     pub history_kept: usize,

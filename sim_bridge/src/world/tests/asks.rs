@@ -12,10 +12,11 @@ fn open() -> Goal {
 
 /// A nurse in each of two rooms; r1 beside the second with an open drawer.
 fn ready() -> World {
-    let setup = hospital(3)
-        .robot(carrier("r1", "PC Room 2"))
-        .person(nurse("Ana", "PC Room 1", "s1"))
-        .person(nurse("Bea", "PC Room 2", "s2"));
+    let setup = hospital(3).robot(carrier("r1", "PC Room 2")).person(nurse("Ana", "PC Room 1", "s1")).person(nurse(
+        "Bea",
+        "PC Room 2",
+        "s2",
+    ));
     let mut world = World::new(setup).unwrap();
     does(&mut world, "r1", 1, approach());
     does(&mut world, "r1", 2, open());

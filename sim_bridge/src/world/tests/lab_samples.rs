@@ -58,23 +58,30 @@ fn the_sample_comes_to_the_laboratory() {
 }
 
 #[test]
-fn an_arm_fills_another_robots_drawer() {
-    let mut porter = carrier("porter", "Laboratory");
+fn an_arm_on_wheels_carries_a_sample_from_one_drawer_to_another() {
+    let mut porter = carrier("porter", "PC Room 1");
     porter.has_arm = true;
-    let setup = hospital(1).robot(carrier("r1", "PC Room 1")).robot(porter).person(nurse("Ana", "PC Room 1", "s1"));
+    let setup = hospital(1)
+        .robot(carrier("r1", "PC Room 1"))
+        .robot(carrier("r2", "PC Corridor 1"))
+        .robot(porter)
+        .person(nurse("Ana", "PC Room 1", "s1"));
     let mut world = World::new(setup).unwrap();
-    for (id, to) in (1..).zip(["Laboratory Corridor", "PC Corridor 1", "PC Room 1"]) {
-        let leg = go(&world, to);
-        does(&mut world, "porter", id, leg);
-    }
-    does(&mut world, "porter", 4, Goal::ApproachPerson { role: role("nurse") });
-    does(&mut world, "porter", 5, Goal::OperateDrawer { open: true });
-    world.ask_person(GoalId(1), deposit("porter"));
-    world.advance(at(200.0));
-    does(&mut world, "r1", 1, Goal::OperateDrawer { open: true });
-    does(&mut world, "porter", 6, Goal::ApproachRobot { robot: robot("r1") });
-    let into = Goal::Deposit { into: Some(robot("r1")) };
-    let status = refusal(&mut world, "porter", 7, into);
-    assert_eq!(status, aborted(ErrorCode::DrawerState, "porter holds nothing"), "its drawer is not its arm");
-    assert_eq!(world.samples()[0].keeper, Keeper::Drawer(robot("porter")));
+    let keeper = |world: &World| world.samples()[0].keeper.clone();
+    does(&mut world, "r1", 1, Goal::ApproachPerson { role: role("nurse") });
+    does(&mut world, "r1", 2, Goal::OperateDrawer { open: true });
+    world.ask_person(GoalId(1), deposit("r1"));
+    world.advance(at(20.0));
+    does(&mut world, "porter", 1, Goal::ApproachRobot { robot: robot("r1") });
+    does(&mut world, "porter", 2, Goal::PickUp { from: robot("r1") });
+    let status = refusal(&mut world, "porter", 3, Goal::PickUp { from: robot("r1") });
+    assert_eq!(status, aborted(ErrorCode::Busy, "porter already holds s1"));
+    let out = go(&world, "PC Corridor 1");
+    does(&mut world, "porter", 4, out);
+    assert_eq!(keeper(&world), Keeper::Arm(robot("porter")));
+    does(&mut world, "r2", 1, Goal::OperateDrawer { open: true });
+    does(&mut world, "porter", 5, Goal::ApproachRobot { robot: robot("r2") });
+    does(&mut world, "porter", 6, Goal::Deposit { into: Some(robot("r2")) });
+    assert_eq!(keeper(&world), Keeper::Drawer(robot("r2")));
+    assert_eq!(world.samples()[0].place, place("PC Corridor 1"));
 }

@@ -30,10 +30,7 @@ fn under_five_percent_it_stops_dead_where_it_is() {
     let due = world.next_due().unwrap();
     assert!((due.as_secs() - 4.0).abs() < 1e-9, "0.4 % at 0.1 %/s, {due:?}");
     let low = aborted(ErrorCode::BatteryLow, "the battery of r1 is down to 5.0 %");
-    assert_eq!(
-        world.advance(at(100.0)),
-        [ended("r1", 1, low.clone()), BodyEvent::Stranded { robot: robot("r1") }]
-    );
+    assert_eq!(world.advance(at(100.0)), [ended("r1", 1, low.clone()), BodyEvent::Stranded { robot: robot("r1") }]);
     let telemetry = world.telemetry(&robot("r1")).unwrap();
     assert!(!telemetry.able);
     assert!((telemetry.pose.y - 9.0).abs() < 1e-9, "2 m of 4 m down the lane: {:?}", telemetry.pose);

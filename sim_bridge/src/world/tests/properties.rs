@@ -16,7 +16,7 @@ const ROBOTS: [&str; 3] = ["r1", "r2", "lab_arm"];
 
 fn stage(seed: u64) -> World {
     let mut weak = carrier("r2", "PC Room 1");
-    weak.battery = BatteryShare::new(0.12).unwrap();
+    weak.battery = BatteryShare::new(0.075).unwrap();
     let mut mia = nurse("Mia", "PC Room 1", "s1");
     mia.samples.push("s2".into());
     let setup = hospital(seed)
@@ -30,10 +30,8 @@ fn stage(seed: u64) -> World {
 fn goals() -> impl Strategy<Value = Goal> {
     let map = map::shipped("hospital").unwrap();
     let near = ["PC Room 1", "PC Corridor 1", "Laboratory Corridor", "Laboratory"];
-    let near = near.map(|name| Goal::NavigateToPose {
-        pose: map.place(&place(name)).unwrap().pose,
-        place: Some(place(name)),
-    });
+    let near =
+        near.map(|name| Goal::NavigateToPose { pose: map.place(&place(name)).unwrap().pose, place: Some(place(name)) });
     let other = prop::sample::select(ROBOTS.to_vec());
     prop_oneof![
         4 => prop::sample::select(near.to_vec()),
@@ -119,7 +117,7 @@ proptest! {
     #[test]
     fn each_goal_ends_once(seed in any::<u64>(), deeds in deeds()) {
         let (events, _, world) = play(seed, &deeds, || 1);
-        let mut ends = std::collections::BTreeMap::new();
+        let mut ends = BTreeMap::new();
         for event in &events {
             if let BodyEvent::GoalEnded { robot, goal, status } = event {
                 prop_assert!(status.is_final());
@@ -168,4 +166,42 @@ fn another_seed_is_another_pace() {
     };
     assert_eq!(pace(1), pace(1));
     assert_ne!(pace(1), pace(2));
+}
+
+#[test]
+fn each_person_has_a_pace_of_their_own() {
+    let pace = |people: &[Person]| {
+        let mut setup = hospital(5).robot(carrier("r1", "PC Room 1"));
+        setup.people = people.to_vec();
+        let mut world = World::new(setup).unwrap();
+        does(&mut world, "r1", 1, Goal::ApproachPerson { role: role("nurse") });
+        does(&mut world, "r1", 2, Goal::OperateDrawer { open: true });
+        world.ask_person(GoalId(1), deposit("r1"));
+        world.next_due().unwrap().as_secs()
+    };
+    let (ana, bea) = (nurse("Ana", "PC Room 1", "s1"), nurse("Bea", "PC Room 2", "s2"));
+    assert_eq!(pace(std::slice::from_ref(&ana)), pace(&[ana.clone(), bea.clone()]), "who comes later changes nothing");
+    assert_ne!(pace(std::slice::from_ref(&ana)), pace(&[bea, ana]));
+}
+
+/// The random runs are worth something only if samples do change hands and robots do strand in them.
+#[test]
+fn random_runs_come_to_the_point() {
+    use proptest::strategy::ValueTree;
+    use proptest::test_runner::TestRunner;
+    let mut runner = TestRunner::deterministic();
+    let (mut moved, mut stranded, mut refused) = (0, 0, 0);
+    for seed in 0..200 {
+        let deeds = deeds().new_tree(&mut runner).unwrap().current();
+        let (_, _, mut world) = play(seed, &deeds, || 1);
+        for entry in world.drain_journal() {
+            match entry.what {
+                Happening::SampleMoved { .. } => moved += 1,
+                Happening::Stranded { .. } => stranded += 1,
+                Happening::GoalEnded { status: GoalStatus::Aborted(_), .. } => refused += 1,
+                _ => {}
+            }
+        }
+    }
+    assert!(moved >= 10 && stranded >= 10 && refused >= 100, "{moved} moved, {stranded} stranded, {refused} refused");
 }
