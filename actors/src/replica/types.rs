@@ -176,7 +176,7 @@ mod tests {
     fn a_raft_id_is_that_of_the_node_and_its_store_and_stays_the_same_over_releases() {
         let ada = NodeId::new("ada").unwrap();
         let bob = NodeId::new("bob").unwrap();
-        assert_eq!(RaftId::of(&ada, StoreIdentity(7)).to_string(), "PINNED");
+        assert_eq!(RaftId::of(&ada, StoreIdentity(7)).to_string(), "ea8433db0a5b1aaf");
         assert_ne!(RaftId::of(&ada, StoreIdentity(7)), RaftId::of(&ada, StoreIdentity(8)));
         assert_ne!(RaftId::of(&ada, StoreIdentity(7)), RaftId::of(&bob, StoreIdentity(7)));
     }
