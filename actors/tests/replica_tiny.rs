@@ -25,9 +25,9 @@ impl VirtualNetwork {
     pub fn new(seed: u64) -> Self {
         Self(Arc::default(), Arc::new(Mutex::new(ChaCha8Rng::seed_from_u64(seed))))
     }
-    pub fn bus(&self, node: NodeId) -> SharedBus {
+    pub fn bus(&self, node: NodeId) -> VirtualBus {
         self.0.lock().unwrap().dead.remove(&node);
-        Arc::new(VirtualBus(self.clone(), node))
+        VirtualBus(self.clone(), node)
     }
     pub fn crash(&self, node: &NodeId) {
         let mut s = self.0.lock().unwrap();
@@ -110,9 +110,15 @@ impl Bus for VirtualBus {
         let me = self.1.clone();
         let key = key.to_owned();
         let expr = zenoh_keyexpr::OwnedKeyExpr::new(key.clone()).unwrap();
-        let found: Vec<_> = net.0.lock().unwrap().services.values()
+        let found: Vec<_> = net
+            .0
+            .lock()
+            .unwrap()
+            .services
+            .values()
             .filter(|(_, k, _)| expr.intersects(zenoh_keyexpr::keyexpr::new(k).unwrap()))
-            .cloned().collect();
+            .cloned()
+            .collect();
         for (node, _, service) in found {
             let (net, me, key, payload, tx2) = (net.clone(), me.clone(), key.clone(), payload.clone(), tx2.clone());
             tokio::spawn(async move {
@@ -129,9 +135,12 @@ impl Bus for VirtualBus {
         tokio::spawn(async move {
             let _ = tokio::time::timeout(limit, async {
                 while let Some(r) = rx2.recv().await {
-                    if tx.send(r).is_err() { break }
+                    if tx.send(r).is_err() {
+                        break;
+                    }
                 }
-            }).await;
+            })
+            .await;
         });
         Ok(Stream::new(rx, Box::new(())))
     }

@@ -64,16 +64,18 @@ pub(super) enum Answer<A> {
     Mismatch(SnapshotMismatch),
 }
 
-/// When each voter last answered us.
+/// When we sent what each voter answered last: the same measure as the age of the majority's acknowledgement.
 #[derive(Debug, Default)]
 pub(super) struct Heard(Mutex<BTreeMap<RaftId, Instant>>);
 
 impl Heard {
-    fn note(&self, voter: RaftId) {
-        self.0.lock().unwrap_or_else(PoisonError::into_inner).insert(voter, Instant::now());
+    fn note(&self, voter: RaftId, asked_at: Instant) {
+        let mut heard = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        let last = heard.entry(voter).or_insert(asked_at);
+        *last = asked_at.max(*last);
     }
 
-    /// When `voter` last answered anything.
+    /// When the last question was sent that `voter` has answered.
     pub(super) fn last(&self, voter: RaftId) -> Option<Instant> {
         self.0.lock().unwrap_or_else(PoisonError::into_inner).get(&voter).copied()
     }
@@ -135,7 +137,7 @@ impl Line {
         };
         let answer = reply.payload.map_err(Trouble::Refused)?;
         let answer = codec::decode(&answer, FRAME_MAX).map_err(Trouble::Garbled)?;
-        self.board.heard.note(self.target);
+        self.board.heard.note(self.target, asked_at);
         Ok(answer)
     }
 
@@ -195,10 +197,7 @@ impl<S: StateMachine> RaftNetwork<Types<S>> for Line {
         &mut self,
         question: InstallSnapshotRequest<Types<S>>,
         option: RPCOption,
-    ) -> Result<
-        InstallSnapshotResponse<RaftId>,
-        RPCError<RaftId, Peer, RaftError<RaftId, InstallSnapshotError>>,
-    > {
+    ) -> Result<InstallSnapshotResponse<RaftId>, RPCError<RaftId, Peer, RaftError<RaftId, InstallSnapshotError>>> {
         let bytes = codec::encode(&question, FRAME_MAX).map_err(|error| unencodable(&error))?;
         match self.ask(Verb::Snapshot, bytes, option.hard_ttl()).await {
             Ok(Answer::Done(answer)) => Ok(answer),

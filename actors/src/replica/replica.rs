@@ -212,7 +212,8 @@ impl<S: StateMachine> Replica<S> {
         let serving = Task::spawn(serve::serve(queries, raft.clone(), Arc::clone(&refused)));
         let (tell_leadership, leadership) = watch::channel(Leadership::default());
         let (tell_acked, acked_at) = watch::channel(None);
-        let watcher = Watcher { silence_max: settings.quorum_silence_max, leadership: tell_leadership, acked: tell_acked };
+        let watcher =
+            Watcher { silence_max: settings.quorum_silence_max, leadership: tell_leadership, acked: tell_acked };
         let watching = Task::spawn(watcher.run(raft.metrics()));
         info!(node = %settings.node, raft = %id, "takes part in the ledger");
         let inner = Inner {
@@ -310,7 +311,8 @@ impl<S: StateMachine> Replica<S> {
         self.inner.acked_at.borrow().map(|at| at.elapsed())
     }
 
-    /// How long ago each other voter and observer last answered this node. Only a leader asks them regularly.
+    /// How long ago the last message was sent that each other voter and observer has answered. Only a leader asks
+    /// them regularly.
     pub fn heard(&self) -> BTreeMap<RaftId, Option<Duration>> {
         let leadership = self.inner.leadership.borrow();
         let others = leadership.voters.keys().chain(leadership.observers.keys()).filter(|id| **id != self.inner.id);
@@ -449,30 +451,36 @@ impl Watcher {
             let latest = metrics.borrow_and_update().clone();
             // Metrics are sent at the instant they are taken, and openraft takes them at every event. Its whole
             // milliseconds round the age down, so one is added.
-            let acked = latest
-                .millis_since_quorum_ack
-                .and_then(|ms| Instant::now().checked_sub(Duration::from_millis(ms + 1)));
+            let acked =
+                latest.millis_since_quorum_ack.and_then(|ms| Instant::now().checked_sub(Duration::from_millis(ms + 1)));
             self.acked.send_replace(acked);
-            let doubt_at = acked.map(|at| at + self.silence_max);
-            self.tell(&latest, doubt_at.is_none_or(|at| at <= Instant::now()));
-            let doubting = async {
-                match doubt_at.filter(|at| *at > Instant::now()) {
-                    Some(at) => tokio::time::sleep_until(at).await,
-                    None => std::future::pending().await,
-                }
-            };
-            tokio::select! {
-                biased;
-                changed = metrics.changed() => if changed.is_err() {
-                    break;
-                },
-                () = doubting => self.tell(&latest, true),
+            if self.believe_until_changed(&latest, acked, &mut metrics).await.is_err() {
+                break;
             }
         }
         self.acked.send_replace(None);
         self.leadership.send_modify(|now| {
             *now = Leadership { term: now.term, ..Leadership::default() };
         });
+    }
+
+    /// Tells what follows from `latest`, and what no longer does once the majority has been silent for too long.
+    async fn believe_until_changed(
+        &self,
+        latest: &Metrics,
+        acked: Option<Instant>,
+        metrics: &mut watch::Receiver<Metrics>,
+    ) -> Result<(), watch::error::RecvError> {
+        if let Some(doubt_at) = acked.map(|at| at + self.silence_max).filter(|at| *at > Instant::now()) {
+            self.tell(latest, false);
+            tokio::select! {
+                biased;
+                changed = metrics.changed() => return changed,
+                () = tokio::time::sleep_until(doubt_at) => {}
+            }
+        }
+        self.tell(latest, true);
+        metrics.changed().await
     }
 
     fn tell(&self, metrics: &Metrics, silent: bool) {

@@ -35,7 +35,8 @@ pub(super) async fn open<S: StateMachine>(
             .map(|(index, bytes)| Ok((*index, read_record(bytes)?)))
             .collect::<Result<_, std::io::Error>>()?,
     };
-    let mut machine = Machine { state: S::default(), applied: None, membership: StoredMembership::default(), snapshot: None };
+    let mut machine =
+        Machine { state: S::default(), applied: None, membership: StoredMembership::default(), snapshot: None };
     if let Some(bytes) = snapshot {
         let kept: Kept = read_record(&bytes)?;
         machine.restore(read_record(&kept.state)?, kept);
@@ -47,11 +48,13 @@ pub(super) async fn open<S: StateMachine>(
 }
 
 fn read_record<T: serde::de::DeserializeOwned>(bytes: &[u8]) -> std::io::Result<T> {
-    codec::decode(bytes, RECORD_MAX).map_err(|error| std::io::Error::new(std::io::ErrorKind::InvalidData, error.to_string()))
+    codec::decode(bytes, RECORD_MAX)
+        .map_err(|error| std::io::Error::new(std::io::ErrorKind::InvalidData, error.to_string()))
 }
 
 fn write_record<T: Serialize>(value: &T) -> std::io::Result<Vec<u8>> {
-    codec::encode(value, RECORD_MAX).map_err(|error| std::io::Error::new(std::io::ErrorKind::InvalidData, error.to_string()))
+    codec::encode(value, RECORD_MAX)
+        .map_err(|error| std::io::Error::new(std::io::ErrorKind::InvalidData, error.to_string()))
 }
 
 /// The log as openraft reads it; the journal holds the same, durably.
@@ -132,7 +135,8 @@ impl<S: StateMachine> RaftLogStorage<Types<S>> for LogStore<S> {
         I::IntoIter: OptionalSend,
     {
         let entries: Vec<_> = entries.into_iter().collect();
-        let records = entries.iter().map(|entry| Ok((entry.log_id.index, write_record(entry)?))).collect::<Result<_, _>>();
+        let records =
+            entries.iter().map(|entry| Ok((entry.log_id.index, write_record(entry)?))).collect::<Result<_, _>>();
         self.journal.append(records.map_err(writing_logs)?).await.map_err(writing_logs)?;
         lock(&self.log).entries.extend(entries.into_iter().map(|entry| (entry.log_id.index, entry)));
         callback.log_io_completed(Ok(()));
