@@ -20,9 +20,11 @@
 //!   alone is no fencing token, a [`Reign`] and the [`Epoch`] of an applied entry are.
 //!
 //! Why not a lock, a lease or gossip: see Ongaro and Ousterhout, *In search of an understandable consensus algorithm*,
-//! 2014. openraft's differences from that paper that matter here: no pre-vote; a voter refuses every candidate for
-//! `election_max` after its leader's last word; the election timeout is drawn once, when a node starts.
+//! 2014. openraft's differences from that paper that matter here: a voter refuses every candidate for `election_max`
+//! after its leader's last word; the election timeout is drawn once, when a node starts; there is neither pre-vote nor
+//! check quorum, which `canvass` adds.
 
+mod canvass;
 mod codec;
 mod journal;
 mod network;

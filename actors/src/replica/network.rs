@@ -17,6 +17,7 @@ use openraft::{AnyError, RaftNetwork, RaftNetworkFactory};
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 use tokio::time::Instant;
@@ -30,16 +31,19 @@ pub(super) enum Verb {
     Vote,
     Append,
     Snapshot,
+    /// Not Raft's own: see [`super::canvass`].
+    Canvass,
 }
 
 impl Verb {
-    const ALL: [Verb; 3] = [Verb::Vote, Verb::Append, Verb::Snapshot];
+    const ALL: [Verb; 4] = [Verb::Vote, Verb::Append, Verb::Snapshot, Verb::Canvass];
 
     fn word(self) -> &'static str {
         match self {
             Verb::Vote => "vote",
             Verb::Append => "append",
             Verb::Snapshot => "snapshot",
+            Verb::Canvass => "canvass",
         }
     }
 }
@@ -90,13 +94,22 @@ pub(super) struct Switchboard {
     pub(super) heard: Arc<Heard>,
     /// The pause before asking again a voter that cannot be reached.
     pub(super) pause: Duration,
+    /// Whether this node keeps its leader's messages to itself; see [`super::canvass`].
+    pub(super) muted: Arc<AtomicBool>,
+}
+
+impl Switchboard {
+    /// The way to one voter.
+    pub(super) fn line(&self, target: RaftId) -> Line {
+        Line { board: self.clone(), target }
+    }
 }
 
 impl<S: StateMachine> RaftNetworkFactory<Types<S>> for Switchboard {
     type Network = Line;
 
     async fn new_client(&mut self, target: RaftId, _node: &Peer) -> Line {
-        Line { board: self.clone(), target }
+        self.line(target)
     }
 }
 
@@ -119,15 +132,26 @@ enum Trouble {
     Garbled(CodecError),
     #[error(transparent)]
     Bus(#[from] crate::bus::BusError),
+    #[error("no majority has answered for too long: this leader falls silent")]
+    Muted,
 }
 
 impl Line {
+    /// Whether `target` would have this node stand for election; no answer is a no.
+    pub(super) async fn canvass(&self, limit: Duration) -> bool {
+        let Ok(question) = codec::encode(&self.board.me, FRAME_MAX) else { return false };
+        matches!(self.ask(Verb::Canvass, question, limit).await, Ok(Answer::Done(true)))
+    }
+
     async fn ask<A: DeserializeOwned>(
         &self,
         verb: Verb,
         question: Vec<u8>,
         limit: Duration,
     ) -> Result<Answer<A>, Trouble> {
+        if verb == Verb::Append && self.board.muted.load(Ordering::Relaxed) {
+            return Err(Trouble::Muted);
+        }
         let asked_at = Instant::now();
         let key = key(&self.board.fleet, self.target, Some(verb));
         let mut replies = self.board.bus.query(&key, question.into(), limit).await?;
@@ -150,7 +174,7 @@ impl Line {
             Trouble::Silent(timeout) => {
                 Timeout { action: what, id: self.board.me, target: self.target, timeout: *timeout }.into()
             }
-            Trouble::Unserved(_) | Trouble::Bus(_) => Unreachable::new(trouble).into(),
+            Trouble::Unserved(_) | Trouble::Bus(_) | Trouble::Muted => Unreachable::new(trouble).into(),
             Trouble::Refused(_) | Trouble::Garbled(_) => NetworkError::new(trouble).into(),
         }
     }
@@ -184,7 +208,7 @@ impl<S: StateMachine> RaftNetwork<Types<S>> for Line {
         };
         match trouble {
             Trouble::Silent(_) => Err(self.explain(RPCTypes::AppendEntries, &trouble)),
-            Trouble::Unserved(_) | Trouble::Refused(_) | Trouble::Garbled(_) | Trouble::Bus(_) => {
+            Trouble::Unserved(_) | Trouble::Refused(_) | Trouble::Garbled(_) | Trouble::Bus(_) | Trouble::Muted => {
                 // openraft would ask again at once; for what it is told is unreachable it waits, but in a `select!`
                 // that draws its order by chance, so that runs would no longer repeat. So the wait is here.
                 tokio::time::sleep(self.board.pause.min(option.soft_ttl())).await;

@@ -1,10 +1,11 @@
 //! A node's share in the replicated ledger.
 
+use super::canvass::{self, Ear};
 use super::codec::{self, CodecError, FRAME_MAX};
 use super::journal::Journal;
 use super::network::{self, Heard, Switchboard};
 use super::runtime::seed_elections;
-use super::serve;
+use super::serve::Service;
 use super::settings::{ReplicaSettings, SettingsError};
 use super::store::{self, MachineStore};
 use super::types::{Epoch, Peer, Raft, RaftId, Reign, StateMachine, epoch_of, reign_of};
@@ -17,7 +18,7 @@ use openraft::{ChangeMembers, ServerState};
 use std::collections::{BTreeMap, BTreeSet};
 use std::future::Future;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::Duration;
 use tokio::sync::watch;
 use tokio::task::JoinHandle;
@@ -95,7 +96,7 @@ pub enum ProposeError {
     /// This node was elected but hears no majority. It was not proposed.
     #[error("no quorum: {reachable} of {voters} voters reachable")]
     NoQuorum {
-        /// Voters heard within the silence bound, this one included.
+        /// Voters that answered something sent within the last four heartbeats, this one included.
         reachable: usize,
         /// All voters.
         voters: usize,
@@ -163,6 +164,7 @@ struct Inner<S: StateMachine> {
     refused: Arc<AtomicU64>,
     _serving: Task,
     _watching: Task,
+    _canvassing: Task,
 }
 
 /// A task that ends with its owner.
@@ -196,25 +198,42 @@ impl<S: StateMachine> Replica<S> {
         let (log, machine) = store::open::<S>(journal).await?;
         let queries = bus.serve(&network::key(&settings.fleet, id, None)).await?;
         let heard = Arc::<Heard>::default();
+        let muted = Arc::<AtomicBool>::default();
         let board = Switchboard {
             bus,
             fleet: settings.fleet.clone(),
             me: id,
             heard: Arc::clone(&heard),
             pause: settings.heartbeat,
+            muted: Arc::clone(&muted),
         };
 
         // Nothing is awaited between these two: the timeout is drawn before `new` first waits.
         seed_elections(seed);
-        let raft = Raft::<S>::new(id, config, board, log, machine.clone()).await?;
+        let raft = Raft::<S>::new(id, config, board.clone(), log, machine.clone()).await?;
 
-        let refused = Arc::<AtomicU64>::default();
-        let serving = Task::spawn(serve::serve(queries, raft.clone(), Arc::clone(&refused)));
         let (tell_leadership, leadership) = watch::channel(Leadership::default());
         let (tell_acked, acked_at) = watch::channel(None);
-        let watcher =
-            Watcher { silence_max: settings.quorum_silence_max, leadership: tell_leadership, acked: tell_acked };
+        let watcher = Watcher {
+            silence_max: settings.quorum_silence_max,
+            election_max: settings.election_max,
+            leadership: tell_leadership,
+            acked: tell_acked,
+            muted,
+            elected: None,
+        };
         let watching = Task::spawn(watcher.run(raft.metrics()));
+        let ear = Arc::new(Ear::new());
+        let canvassing = Task::spawn(canvass::canvass(raft.clone(), board, Arc::clone(&ear), settings.clone()));
+        let refused = Arc::<AtomicU64>::default();
+        let service = Service {
+            raft: raft.clone(),
+            ear,
+            leadership: leadership.clone(),
+            election_min: settings.election_min,
+            refused: Arc::clone(&refused),
+        };
+        let serving = Task::spawn(service.run(queries));
         info!(node = %settings.node, raft = %id, "takes part in the ledger");
         let inner = Inner {
             id,
@@ -227,6 +246,7 @@ impl<S: StateMachine> Replica<S> {
             refused,
             _serving: serving,
             _watching: watching,
+            _canvassing: canvassing,
         };
         Ok(Replica { inner: Arc::new(inner) })
     }
@@ -396,7 +416,7 @@ impl<S: StateMachine> Replica<S> {
         let leadership = self.inner.leadership.borrow();
         let near = |id: &&RaftId| {
             let heard = self.inner.heard.last(**id);
-            **id == self.inner.id || heard.is_some_and(|at| at.elapsed() <= self.inner.settings.quorum_silence_max)
+            **id == self.inner.id || heard.is_some_and(|at| at.elapsed() <= self.inner.settings.heartbeat * 4)
         };
         let reachable = leadership.voters.keys().filter(near).count();
         ProposeError::NoQuorum { reachable, voters: leadership.voters.len() }
@@ -438,15 +458,19 @@ impl MemberError {
     }
 }
 
-/// Turns openraft's metrics into [`Leadership`], and doubts it when the majority falls silent.
+/// Turns openraft's metrics into [`Leadership`], doubts it when the majority falls silent, and then mutes the node.
 struct Watcher {
     silence_max: Duration,
+    election_max: Duration,
     leadership: watch::Sender<Leadership>,
     acked: watch::Sender<Option<Instant>>,
+    muted: Arc<AtomicBool>,
+    /// The reign in which this node was elected, if it leads, and since when it knows.
+    elected: Option<(Reign, Instant)>,
 }
 
 impl Watcher {
-    async fn run(self, mut metrics: watch::Receiver<Metrics>) {
+    async fn run(mut self, mut metrics: watch::Receiver<Metrics>) {
         loop {
             let latest = metrics.borrow_and_update().clone();
             // Metrics are sent at the instant they are taken, and openraft takes them at every event. Its whole
@@ -454,7 +478,8 @@ impl Watcher {
             let acked =
                 latest.millis_since_quorum_ack.and_then(|ms| Instant::now().checked_sub(Duration::from_millis(ms + 1)));
             self.acked.send_replace(acked);
-            if self.believe_until_changed(&latest, acked, &mut metrics).await.is_err() {
+            let elected_at = self.note_election(&latest);
+            if self.believe_until_changed(&latest, acked, elected_at, &mut metrics).await.is_err() {
                 break;
             }
         }
@@ -464,27 +489,53 @@ impl Watcher {
         });
     }
 
+    /// Since when this node leads, if it does.
+    fn note_election(&mut self, latest: &Metrics) -> Option<Instant> {
+        let reign = (latest.state == ServerState::Leader).then(|| reign_of(latest.vote.leader_id()));
+        if self.elected.map(|(reign, _)| reign) != reign {
+            self.elected = reign.map(|reign| (reign, Instant::now()));
+        }
+        self.elected.map(|(_, at)| at)
+    }
+
     /// Tells what follows from `latest`, and what no longer does once the majority has been silent for too long.
     async fn believe_until_changed(
         &self,
         latest: &Metrics,
         acked: Option<Instant>,
+        elected_at: Option<Instant>,
         metrics: &mut watch::Receiver<Metrics>,
     ) -> Result<(), watch::error::RecvError> {
-        if let Some(doubt_at) = acked.map(|at| at + self.silence_max).filter(|at| *at > Instant::now()) {
-            self.tell(latest, false);
+        // A fresh leader has not been acknowledged yet; that is no silence to complain of, for a while.
+        let Some(doubt_at) = acked.or(elected_at).map(|at| at + self.silence_max) else {
+            self.muted.store(false, Ordering::Relaxed);
+            self.tell(latest, Quorum::Unknown);
+            return metrics.changed().await;
+        };
+        if doubt_at > Instant::now() {
+            self.muted.store(false, Ordering::Relaxed);
+            self.tell(latest, if acked.is_some() { Quorum::Hears } else { Quorum::Unknown });
             tokio::select! {
                 biased;
                 changed = metrics.changed() => return changed,
                 () = tokio::time::sleep_until(doubt_at) => {}
             }
         }
-        self.tell(latest, true);
+        // Metrics come with each of openraft's ticks, so this is looked at often enough.
+        self.muted.store(self.falls_silent(doubt_at.elapsed()), Ordering::Relaxed);
+        self.tell(latest, Quorum::Silent);
         metrics.changed().await
     }
 
-    fn tell(&self, metrics: &Metrics, silent: bool) {
-        let next = believe(metrics, silent);
+    /// Whether a leader says nothing at `doubted` after it began to doubt its majority: four times the longest
+    /// election timeout, in which any other majority finds a leader, then once that time aloud, and so on.
+    fn falls_silent(&self, doubted: Duration) -> bool {
+        let round = self.election_max * 5;
+        doubted.as_nanos() % round.as_nanos().max(1) < (self.election_max * 4).as_nanos()
+    }
+
+    fn tell(&self, metrics: &Metrics, quorum: Quorum) {
+        let next = believe(metrics, quorum);
         self.leadership.send_if_modified(|now| {
             let changed = *now != next;
             if changed {
@@ -495,15 +546,23 @@ impl Watcher {
     }
 }
 
-/// What a node believes, given openraft's metrics and whether its majority is silent.
-fn believe(metrics: &Metrics, silent: bool) -> Leadership {
+/// What an elected leader knows of its majority.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Quorum {
+    /// Not acknowledged yet, or not elected.
+    Unknown,
+    Hears,
+    Silent,
+}
+
+/// What a node believes, given openraft's metrics and what is known of its majority.
+fn believe(metrics: &Metrics, quorum: Quorum) -> Leadership {
     let running = metrics.running_state.is_ok() && metrics.state != ServerState::Shutdown;
     let reign = metrics.vote.is_committed().then(|| reign_of(metrics.vote.leader_id())).filter(|_| running);
     let elected = running && metrics.state == ServerState::Leader;
     // The first entry of a reign is openraft's blank one: once it is applied, so is all that was committed before.
     let caught_up = reign.is_some() && metrics.last_applied.map(|at| reign_of(&at.leader_id)) == reign;
-    // A fresh leader has not been acknowledged yet; that is not silence to complain of.
-    let cut_off = elected && silent && metrics.millis_since_quorum_ack.is_some();
+    let cut_off = elected && quorum == Quorum::Silent;
     let reign = reign.filter(|_| !cut_off);
     let membership = metrics.membership_config.membership();
     let name = |id: RaftId| membership.get_node(&id).map(|peer| peer.name.clone());
@@ -512,7 +571,7 @@ fn believe(metrics: &Metrics, silent: bool) -> Leadership {
         term: metrics.current_term,
         reign,
         leader: reign.and_then(|reign| name(reign.leader)),
-        is_me: elected && caught_up && !silent,
+        is_me: elected && caught_up && quorum == Quorum::Hears,
         cut_off,
         voters: named(membership.voter_ids().collect()),
         observers: named(membership.learner_ids().collect()),
