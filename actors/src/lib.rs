@@ -6,3 +6,4 @@
 //! paused time.
 
 pub mod bus;
+pub mod replica;
