@@ -8,11 +8,12 @@ use consort_protocol::codec;
 use consort_protocol::ids::RobotId;
 use consort_protocol::keys::{BodyCall, Key, Keys};
 use consort_skills::actions::{Goal, GoalId, GoalStatus, RobotActions, Telemetry};
-use ractor::{Actor, ActorProcessingErr, ActorRef};
+use ractor::{Actor, ActorCell, ActorProcessingErr, ActorRef};
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 use tokio::sync::watch;
+use tokio::time::Instant;
 use tracing::{debug, warn};
 
 /// Final states of goals that are remembered.
@@ -45,6 +46,8 @@ pub struct Body {
 struct Mirror {
     next: u64,
     telemetry: Option<Telemetry>,
+    /// When it was heard.
+    heard_at: Option<Instant>,
     number: u64,
     goals: BTreeMap<GoalId, GoalStatus>,
     /// Orders that the host has not answered, in the order given.
@@ -75,15 +78,14 @@ pub struct BodyLinkState {
 }
 
 impl Body {
-    /// Starts driving a body.
+    /// Starts driving a body, under a supervisor.
     ///
     /// # Errors
     /// When the actor cannot start: the bus is closed.
-    pub async fn link(settings: BodyLinkSettings) -> Result<(Body, ActorRef<BodyLinkMessage>), ractor::SpawnErr> {
-        let (answer, mut got) = tokio::sync::mpsc::unbounded_channel();
-        let (actor, _) = Actor::spawn(None, BodyLink, (settings, answer)).await?;
-        let body = got.recv().await.expect("the actor hands out its body before it has started");
-        Ok((body, actor))
+    pub async fn link(settings: BodyLinkSettings, supervisor: &ActorCell) -> Result<Body, ractor::SpawnErr> {
+        let (hand_out, mut handed_out) = tokio::sync::mpsc::unbounded_channel();
+        Actor::spawn_linked(None, BodyLink, (settings, hand_out), supervisor.clone()).await?;
+        Ok(handed_out.recv().await.expect("the actor hands out its body before it has started"))
     }
 
     /// Counts the states heard from the host; wakes whoever waits for the next.
@@ -95,6 +97,12 @@ impl Body {
     pub fn refresh(&mut self) {
         let latest = self.lock().telemetry.clone();
         self.seen = latest;
+    }
+
+    /// How long ago the latest report of the body was heard, in milliseconds; 0 before the first.
+    pub fn telemetry_age_ms(&self) -> u64 {
+        let heard = self.lock().heard_at;
+        heard.map_or(0, |at| u64::try_from(at.elapsed().as_millis()).unwrap_or(u64::MAX))
     }
 
     /// Cancels every goal under way: the body stops safely.
@@ -158,6 +166,7 @@ impl Mirror {
         }
         self.number = state.number;
         self.telemetry = Some(state.telemetry);
+        self.heard_at = Some(Instant::now());
         for (id, status) in state.goals {
             if let Some(known) = self.goals.get_mut(&id).filter(|known| !known.is_final()) {
                 *known = status;
@@ -181,6 +190,7 @@ impl Actor for BodyLink {
         let mirror = Mirror {
             next: settings.first_goal,
             telemetry: None,
+            heard_at: None,
             number: 0,
             goals: BTreeMap::new(),
             unanswered: vec![],

@@ -574,7 +574,11 @@ impl Reign {
 
     async fn live(&mut self, settings: &CoordinatorSettings, query: Query) {
         let plans: Vec<LivePlan> = settings.replica.read(|ledger| ledger.live().into_iter().flat_map(unmanaged).collect());
-        answer::wire(&query, &query.key, &plans).await;
+        // An empty answer is one too; many plans take several.
+        let chunks: Vec<&[LivePlan]> = if plans.is_empty() { vec![&[]] } else { plans.chunks(8).collect() };
+        for chunk in chunks {
+            answer::wire(&query, &query.key, &chunk.to_vec()).await;
+        }
     }
 
     fn api(&mut self, settings: &CoordinatorSettings, query: Query) {

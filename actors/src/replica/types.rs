@@ -3,6 +3,7 @@
 use super::journal::StoreIdentity;
 use super::runtime::SeededRuntime;
 use consort_protocol::ids::NodeId;
+pub use consort_protocol::lease::Epoch;
 use openraft::RaftTypeConfig;
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
@@ -20,21 +21,6 @@ pub trait StateMachine: Clone + Send + Sync + Default + Serialize + DeserializeO
 
     /// Carries out `command`, which stands in the log at `at`. Neither clock nor chance may be asked.
     fn apply(&mut self, at: Epoch, command: Self::Command) -> Self::Outcome;
-}
-
-/// The place of a committed entry: it only grows, and no two entries share one.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Default, Serialize, Deserialize)]
-pub struct Epoch {
-    /// The term its leader had.
-    pub term: u64,
-    /// Its index in the log, counted over all terms.
-    pub index: u64,
-}
-
-impl fmt::Display for Epoch {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "{}.{}", self.term, self.index)
-    }
 }
 
 /// Who leads, and since which term. Reigns are totally ordered: the later one is the greater.

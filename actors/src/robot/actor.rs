@@ -257,7 +257,9 @@ impl RobotState {
         if changed || now.since(self.sensed_at) >= Duration::from_secs(1) {
             self.sensed_at = now;
             let worker = self.worker.clone();
-            self.settings.gossip.update_with(move |knowledge| knowledge.worker = Some(worker));
+            if self.settings.gossip.update_with(move |knowledge| knowledge.worker = Some(worker)).is_err() {
+                debug!(robot = %self.settings.robot, "gossip has stopped");
+            }
         }
     }
 

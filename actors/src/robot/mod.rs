@@ -20,7 +20,9 @@ mod sequencer;
 mod skill_runner;
 mod talk;
 
+pub(crate) use actor::ask;
 pub use actor::{Robot, RobotMessage, RobotSettings};
 pub use bidder::{Bidder, Circumstance};
 pub use sequencer::{Move, Sequencer};
 pub use skill_runner::SkillOutcome;
+pub(crate) use talk::Talk;

@@ -320,9 +320,7 @@ mod tests {
             ),
             (
                 vec![refined("top", &[1, 2]), refined("loop", &[0]), go("a")],
-                vec![
-                    "root/loop: is refined into `top`, which does not stand after it: a cycle, or tasks out of order",
-                ],
+                vec!["root/loop: is refined into `top`, which does not stand after it: a cycle, or tasks out of order"],
             ),
             (
                 vec![refined("top", &[1, 2]), refined("x", &[2]), go("a")],
