@@ -1,4 +1,4 @@
-//! Keys as both buses read them, so that a key wrong on one is wrong on the other, and in the same words.
+//! Keys and payloads as both buses take them, so that what is wrong on one is wrong on the other, and in the same words.
 
 use super::BusError;
 use zenoh_keyexpr::{OwnedKeyExpr, keyexpr};
@@ -29,6 +29,19 @@ pub(super) fn answer(text: &str, asked: &keyexpr) -> Result<OwnedKeyExpr, BusErr
     let key = single(text)?;
     if asked.intersects(&key) { Ok(key) } else { Err(wrong(text, format!("it answers a query for `{asked}`"))) }
 }
+
+/// Refuses a payload that would not pass the receivers' limit for a whole message.
+pub(super) fn fits(what: &str, payload: &[u8], message_max: usize) -> Result<(), BusError> {
+    let payload_max = message_max.saturating_sub(ENVELOPE_MAX);
+    if payload.len() <= payload_max {
+        return Ok(());
+    }
+    let problem = format!("a payload of {} bytes exceeds the limit of {payload_max}", payload.len());
+    Err(BusError::Failed { what: what.to_owned(), problem })
+}
+
+/// What a message may hold beside its payload: key, encoding, parameters and the protocol's own.
+const ENVELOPE_MAX: usize = 4 * 1024;
 
 #[cfg(test)]
 mod tests {

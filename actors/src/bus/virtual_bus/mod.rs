@@ -26,7 +26,9 @@ mod trace;
 
 pub use link::{Counters, LinkModel};
 
-use super::{Bus, BusError, Delivery, Encoding, Link, Presence, Query, Reply, Sample, Stream, Token, keys};
+use super::{
+    Bus, BusError, Delivery, Encoding, Link, MESSAGE_MAX, Presence, Query, Reply, Sample, Stream, Token, keys,
+};
 use async_trait::async_trait;
 use bytes::Bytes;
 use consort_protocol::ids::NodeId;
@@ -207,6 +209,7 @@ impl Bus for VirtualBus {
         encoding: Encoding,
         _delivery: Delivery,
     ) -> Result<(), BusError> {
+        keys::fits("publish", &payload, MESSAGE_MAX)?;
         self.act("publish", |network| {
             let known = match network.known_key(key) {
                 Some(known) => known,
@@ -226,6 +229,7 @@ impl Bus for VirtualBus {
 
     async fn query(&self, key_expr: &str, payload: Bytes, limit: Duration) -> Result<Stream<Reply>, BusError> {
         let (wanted, parameters) = keys::selector(key_expr)?;
+        keys::fits("query", &payload, MESSAGE_MAX)?;
         let question = Question { wanted, parameters: parameters.to_owned(), payload };
         let (replies, receiver) = mpsc::unbounded_channel();
         let number = self.act("query", |network| network.ask(self.life, question, limit, replies))?;

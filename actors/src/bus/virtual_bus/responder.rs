@@ -2,7 +2,7 @@
 
 use super::Shared;
 use super::network::{Life, Number, Question};
-use crate::bus::{BusError, Encoding, Replier, Reply, keys};
+use crate::bus::{BusError, Encoding, MESSAGE_MAX, Replier, Reply, keys};
 use async_trait::async_trait;
 use bytes::Bytes;
 use std::sync::{Arc, Weak};
@@ -43,6 +43,7 @@ impl Responder {
 impl Replier for Responder {
     async fn reply(&self, key: &str, payload: Bytes, _encoding: Encoding) -> Result<(), BusError> {
         keys::answer(key, &self.question.wanted)?;
+        keys::fits("answer a query", &payload, MESSAGE_MAX)?;
         self.send(Reply { key: key.to_owned(), payload: Ok(payload) })
     }
 

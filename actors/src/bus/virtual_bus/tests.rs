@@ -377,6 +377,7 @@ async fn many_threads_may_share_a_network() {
 /// Eight nodes, each of which tells the seven others something every 40 ms, for 500 simulated seconds.
 #[tokio::test(start_paused = true)]
 #[ignore = "a measurement: run it in release"]
+#[expect(clippy::print_stderr, reason = "a measurement is there to be read")]
 async fn speed() {
     let network = network(LinkModel::LAN);
     let mut tasks = Vec::new();
