@@ -6,3 +6,5 @@
 //! paused time.
 
 pub mod bus;
+pub mod clock;
+pub mod gossip;
