@@ -10,6 +10,11 @@
 //! - A query streams the replies of all matching services and ends when all have finished, or at its limit.
 //! - A token's disappearance is a hint that its node is gone, never a proof.
 
+mod keys;
+pub mod virtual_bus;
+
+pub use virtual_bus::{LinkModel, VirtualBus, VirtualNetwork};
+
 use async_trait::async_trait;
 use bytes::Bytes;
 use std::sync::Arc;
