@@ -368,9 +368,9 @@ fn a_leader_that_no_one_hears_is_replaced_and_a_leader_that_hears_no_one_steps_d
                 fleet.note(1).await;
                 let old = fleet.leader().await;
                 if sending {
-                    fleet.network.mute(old.clone())
+                    fleet.network.mute(old.clone());
                 } else {
-                    fleet.network.deafen(old.clone())
+                    fleet.network.deafen(old.clone());
                 }
                 fleet.until("the old leader doubts", |fleet| !fleet.believed(&old).is_me).await;
                 fleet.until("another leads", |fleet| fleet.leaders().iter().any(|leader| *leader != old)).await;

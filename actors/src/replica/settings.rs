@@ -83,7 +83,7 @@ impl ReplicaSettings {
             max_in_snapshot_log_to_keep: self.log_kept,
             ..Config::default()
         };
-        Ok(Arc::new(config.validate()?))
+        Ok(Arc::new(config.validate().map_err(|error| SettingsError::Raft(Box::new(error)))?))
     }
 }
 
@@ -114,6 +114,6 @@ pub enum SettingsError {
     #[error("a snapshot after every 0 entries")]
     NoSnapshots,
     /// What openraft says.
-    #[error(transparent)]
-    Raft(#[from] openraft::ConfigError),
+    #[error("{0}")]
+    Raft(Box<openraft::ConfigError>),
 }
