@@ -7,7 +7,7 @@
 //!                                             ▼                         ▼
 //!                  store ◄────────────── openraft core ──────────► network, serve
 //!          (log, vote, snapshot;              │
-//!           durable in a Journal)             └── election timeout drawn from `runtime`'s seeded generator
+//!           durable in a Journal)             └── told by `canvass` when to beat and when to stand
 //! ```
 //!
 //! What is promised:
@@ -20,9 +20,8 @@
 //!   alone is no fencing token, a [`Reign`] and the [`Epoch`] of an applied entry are.
 //!
 //! Why not a lock, a lease or gossip: see Ongaro and Ousterhout, *In search of an understandable consensus algorithm*,
-//! 2014. openraft's differences from that paper that matter here: a voter refuses every candidate for `election_max`
-//! after its leader's last word; the election timeout is drawn once, when a node starts; there is neither pre-vote nor
-//! check quorum, which `canvass` adds.
+//! 2014. When to stand for election is decided by `canvass`, not by openraft, which has neither pre-vote nor check
+//! quorum.
 
 mod canvass;
 mod codec;

@@ -1,5 +1,6 @@
 //! Raft's questions to other voters, as queries on the bus.
 
+use super::canvass::Canvass;
 use super::codec::{self, CodecError, FRAME_MAX};
 use super::types::{Peer, RaftId, StateMachine, Types};
 use crate::bus::SharedBus;
@@ -138,8 +139,8 @@ enum Trouble {
 
 impl Line {
     /// Whether `target` would have this node stand for election; no answer is a no.
-    pub(super) async fn canvass(&self, limit: Duration) -> bool {
-        let Ok(question) = codec::encode(&self.board.me, FRAME_MAX) else { return false };
+    pub(super) async fn canvass(&self, question: &Canvass, limit: Duration) -> bool {
+        let Ok(question) = codec::encode(question, FRAME_MAX) else { return false };
         matches!(self.ask(Verb::Canvass, question, limit).await, Ok(Answer::Done(true)))
     }
 

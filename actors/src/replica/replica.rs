@@ -96,7 +96,7 @@ pub enum ProposeError {
     /// This node was elected but hears no majority. It was not proposed.
     #[error("no quorum: {reachable} of {voters} voters reachable")]
     NoQuorum {
-        /// Voters that answered something sent within the last four heartbeats, this one included.
+        /// Voters that answered something sent within the last two heartbeats, this one included.
         reachable: usize,
         /// All voters.
         voters: usize,
@@ -165,6 +165,7 @@ struct Inner<S: StateMachine> {
     _serving: Task,
     _watching: Task,
     _canvassing: Task,
+    _beating: Task,
 }
 
 /// A task that ends with its owner.
@@ -183,7 +184,7 @@ impl Drop for Task {
 }
 
 impl<S: StateMachine> Replica<S> {
-    /// Takes part with what `journal` holds. `seed` decides the election timeout: nodes need different ones.
+    /// Takes part with what `journal` holds. `seed` decides how long it waits for a leader: nodes need different ones.
     ///
     /// # Errors
     /// [`StartError`]: nothing runs.
@@ -208,7 +209,7 @@ impl<S: StateMachine> Replica<S> {
             muted: Arc::clone(&muted),
         };
 
-        // Nothing is awaited between these two: the timeout is drawn before `new` first waits.
+        // Nothing is awaited between these two: openraft draws its timeout before `new` first waits.
         seed_elections(seed);
         let raft = Raft::<S>::new(id, config, board.clone(), log, machine.clone()).await?;
 
@@ -224,13 +225,16 @@ impl<S: StateMachine> Replica<S> {
         };
         let watching = Task::spawn(watcher.run(raft.metrics()));
         let ear = Arc::new(Ear::new());
-        let canvassing = Task::spawn(canvass::canvass(raft.clone(), board, Arc::clone(&ear), settings.clone()));
+        let canvass = canvass::canvass(raft.clone(), board, Arc::clone(&ear), settings.clone(), seed);
+        let canvassing = Task::spawn(canvass);
+        let beating = Task::spawn(canvass::beat(raft.clone(), settings.heartbeat));
         let refused = Arc::<AtomicU64>::default();
         let service = Service {
             raft: raft.clone(),
             ear,
             leadership: leadership.clone(),
             election_min: settings.election_min,
+            heartbeat: settings.heartbeat,
             refused: Arc::clone(&refused),
         };
         let serving = Task::spawn(service.run(queries));
@@ -247,6 +251,7 @@ impl<S: StateMachine> Replica<S> {
             _serving: serving,
             _watching: watching,
             _canvassing: canvassing,
+            _beating: beating,
         };
         Ok(Replica { inner: Arc::new(inner) })
     }
@@ -324,9 +329,9 @@ impl<S: StateMachine> Replica<S> {
     ///
     /// openraft takes the time at which each `AppendEntries` was sent, keeps the latest acknowledged one per voter
     /// and its own clock for itself, and gives the latest that a majority reaches. No other leader can have been
-    /// elected before this age exceeds `election_max`, since each of that majority refuses candidates for so long
+    /// elected before this age exceeds `election_min`, since each of that majority refuses candidates for so long
     /// after *receiving* the message. It is read from the metrics, rounded so as to seem older (by 1 ms at most).
-    /// Idle, it swings between one round trip and 1.5 heartbeats plus one round trip.
+    /// Idle, it swings between one round trip and a heartbeat plus one round trip.
     pub fn quorum_age(&self) -> Option<Duration> {
         self.inner.acked_at.borrow().map(|at| at.elapsed())
     }
@@ -344,7 +349,7 @@ impl<S: StateMachine> Replica<S> {
         self.inner.refused.load(Ordering::Relaxed)
     }
 
-    /// Stands for election at once. Voters that heard their leader within `election_max` refuse all the same; a
+    /// Stands for election at once. Voters that heard their leader within `election_min` refuse all the same; a
     /// leader does nothing.
     ///
     /// # Errors
@@ -416,7 +421,7 @@ impl<S: StateMachine> Replica<S> {
         let leadership = self.inner.leadership.borrow();
         let near = |id: &&RaftId| {
             let heard = self.inner.heard.last(**id);
-            **id == self.inner.id || heard.is_some_and(|at| at.elapsed() <= self.inner.settings.heartbeat * 4)
+            **id == self.inner.id || heard.is_some_and(|at| at.elapsed() <= self.inner.settings.heartbeat * 2)
         };
         let reachable = leadership.voters.keys().filter(near).count();
         ProposeError::NoQuorum { reachable, voters: leadership.voters.len() }

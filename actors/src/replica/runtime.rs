@@ -1,8 +1,8 @@
 //! Tokio for openraft, with chance that repeats.
 //!
 //! openraft draws exactly one random number: the election timeout, once, when a node is built, on the thread that
-//! builds it and before anything is awaited. [`seed_elections`] is called just before that, so a node's timeout is
-//! a function of its seed alone, whatever else runs on that thread.
+//! builds it and before anything is awaited. [`seed_elections`] is called just before that, so that nothing in a node
+//! is left to chance. (The timeout itself goes unused: see `canvass`.)
 
 use openraft::{AsyncRuntime, TokioRuntime};
 use rand::{Rng as _, SeedableRng as _};

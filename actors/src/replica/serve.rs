@@ -1,15 +1,15 @@
 //! Raft's answers to other voters' questions. One task holds them all; a slow one delays no other.
 
-use super::canvass::Ear;
+use super::canvass::{Canvass, Ear};
 use super::codec::{self, FRAME_MAX};
 use super::network::{Answer, Verb, verb_of};
 use super::replica::Leadership;
-use super::types::{Raft, RaftId, StateMachine, Types};
+use super::types::{Raft, StateMachine, Types, Vote};
 use crate::bus::{BusError, Encoding, Query, Stream};
 use futures::StreamExt as _;
 use futures::stream::FuturesUnordered;
 use openraft::error::{InstallSnapshotError, RaftError};
-use openraft::raft::{AppendEntriesResponse, InstallSnapshotRequest};
+use openraft::raft::{AppendEntriesRequest, InstallSnapshotRequest};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 use std::fmt::Display;
@@ -28,6 +28,7 @@ pub(super) struct Service<S: StateMachine> {
     pub(super) ear: Arc<Ear>,
     pub(super) leadership: watch::Receiver<Leadership>,
     pub(super) election_min: Duration,
+    pub(super) heartbeat: Duration,
     /// Questions refused so far.
     pub(super) refused: Arc<AtomicU64>,
 }
@@ -67,30 +68,24 @@ impl<S: StateMachine> Service<S> {
 
     async fn vote(&self, query: &Query) -> Result<Vec<u8>, String> {
         let answer = self.raft.vote(read(query)?).await.map_err(in_words)?;
+        if answer.vote_granted {
+            self.ear.note_vote();
+        }
         written(&Answer::Done(answer))
     }
 
     async fn append(&self, query: &Query) -> Result<Vec<u8>, String> {
-        let answer = self.raft.append_entries(read(query)?).await.map_err(in_words)?;
-        match &answer {
-            AppendEntriesResponse::Success
-            | AppendEntriesResponse::PartialSuccess(_)
-            | AppendEntriesResponse::Conflict => self.ear.note(),
-            AppendEntriesResponse::HigherVote(_) => {}
-        }
+        let question: AppendEntriesRequest<Types<S>> = read(query)?;
+        self.note_leader(&question.vote);
+        let answer = self.raft.append_entries(question).await.map_err(in_words)?;
         written(&Answer::Done(answer))
     }
 
     async fn snapshot(&self, query: &Query) -> Result<Vec<u8>, String> {
         let question: InstallSnapshotRequest<Types<S>> = read(query)?;
-        let asker = question.vote;
+        self.note_leader(&question.vote);
         match self.raft.install_snapshot(question).await {
-            Ok(answer) => {
-                if answer.vote <= asker {
-                    self.ear.note();
-                }
-                written(&Answer::Done(answer))
-            }
+            Ok(answer) => written(&Answer::Done(answer)),
             Err(RaftError::APIError(InstallSnapshotError::SnapshotMismatch(mismatch))) => {
                 written(&Answer::<()>::Mismatch(mismatch))
             }
@@ -98,10 +93,19 @@ impl<S: StateMachine> Service<S> {
         }
     }
 
+    /// Notes that the leader speaks, unless its reign is over. This comes before openraft is told, so that whoever has
+    /// just looked and is about to stand is told of first, and the leader gets no acknowledgement that would mislead it.
+    fn note_leader(&self, vote: &Vote) {
+        if *vote >= self.raft.server_metrics().borrow().vote {
+            self.ear.note_leader();
+        }
+    }
+
     fn canvass(&self, query: &Query) -> Result<Vec<u8>, String> {
-        let _asker: RaftId = read(query)?;
-        let hears_none = self.ear.last().elapsed() >= self.election_min;
-        written(&Answer::Done(hears_none && !self.leadership.borrow().is_me))
+        let asker: Canvass = read(query)?;
+        let hears_none = self.ear.hears_none(self.election_min, self.heartbeat) && !self.leadership.borrow().is_me;
+        let knows_enough = asker.last >= self.raft.data_metrics().borrow().last_log;
+        written(&Answer::Done(hears_none && knows_enough))
     }
 }
 
