@@ -240,12 +240,7 @@ impl AttendantState {
         }
     }
 
-    async fn person_ended(
-        &mut self,
-        myself: &ActorRef<AttendantMessage>,
-        id: GoalId,
-        result: Result<(), ActionError>,
-    ) {
+    async fn person_ended(&mut self, myself: &ActorRef<AttendantMessage>, id: GoalId, result: Result<(), ActionError>) {
         let asked = self.jobs.iter().find(|(_, job)| job.ask.as_ref().is_some_and(|(ask, _, _)| *ask == id));
         let Some(key) = asked.map(|(key, _)| key.clone()) else { return };
         let Some(job) = self.jobs.get_mut(&key) else { return };

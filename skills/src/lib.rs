@@ -4,3 +4,5 @@
 //! the place that environment descriptors hold. Nothing here knows who coordinates whom.
 
 pub mod actions;
+pub mod descriptor;
+pub mod environment;

@@ -286,7 +286,8 @@ impl RobotState {
         self.sense(now);
         let me = NodeId::from(self.settings.robot.clone());
         let coordinator = self.coordinator.as_ref().map_or_else(|| me.clone(), |beacon| beacon.node.clone());
-        let membership = self.settings.knowledge.read(|base| self.settings.ensemble.judge(&me, &coordinator, base, now));
+        let membership =
+            self.settings.knowledge.read(|base| self.settings.ensemble.judge(&me, &coordinator, base, now));
         let age_ms = self.settings.body.telemetry_age_ms();
         let circumstance = Circumstance { worker: &self.worker, age_ms, membership };
         let tender = self.bidder.tender(&call, &circumstance);
