@@ -230,8 +230,9 @@ impl MissionTemplate {
         let syntax = |message: String| FileError::Syntax { format, message };
         let file: MissionFile = match format {
             Format::Json => serde_json::from_str(text).map_err(|error| syntax(error.to_string()))?,
-            Format::Yaml => serde_saphyr::from_str_with_options(text, yaml_options())
-                .map_err(|error| syntax(error.to_string()))?,
+            Format::Yaml => {
+                serde_saphyr::from_str_with_options(text, yaml_options()).map_err(|error| syntax(error.to_string()))?
+            }
         };
         Ok(Self { name: TaskId::new(&*file.mission)?, file })
     }
@@ -288,11 +289,7 @@ impl<'a> Building<'a> {
         self.problems.push(Problem { path: path.to_owned(), fault });
     }
 
-    fn take_values(
-        &mut self,
-        declared: &'a BTreeMap<String, TemplateParameter>,
-        given: &'a BTreeMap<String, String>,
-    ) {
+    fn take_values(&mut self, declared: &'a BTreeMap<String, TemplateParameter>, given: &'a BTreeMap<String, String>) {
         for (name, parameter) in declared {
             let path = format!("parameters/{name}");
             let kind = parameter.kind.value_kind();

@@ -558,7 +558,10 @@ mod tests {
     #[test]
     fn what_is_no_tree_is_told_precisely() {
         let cases: [(&dyn Fn(&mut serde_json::Value), &[&str]); 9] = [
-            (&|n| n["1"]["children"] = ["2", "3", "4", "5", "9"].into(), &["node 1 (m): its child \"9\" does not exist"]),
+            (
+                &|n| n["1"]["children"] = ["2", "3", "4", "5", "9"].into(),
+                &["node 1 (m): its child \"9\" does not exist"],
+            ),
             (
                 &|n| n["1"]["children"] = ["2", "3", "4"].into(),
                 &["node 5 (navto): its parent \"1\" does not have it among its children"],
@@ -603,8 +606,10 @@ mod tests {
             ),
             (
                 &|n| n["3"]["locations"] = "Ward".into(),
-                &["node 3 (operate_drawer-open): has the location \"Ward\", but `operate_drawer` has no parameter for \
-                   a place"],
+                &[
+                    "node 3 (operate_drawer-open): has the location \"Ward\", but `operate_drawer` has no parameter for \
+                   a place",
+                ],
             ),
             (
                 &|n| n["4"]["agents"] = ["bob"].into(),
@@ -630,6 +635,9 @@ mod tests {
         let mut reading = reading();
         reading.unmanaged = [RoleId::new("an").unwrap()].into();
         let error = import_ihtn(&nodes().to_string(), &reading, &Domain::hospital()).unwrap_err().to_string();
-        assert!(error.contains("roles/an: is said to be unmanaged") && error.contains("did you mean `ann`?"), "{error}");
+        assert!(
+            error.contains("roles/an: is said to be unmanaged") && error.contains("did you mean `ann`?"),
+            "{error}"
+        );
     }
 }

@@ -5,7 +5,7 @@
 //! which walks it needs no further care.
 
 use super::domain::{Domain, ValueKind};
-use super::model::{Body, Mission, RoleKind, TaskSpec};
+use super::model::{Body, Mission, TaskSpec};
 use super::problem::{Allowed, Fault, MissionErrors, Problem};
 use crate::ids::RoleId;
 use std::collections::{BTreeMap, BTreeSet};
@@ -230,7 +230,7 @@ fn task_faults(mission: &Mission, spec: &TaskSpec, domain: &Domain) -> Vec<Fault
 
 #[cfg(test)]
 mod tests {
-    use super::super::model::{Method, Order, Role, TaskNode};
+    use super::super::model::{Method, Order, Role, RoleKind, TaskNode};
     use super::*;
     use crate::ids::{TaskId, TaskType};
 
@@ -320,9 +320,7 @@ mod tests {
             ),
             (
                 vec![refined("top", &[1, 2]), refined("loop", &[0]), go("a")],
-                vec![
-                    "root/loop: is refined into `top`, which does not stand after it: a cycle, or tasks out of order",
-                ],
+                vec!["root/loop: is refined into `top`, which does not stand after it: a cycle, or tasks out of order"],
             ),
             (
                 vec![refined("top", &[1, 2]), refined("x", &[2]), go("a")],
