@@ -4,3 +4,4 @@
 //! the place that environment descriptors hold. Nothing here knows who coordinates whom.
 
 pub mod actions;
+pub mod bt;
