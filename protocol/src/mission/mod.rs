@@ -5,8 +5,26 @@
 //! elementary tasks, each assigned to one role or jointly to several.
 //!
 //! [`Mission`] is the checked value that travels, is divided and is kept in the ledger. It is flat (children by
-//! index) so that decoding one can never recurse. Files, their parameters and the flat iHTN import produce it.
+//! index) so that decoding one can never recurse. Files, their parameters and the flat iHTN import produce it:
+//!
+//! ```text
+//! YAML, JSON ─► MissionTemplate ─ parameters, Domain ─► Mission ─► plan::divide
+//! flat iHTN ─────────────────────── IhtnReading ──────────▲
+//! off the wire ────────────────── Mission::check ─────────┘
+//! ```
 
+mod domain;
+mod file;
+mod ihtn;
 mod model;
+mod problem;
+mod shipped;
+mod validate;
 
+pub use domain::{Domain, ParameterSchema, TaskSchema, ValueKind};
+pub use file::{FILE_BYTES_MAX, FileError, Format, MissionTemplate, TemplateKind, TemplateParameter};
+pub use ihtn::{IhtnFault, IhtnReading, import_ihtn};
 pub use model::{Body, Method, Mission, Order, Role, RoleKind, TaskIndex, TaskNode, TaskSpec};
+pub use problem::{Allowed, Fault, MissionErrors, Problem};
+pub use shipped::shipped;
+pub use validate::{DEPTH_MAX, ENTRIES_MAX, JOINT_MAX, ROLES_MAX, TASKS_MAX, VALUE_CHARS_MAX};

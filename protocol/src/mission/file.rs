@@ -1,0 +1,586 @@
+//! Mission files: a mission with its parameters left open, as people write it, in YAML or JSON.
+//!
+//! ```yaml
+//! mission: inspect-room              # the name of the kind of mission: a slug
+//! title: Look after one room         # for people; optional
+//! parameters:                        # what a request fills in; optional
+//!   room: { kind: place, default: IC Room 6, description: which room }
+//! roles:                             # who takes part; at least one is managed
+//!   r1: { kind: managed }
+//!   nurse: { kind: unmanaged, description: on duty in the room }
+//! root:                              # an abstract task: `task`, `method`, `tasks`
+//!   task: inspect
+//!   method: sequential               # or `unordered`
+//!   tasks:
+//!     # an elementary task: `task`, `type`, `roles`, and where needed `parameters` and `reaches`
+//!     - { task: navto_room, type: navigation, roles: [r1], parameters: { to: "${room}" }, reaches: { location: "${room}" } }
+//!     - { task: meet, type: wait, roles: [r1, nurse], parameters: { seconds: "5" } }   # two roles: a joint task
+//! ```
+//!
+//! A parameter's `kind` is `place`, `seconds` or `text`; without a `default` a request must give it. `${name}` stands
+//! for its value, within the values of `parameters` and `reaches` only; `$$` stands for a dollar sign. What was put
+//! in is never searched again, so a value cannot smuggle in another.
+//!
+//! Files may come from anyone. Text is limited in size before it is read and in depth while it is read; YAML anchors,
+//! aliases, merge keys and further documents are refused, as no mission needs them and a few of them make
+//! gigabytes.
+
+use super::domain::{Domain, ValueKind};
+use super::model::{Body, Method, Mission, Order, Role, RoleKind, TaskIndex, TaskNode, TaskSpec};
+use super::problem::{Allowed, Fault, MissionErrors, Problem};
+use super::validate::TASKS_MAX;
+use crate::ids::{NameError, RoleId, TaskId, TaskType};
+use serde::de::{Deserializer, Error as _, MapAccess, Visitor};
+use serde::{Deserialize, Serialize};
+use std::collections::{BTreeMap, BTreeSet};
+use std::fmt;
+use std::marker::PhantomData;
+use std::path::Path;
+
+/// Largest mission file, in bytes. Five hundred tasks with generous comments take a third of it.
+pub const FILE_BYTES_MAX: usize = 256 * 1024;
+
+/// How a mission file is written.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Format {
+    /// JSON, as clients send it.
+    Json,
+    /// YAML, as people write it.
+    Yaml,
+}
+
+impl fmt::Display for Format {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Format::Json => "JSON",
+            Format::Yaml => "YAML",
+        })
+    }
+}
+
+impl Format {
+    /// By the file's extension where it has one that says; else JSON if the text begins with a brace.
+    pub fn of(path: Option<&Path>, text: &str) -> Self {
+        match path.and_then(Path::extension).and_then(|extension| extension.to_str()) {
+            Some("json") => Format::Json,
+            Some("yaml" | "yml") => Format::Yaml,
+            _ if text.trim_start_matches('\u{feff}').trim_start().starts_with('{') => Format::Json,
+            _ => Format::Yaml,
+        }
+    }
+}
+
+/// Why a text is no mission file. Ordinary for files written by hand; nothing was taken over.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+pub enum FileError {
+    /// More text than any mission needs; none of it was read.
+    #[error("the mission file has {bytes} bytes; at most {FILE_BYTES_MAX} are allowed")]
+    TooLarge {
+        /// Its size.
+        bytes: usize,
+    },
+    /// Not the format, or not the fields.
+    #[error("not a mission file in {format}: {message}")]
+    Syntax {
+        /// How it was read.
+        format: Format,
+        /// What the reader says, with line and column.
+        message: String,
+    },
+    /// The mission's own name is none.
+    #[error(transparent)]
+    Name(#[from] NameError),
+}
+
+/// A mission file that was read: a mission for every choice of its parameters.
+#[derive(Debug, Clone)]
+pub struct MissionTemplate {
+    name: TaskId,
+    file: MissionFile,
+}
+
+/// What a request fills in.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct TemplateParameter {
+    /// What it is.
+    pub kind: TemplateKind,
+    /// Its value where a request gives none.
+    #[serde(default)]
+    pub default: Option<String>,
+    /// What it means, for people.
+    #[serde(default)]
+    pub description: String,
+}
+
+/// What a mission's parameter is.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum TemplateKind {
+    /// A place on the map.
+    Place,
+    /// A time span in seconds.
+    Seconds,
+    /// Any text.
+    Text,
+}
+
+impl TemplateKind {
+    fn value_kind(self) -> ValueKind {
+        match self {
+            TemplateKind::Place => ValueKind::Place,
+            TemplateKind::Seconds => ValueKind::Seconds,
+            TemplateKind::Text => ValueKind::Text,
+        }
+    }
+}
+
+#[derive(Debug, Clone, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct MissionFile {
+    mission: String,
+    #[serde(default)]
+    title: String,
+    #[serde(default, deserialize_with = "each_key_once")]
+    parameters: BTreeMap<String, TemplateParameter>,
+    #[serde(deserialize_with = "each_key_once")]
+    roles: BTreeMap<String, RoleFile>,
+    root: TaskFile,
+}
+
+#[derive(Debug, Clone, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct RoleFile {
+    kind: RoleKind,
+    #[serde(default, rename = "description")]
+    _description: String,
+}
+
+/// A task of either kind; which, is told by its fields and judged when the mission is built, with its path.
+#[derive(Debug, Clone, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct TaskFile {
+    task: String,
+    #[serde(default)]
+    method: Option<Order>,
+    #[serde(default)]
+    tasks: Option<Vec<TaskFile>>,
+    #[serde(default, rename = "type")]
+    task_type: Option<String>,
+    #[serde(default)]
+    roles: Option<Vec<String>>,
+    #[serde(default, deserialize_with = "each_key_once")]
+    parameters: BTreeMap<String, String>,
+    #[serde(default, deserialize_with = "each_key_once")]
+    reaches: BTreeMap<String, String>,
+}
+
+/// A map in which a key that stands twice is an error; JSON readers otherwise keep the last and say nothing.
+pub(super) fn each_key_once<'de, D, V>(reader: D) -> Result<BTreeMap<String, V>, D::Error>
+where
+    D: Deserializer<'de>,
+    V: Deserialize<'de>,
+{
+    struct OnceEach<V>(PhantomData<V>);
+    impl<'de, V: Deserialize<'de>> Visitor<'de> for OnceEach<V> {
+        type Value = BTreeMap<String, V>;
+        fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+            f.write_str("a map from names")
+        }
+        fn visit_map<A: MapAccess<'de>>(self, mut map: A) -> Result<Self::Value, A::Error> {
+            let mut found = BTreeMap::new();
+            while let Some((key, value)) = map.next_entry::<String, V>()? {
+                if found.contains_key(&key) {
+                    return Err(A::Error::custom(format!("`{key}` stands here twice")));
+                }
+                found.insert(key, value);
+            }
+            Ok(found)
+        }
+    }
+    reader.deserialize_map(OnceEach(PhantomData))
+}
+
+fn yaml_options() -> serde_saphyr::Options {
+    serde_saphyr::options! {
+        budget: serde_saphyr::budget! {
+            max_aliases: 0,
+            max_anchors: 0,
+            max_depth: 128,
+            flow_nesting_limit: 128,
+            max_documents: 1,
+            max_nodes: 50_000,
+            max_events: 100_000,
+            max_merge_keys: 0,
+        },
+        merge_keys: serde_saphyr::options::MergeKeyPolicy::Error,
+    }
+}
+
+impl MissionTemplate {
+    /// Reads a mission file. Tasks, roles and parameters are judged by [`MissionTemplate::instantiate`].
+    ///
+    /// # Errors
+    /// [`FileError`] says where the text is not of the documented form.
+    pub fn parse(text: &str, format: Format) -> Result<Self, FileError> {
+        if text.len() > FILE_BYTES_MAX {
+            return Err(FileError::TooLarge { bytes: text.len() });
+        }
+        let text = text.trim_start_matches('\u{feff}');
+        let syntax = |message: String| FileError::Syntax { format, message };
+        let file: MissionFile = match format {
+            Format::Json => serde_json::from_str(text).map_err(|error| syntax(error.to_string()))?,
+            Format::Yaml => {
+                serde_saphyr::from_str_with_options(text, yaml_options()).map_err(|error| syntax(error.to_string()))?
+            }
+        };
+        Ok(Self { name: TaskId::new(&*file.mission)?, file })
+    }
+
+    /// The name of the kind of mission.
+    pub fn name(&self) -> &TaskId {
+        &self.name
+    }
+
+    /// What it is about, for people; may be empty.
+    pub fn title(&self) -> &str {
+        &self.file.title
+    }
+
+    /// What a request fills in.
+    pub fn parameters(&self) -> &BTreeMap<String, TemplateParameter> {
+        &self.file.parameters
+    }
+
+    /// The mission with its parameters filled in, checked against the domain.
+    ///
+    /// # Errors
+    /// [`MissionErrors`] lists every problem of the values given and of the file.
+    pub fn instantiate(&self, given: &BTreeMap<String, String>, domain: &Domain) -> Result<Mission, MissionErrors> {
+        let mut building = Building { values: BTreeMap::new(), used: BTreeSet::new(), problems: Vec::new() };
+        building.take_values(&self.file.parameters, given);
+        let mission = building.mission(&self.name, &self.file);
+        building.find_unused(&self.file.parameters);
+        let mut problems = building.problems;
+        let unwritten = !problems.is_empty();
+        if let Err(errors) = mission.check(domain) {
+            // Where something could not be put in, what is missing for that reason is no problem of its own.
+            let own = |problem: &Problem| match problem.fault {
+                Fault::NoRole { .. } | Fault::IdleRole | Fault::MissingParameter { .. } => !unwritten,
+                Fault::BadValue { .. } | Fault::EmptyMethod | Fault::NoManagedRole => !unwritten,
+                _ => true,
+            };
+            problems.extend(errors.problems.into_iter().filter(own));
+        }
+        MissionErrors::unless_none(&self.name, problems)?;
+        Ok(mission)
+    }
+}
+
+/// A mission under construction.
+struct Building<'a> {
+    values: BTreeMap<&'a str, &'a str>,
+    used: BTreeSet<&'a str>,
+    problems: Vec<Problem>,
+}
+
+impl<'a> Building<'a> {
+    fn problem(&mut self, path: &str, fault: Fault) {
+        self.problems.push(Problem { path: path.to_owned(), fault });
+    }
+
+    fn take_values(&mut self, declared: &'a BTreeMap<String, TemplateParameter>, given: &'a BTreeMap<String, String>) {
+        for (name, parameter) in declared {
+            let path = format!("parameters/{name}");
+            let kind = parameter.kind.value_kind();
+            let plain = |c: char| c.is_ascii_alphanumeric() || c == '_' || c == '-';
+            if name.is_empty() || !name.chars().all(plain) {
+                let problem = "a parameter's name holds letters, digits, `_` and `-`".to_owned();
+                self.problem(&path, Fault::Substitution { text: name.clone(), problem });
+            }
+            match given.get(name).or(parameter.default.as_ref()) {
+                Some(value) => {
+                    if !kind.admits(value) {
+                        let (name, value) = (name.clone(), value.chars().take(80).collect());
+                        self.problem(&path, Fault::BadValue { name, value, kind: kind.to_string() });
+                    }
+                    self.values.insert(name, value);
+                }
+                None => {
+                    self.problem(&path, Fault::MissingGiven { kind: kind.to_string() });
+                    self.values.insert(name, ""); // so that its uses are not reported as well
+                }
+            }
+        }
+        for name in given.keys().filter(|name| !declared.contains_key(*name)) {
+            let allowed = Allowed::instead_of(name, declared.keys());
+            self.problem(&format!("parameters/{name}"), Fault::UnknownGiven { allowed });
+        }
+    }
+
+    fn find_unused(&mut self, declared: &BTreeMap<String, TemplateParameter>) {
+        let unused: Vec<&String> = declared.keys().filter(|name| !self.used.contains(name.as_str())).collect();
+        for name in unused {
+            self.problem(&format!("parameters/{name}"), Fault::UnusedParameter { name: name.clone() });
+        }
+    }
+
+    /// The name, or a stand-in and a problem.
+    fn name<N>(&mut self, path: &str, name: Result<N, NameError>) -> Option<N> {
+        name.map_err(|error| self.problem(path, error.into())).ok()
+    }
+
+    fn mission(&mut self, name: &TaskId, file: &'a MissionFile) -> Mission {
+        let mut roles = BTreeMap::new();
+        for (text, role) in &file.roles {
+            if let Some(id) = self.name(&format!("roles/{text}"), RoleId::new(&**text)) {
+                roles.insert(id, Role { kind: role.kind });
+            }
+        }
+        let mut tasks: Vec<TaskNode> = Vec::new();
+        let mut open: Vec<(&'a TaskFile, Option<usize>, String)> = vec![(&file.root, None, "root".to_owned())];
+        // One more than is allowed is enough for the check to refuse it.
+        while let Some((node, parent, path)) = open.pop()
+            && tasks.len() <= TASKS_MAX
+        {
+            let index = tasks.len();
+            if let Some(Body::Abstract(method)) = parent.map(|parent| &mut tasks[parent].body) {
+                method.children.push(index as TaskIndex);
+            }
+            let stand_in = || TaskId::new(format!("unnamed-{index}")).expect("made of a slug's characters");
+            let id = self.name(&path, TaskId::new(&*node.task)).unwrap_or_else(stand_in);
+            let body = self.body(node, &path);
+            tasks.push(TaskNode { id, body });
+            // A file that is nested too deep shall not make paths of its own depth squared.
+            let below = |child: &TaskFile| match path.len() {
+                0..8192 => format!("{path}/{}", child.task),
+                _ => path.clone(),
+            };
+            let children = node.tasks.iter().flatten().rev();
+            open.extend(children.map(|child| (child, Some(index), below(child))));
+        }
+        Mission { name: name.clone(), roles, tasks }
+    }
+
+    fn body(&mut self, node: &'a TaskFile, path: &str) -> Body {
+        let has_entries = !node.parameters.is_empty() || !node.reaches.is_empty();
+        let problem = match (&node.method, &node.tasks, &node.task_type, &node.roles) {
+            (Some(order), Some(_), None, None) if !has_entries => {
+                return Body::Abstract(Method { order: *order, children: vec![] });
+            }
+            (None, None, Some(task_type), Some(roles)) => return self.elementary(node, task_type, roles, path),
+            (Some(_), Some(_), None, None) => "is abstract and has `parameters` or `reaches`",
+            (Some(_), Some(_), ..) => "has `method` as well as `type` or `roles`",
+            (Some(_), None, ..) => "has `method` but no `tasks`",
+            (None, Some(_), ..) => "has `tasks` but no `method` (sequential or unordered)",
+            (None, None, Some(_), None) => "has `type` but no `roles`",
+            (None, None, None, Some(_)) => "has `roles` but no `type`",
+            (None, None, None, None) => "has neither",
+        };
+        self.problem(path, Fault::Shape { problem: problem.to_owned() });
+        Body::Abstract(Method { order: Order::Sequential, children: vec![] })
+    }
+
+    fn elementary(&mut self, node: &'a TaskFile, task_type: &str, roles: &[String], path: &str) -> Body {
+        let task_type = self.name(path, TaskType::new(task_type));
+        let roles = roles.iter().filter_map(|role| self.name(path, RoleId::new(&**role))).collect();
+        let parameters = self.entries(&node.parameters, path);
+        let reaches = self.entries(&node.reaches, path);
+        match task_type {
+            Some(task_type) => Body::Elementary(TaskSpec { task_type, roles, parameters, reaches }),
+            None => Body::Abstract(Method { order: Order::Sequential, children: vec![] }),
+        }
+    }
+
+    fn entries(&mut self, entries: &'a BTreeMap<String, String>, path: &str) -> BTreeMap<String, String> {
+        let mut filled = BTreeMap::new();
+        for (name, text) in entries {
+            match self.substitute(text) {
+                Ok(value) => drop(filled.insert(name.clone(), value)),
+                Err(fault) => self.problem(path, fault),
+            }
+        }
+        filled
+    }
+
+    fn substitute(&mut self, text: &'a str) -> Result<String, Fault> {
+        let wrong = |problem: &str| Fault::Substitution { text: text.to_owned(), problem: problem.to_owned() };
+        let mut filled = String::new();
+        let mut rest = text;
+        while let Some((before, after)) = rest.split_once('$') {
+            filled.push_str(before);
+            if let Some(after) = after.strip_prefix('$') {
+                filled.push('$');
+                rest = after;
+                continue;
+            }
+            let after = after.strip_prefix('{').ok_or_else(|| wrong("a `$` begins nothing"))?;
+            let (name, after) = after.split_once('}').ok_or_else(|| wrong("a `${` is never closed"))?;
+            let Some((name, value)) = self.values.get_key_value(name) else {
+                let allowed = Allowed::instead_of(name, self.values.keys());
+                return Err(Fault::UnknownReference { name: name.to_owned(), allowed });
+            };
+            self.used.insert(name);
+            filled.push_str(value);
+            rest = after;
+        }
+        filled.push_str(rest);
+        Ok(filled)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const FILE: &str = r#"
+mission: inspect-room
+parameters:
+  room: { kind: place, default: IC Room 6 }
+  pause: { kind: seconds }
+roles:
+  r1: { kind: managed }
+  nurse: { kind: unmanaged, description: on duty }
+root:
+  task: inspect
+  method: sequential
+  tasks:
+    - { task: go, type: navigation, roles: [r1], parameters: { to: "${room}" }, reaches: { at: "in ${room} for $$1" } }
+    - task: meet
+      method: unordered
+      tasks:
+        - { task: stay, type: wait, roles: [r1, nurse], parameters: { seconds: "${pause}" } }
+        - { task: sit, type: wait, roles: [nurse], parameters: { seconds: 2.50 } }
+"#;
+
+    fn given(entries: &[(&str, &str)]) -> BTreeMap<String, String> {
+        entries.iter().map(|(k, v)| ((*k).to_owned(), (*v).to_owned())).collect()
+    }
+
+    fn problems(text: &str, values: &[(&str, &str)]) -> Vec<String> {
+        let template = MissionTemplate::parse(text, Format::of(None, text)).unwrap();
+        match template.instantiate(&given(values), &Domain::hospital()) {
+            Ok(_) => vec![],
+            Err(errors) => errors.problems.iter().map(ToString::to_string).collect(),
+        }
+    }
+
+    #[test]
+    fn a_file_becomes_a_mission_with_its_parameters_filled_in() {
+        let template = MissionTemplate::parse(FILE, Format::Yaml).unwrap();
+        let mission = template.instantiate(&given(&[("pause", "4")]), &Domain::hospital()).unwrap();
+        let ids: Vec<&str> = mission.tasks.iter().map(|node| node.id.as_str()).collect();
+        assert_eq!(ids, ["inspect", "go", "meet", "stay", "sit"]);
+        let specs: Vec<&TaskSpec> = mission.elementary().into_iter().map(|(_, spec)| spec).collect();
+        assert_eq!(specs[0].parameters["to"], "IC Room 6");
+        assert_eq!(specs[0].reaches["at"], "in IC Room 6 for $1");
+        assert_eq!(specs[1].parameters["seconds"], "4");
+        assert_eq!(specs[2].parameters["seconds"], "2.50");
+        let Body::Abstract(method) = &mission.tasks[2].body else { panic!("meet is abstract") };
+        assert_eq!(method, &Method { order: Order::Unordered, children: vec![3, 4] });
+    }
+
+    #[test]
+    fn json_says_the_same_as_yaml() {
+        let json = r#" {"mission": "m", "roles": {"r1": {"kind": "managed"}},
+            "root": {"task": "go", "type": "navigation", "roles": ["r1"], "parameters": {"to": "Laboratory"}}}"#;
+        assert_eq!(Format::of(None, json), Format::Json);
+        assert_eq!(Format::of(Some(Path::new("a/m.yml")), json), Format::Yaml);
+        let yaml = MissionTemplate::parse(json, Format::Yaml).unwrap();
+        let json = MissionTemplate::parse(json, Format::Json).unwrap();
+        let build = |template: MissionTemplate| template.instantiate(&BTreeMap::new(), &Domain::hospital()).unwrap();
+        assert_eq!(build(json), build(yaml));
+    }
+
+    #[test]
+    fn a_request_gives_what_is_asked_for_and_nothing_else() {
+        assert_eq!(
+            problems(FILE, &[("rom", "IC Room 2")]),
+            [
+                "parameters/pause: is not given and has no default; it should be a number of seconds, zero or more",
+                "parameters/rom: is given, but the mission has no such parameter; allowed: pause, room; did you mean \
+                 `room`?",
+            ]
+        );
+        assert_eq!(
+            problems(FILE, &[("pause", "soon")]),
+            ["parameters/pause: parameter `pause` is \"soon\"; it should be a number of seconds, zero or more"]
+        );
+    }
+
+    #[test]
+    fn a_value_cannot_smuggle_in_another() {
+        let template = MissionTemplate::parse(FILE, Format::Yaml).unwrap();
+        let values = given(&[("pause", "4"), ("room", "${pause}")]);
+        let mission = template.instantiate(&values, &Domain::hospital()).unwrap();
+        assert_eq!(mission.elementary()[0].1.parameters["to"], "${pause}");
+    }
+
+    #[test]
+    fn what_the_file_gets_wrong_is_told_together_with_its_path() {
+        let file = FILE
+            .replace("to: \"${room}\"", "to: \"${roon}\"")
+            .replace("in ${room}", "in ${room")
+            .replace("task: stay, type: wait, roles: [r1, nurse]", "task: st/ay, type: wait, roles: [r 1, nurse]")
+            .replace("{ task: sit, type: wait, roles: [nurse]", "{ task: sit, roles: [nurse]");
+        assert_eq!(
+            problems(&file, &[("pause", "1")]),
+            [
+                "root/go: `${roon}` is no parameter of the mission; allowed: pause, room; did you mean `room`?",
+                "root/go: \"in ${room for $$1\": a `${` is never closed; write `${name}` for a parameter and `$$` for \
+                 a dollar sign",
+                "root/meet/st/ay: \"st/ay\" cannot name a task: it holds '/'; allowed are 1 to 64 characters of A-Z, \
+                 a-z, 0-9, `_`, `.` and `-`",
+                "root/meet/st/ay: \"r 1\" cannot name a role: it holds ' '; allowed are 1 to 64 characters of A-Z, \
+                 a-z, 0-9, `_`, `.` and `-`",
+                "root/meet/sit: a task has either `method` and `tasks`, or `type` and `roles` (and `parameters`, \
+                 `reaches`); this one has `roles` but no `type`",
+                "parameters/room: is declared, but `${room}` stands nowhere in the tasks",
+            ]
+        );
+    }
+
+    #[test]
+    fn unknown_fields_and_repeated_keys_are_refused_with_their_place() {
+        let message = |text: &str| MissionTemplate::parse(text, Format::of(None, text)).unwrap_err().to_string();
+        let error = message(&FILE.replace("method: unordered", "methode: unordered"));
+        assert!(error.contains("methode") && error.contains("line 15"), "{error}");
+        let error = message(&FILE.replace("unordered", "random"));
+        assert!(error.contains("random") && error.contains("unordered"), "{error}");
+        let error = message(r#"{"mission": "m", "roles": {"r": {"kind": "managed"}, "r": {"kind": "managed"}}}"#);
+        assert!(error.contains("`r` stands here twice"), "{error}");
+    }
+
+    #[test]
+    fn hostile_files_are_refused_quickly() {
+        let large = format!("mission: m\ntitle: {}\n", "x".repeat(FILE_BYTES_MAX));
+        assert!(matches!(MissionTemplate::parse(&large, Format::Yaml), Err(FileError::TooLarge { .. })));
+        let bomb = "mission: &a [x,x,x,x,x,x,x,x]\ntitle: &b [*a,*a,*a,*a,*a,*a,*a,*a]\nroot: [*b,*b,*b,*b,*b,*b]\n";
+        assert!(MissionTemplate::parse(bomb, Format::Yaml).is_err());
+        let alias = "mission: &a m\ntitle: *a\nroles: {}\nroot: { task: t }\n";
+        assert!(MissionTemplate::parse(alias, Format::Yaml).is_err());
+        for open in ["[", "{\"root\":", "{\"tasks\":[", "{root: ", "- ", "? "] {
+            let deep = open.repeat(FILE_BYTES_MAX / open.len());
+            assert!(MissionTemplate::parse(&deep, Format::Json).is_err());
+            assert!(MissionTemplate::parse(&deep, Format::Yaml).is_err());
+        }
+        let nest = |levels: usize| {
+            let open = r#"{"task":"a","method":"sequential","tasks":["#;
+            let root = open.repeat(levels) + r#"{"task":"b","type":"wait","roles":["r"]}"# + &"]}".repeat(levels);
+            format!(r#"{{"mission":"m","roles":{{"r":{{"kind":"managed"}}}},"root":{root}}}"#)
+        };
+        assert!(MissionTemplate::parse(&nest(10_000 / 48), Format::Json).is_err());
+        assert!(problems(&nest(40), &[]).iter().any(|problem| problem.contains("levels deep")));
+    }
+
+    #[test]
+    fn too_many_tasks_are_refused_without_building_them() {
+        let task = r#"{"task":"b","type":"wait","roles":["r"]},"#.repeat(600);
+        let file = format!(
+            r#"{{"mission":"m","roles":{{"r":{{"kind":"managed"}}}},
+                "root":{{"task":"a","method":"unordered","tasks":[{}]}}}}"#,
+            task.trim_end_matches(',')
+        );
+        assert_eq!(problems(&file, &[]), ["root: 513 tasks; at most 512 are allowed"]);
+    }
+}

@@ -1,0 +1,643 @@
+//! Reading missions in the flat iHTN form of the MissionControl replication package.
+//!
+//! A JSON object maps ids to nodes: `name`, `type` (`task`, `method` or `action`), `parent` (`"-1"` for the root),
+//! `agents`, `locations` and `children` (a list, or `""` for none). It says less than [`Mission`] holds, and these
+//! rules fill the gaps:
+//!
+//! - A `task` has exactly one `method`, and both become one abstract task of the task's name. There is no ordering
+//!   field: children are in sequence.
+//! - The roles are the agents of actions; agents that stand at tasks and methods only do nothing and are left out.
+//!   The form does not say who is a person: the caller does ([`IhtnReading::unmanaged`]).
+//! - Names repeat. The first bearer keeps a name; the next are called `name-2`, `name-3`, ….
+//! - An action's name is its task type, after [`IhtnReading::aliases`]. If the domain lacks that type, a name
+//!   `type-word` is split at its first `-` that makes sense: the domain has `type`, and exactly one of its
+//!   parameters is a choice that has `word`. So `operate_drawer-open` is `operate_drawer { action: open }`.
+//! - A location goes to the type's parameter of kind place (the required one if there are several), and `navigation`
+//!   is said to reach it.
+//! - A parameter of kind role takes the one agent of the action's method which is not the action's own, if there is
+//!   exactly one: the robot that approaches in a method of `r1` and `lab_arm` approaches `lab_arm`.
+
+use super::domain::{Domain, TaskSchema, ValueKind};
+use super::file::{FILE_BYTES_MAX, each_key_once};
+use super::model::{Body, Method, Mission, Order, Role, RoleKind, TaskIndex, TaskNode, TaskSpec};
+use super::problem::{Allowed, Fault, MissionErrors, Problem};
+use super::validate::TASKS_MAX;
+use crate::ids::{RoleId, TaskId, TaskType};
+use serde::Deserialize;
+use std::collections::{BTreeMap, BTreeSet};
+
+/// What the reader of a flat iHTN must be told besides the file.
+#[derive(Debug, Clone)]
+pub struct IhtnReading {
+    /// The mission's name.
+    pub name: TaskId,
+    /// The agents that are people, or otherwise take no orders.
+    pub unmanaged: BTreeSet<RoleId>,
+    /// Task types by the name that the file gives them (`navto` for `navigation`).
+    pub aliases: BTreeMap<String, TaskType>,
+}
+
+/// What can be wrong with a node of a flat iHTN. The node is told by the problem's path (`node 12 (deposit)`).
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+pub enum IhtnFault {
+    /// More text than any mission needs.
+    #[error("the file has {bytes} bytes; at most {FILE_BYTES_MAX} are allowed")]
+    TooLarge {
+        /// Its size.
+        bytes: usize,
+    },
+    /// Not JSON, or not the fields.
+    #[error("not a flat iHTN: {message}")]
+    Syntax {
+        /// What the reader says, with line and column.
+        message: String,
+    },
+    /// No node has the parent `-1`.
+    #[error("no node is the root; the root has the parent \"-1\"")]
+    NoRoot,
+    /// Several nodes have the parent `-1`.
+    #[error("several nodes have the parent \"-1\": {nodes}; exactly one is the root")]
+    SeveralRoots {
+        /// Their ids.
+        nodes: String,
+    },
+    /// The root is not a task.
+    #[error("the root is of type {found}; it should be a task")]
+    RootNotTask {
+        /// Its type.
+        found: &'static str,
+    },
+    /// A parent that does not exist.
+    #[error("its parent {parent:?} does not exist")]
+    NoSuchParent {
+        /// The parent's id.
+        parent: String,
+    },
+    /// A parent that does not list the node.
+    #[error("its parent {parent:?} does not have it among its children")]
+    NotAmongChildren {
+        /// The parent's id.
+        parent: String,
+    },
+    /// A child that does not exist.
+    #[error("its child {child:?} does not exist")]
+    NoSuchChild {
+        /// The child's id.
+        child: String,
+    },
+    /// A child that names another parent.
+    #[error("its child {child:?} says that its parent is {parent:?}")]
+    WrongParent {
+        /// The child's id.
+        child: String,
+        /// The parent it names.
+        parent: String,
+    },
+    /// A child listed twice.
+    #[error("has the child {child:?} twice")]
+    ChildTwice {
+        /// The child's id.
+        child: String,
+    },
+    /// A node that is its own ancestor.
+    #[error("is its own ancestor: {cycle}")]
+    Cycle {
+        /// The ids around, ending where they begin.
+        cycle: String,
+    },
+    /// A child of a type that cannot stand there.
+    #[error("is of type {parent} and has {child:?} of type {found}; it takes {takes}")]
+    WrongType {
+        /// The node's type.
+        parent: &'static str,
+        /// The child's id.
+        child: String,
+        /// The child's type.
+        found: &'static str,
+        /// What may stand there, in words.
+        takes: &'static str,
+    },
+    /// A task that is refined in no way or in several.
+    #[error("has {found} methods; in an instantiated network a task has exactly one")]
+    NotOneMethod {
+        /// How many it has.
+        found: usize,
+    },
+    /// An agent that its parent does not know.
+    #[error("its agent `{agent}` is not among the agents of its parent")]
+    StrangeAgent {
+        /// The agent.
+        agent: String,
+    },
+    /// An action in several places.
+    #[error("has {found} locations; an action has at most one")]
+    SeveralLocations {
+        /// How many it has.
+        found: usize,
+    },
+    /// A location that its type has no use for.
+    #[error("has the location {location:?}, but `{task_type}` has no parameter for a place")]
+    UselessLocation {
+        /// The location.
+        location: String,
+        /// The task type.
+        task_type: String,
+    },
+    /// An agent said to be unmanaged that acts nowhere.
+    #[error("is said to be unmanaged, but acts nowhere in the file; {allowed}")]
+    NoSuchAgent {
+        /// The agents that act.
+        allowed: Allowed,
+    },
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "lowercase")]
+enum NodeType {
+    Task,
+    Method,
+    Action,
+}
+
+impl NodeType {
+    fn word(self) -> &'static str {
+        match self {
+            NodeType::Task => "task",
+            NodeType::Method => "method",
+            NodeType::Action => "action",
+        }
+    }
+}
+
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct FlatNode {
+    name: String,
+    #[serde(rename = "type")]
+    node_type: NodeType,
+    parent: String,
+    #[serde(default)]
+    agents: ListOrEmpty,
+    #[serde(default)]
+    locations: ListOrEmpty,
+    #[serde(default)]
+    children: ListOrEmpty,
+}
+
+/// A list, or a text that is `""` for no entry and else the only entry.
+#[derive(Debug, Default, Deserialize)]
+#[serde(from = "ListForm")]
+struct ListOrEmpty(Vec<String>);
+
+#[derive(Deserialize)]
+#[serde(untagged, expecting = "a list of texts, or a text")]
+enum ListForm {
+    Text(String),
+    List(Vec<String>),
+}
+
+impl From<ListForm> for ListOrEmpty {
+    fn from(form: ListForm) -> Self {
+        match form {
+            ListForm::Text(text) if text.is_empty() => Self(vec![]),
+            ListForm::Text(text) => Self(vec![text]),
+            ListForm::List(list) => Self(list),
+        }
+    }
+}
+
+#[derive(Deserialize)]
+#[serde(transparent)]
+struct FlatFile(#[serde(deserialize_with = "each_key_once")] BTreeMap<String, FlatNode>);
+
+const NO_PARENT: &str = "-1";
+
+/// Reads a flat iHTN and checks the mission against the domain.
+///
+/// # Errors
+/// [`MissionErrors`] lists the problems of the tree; if there are none, those of the tasks.
+pub fn import_ihtn(text: &str, reading: &IhtnReading, domain: &Domain) -> Result<Mission, MissionErrors> {
+    let refuse = |fault: IhtnFault| MissionErrors {
+        mission: reading.name.to_string(),
+        problems: vec![Problem { path: "file".to_owned(), fault: fault.into() }],
+    };
+    if text.len() > FILE_BYTES_MAX {
+        return Err(refuse(IhtnFault::TooLarge { bytes: text.len() }));
+    }
+    let FlatFile(nodes) =
+        serde_json::from_str(text).map_err(|error| refuse(IhtnFault::Syntax { message: error.to_string() }))?;
+    if nodes.len() > 2 * TASKS_MAX {
+        let fault = Fault::TooManyTasks { found: nodes.len(), max: 2 * TASKS_MAX };
+        return Err(MissionErrors {
+            mission: reading.name.to_string(),
+            problems: vec![Problem { path: "file".to_owned(), fault }],
+        });
+    }
+    let mut import = Import { nodes: &nodes, reading, domain, problems: Vec::new() };
+    let root = import.find_tree();
+    MissionErrors::unless_none(&reading.name, std::mem::take(&mut import.problems))?;
+    let mission = import.mission(root.expect("a tree without problems has a root"));
+    MissionErrors::unless_none(&reading.name, import.problems)?;
+    mission.check(domain)?;
+    Ok(mission)
+}
+
+struct Import<'a> {
+    nodes: &'a BTreeMap<String, FlatNode>,
+    reading: &'a IhtnReading,
+    domain: &'a Domain,
+    problems: Vec<Problem>,
+}
+
+impl<'a> Import<'a> {
+    fn problem(&mut self, id: &str, fault: impl Into<Fault>) {
+        let name = self.nodes.get(id).map_or("?", |node| &node.name);
+        self.problems.push(Problem { path: format!("node {id} ({name})"), fault: fault.into() });
+    }
+
+    fn problem_of_file(&mut self, fault: IhtnFault) {
+        self.problems.push(Problem { path: "file".to_owned(), fault: fault.into() });
+    }
+
+    /// Checks that the nodes form one tree of alternating kinds, and gives its root.
+    fn find_tree(&mut self) -> Option<&'a str> {
+        let nodes = self.nodes;
+        let roots: Vec<&str> =
+            nodes.iter().filter(|(_, node)| node.parent == NO_PARENT).map(|(id, _)| id.as_str()).collect();
+        match roots[..] {
+            [] => self.problem_of_file(IhtnFault::NoRoot),
+            [root] if nodes[root].node_type != NodeType::Task => {
+                self.problem(root, IhtnFault::RootNotTask { found: nodes[root].node_type.word() });
+            }
+            [_] => {}
+            _ => self.problem_of_file(IhtnFault::SeveralRoots { nodes: roots.join(", ") }),
+        }
+        for (id, node) in nodes {
+            self.check_parent(id, node);
+            self.check_children(id, node);
+        }
+        self.find_cycles();
+        roots.first().copied()
+    }
+
+    fn check_parent(&mut self, id: &str, node: &FlatNode) {
+        if node.parent == NO_PARENT {
+            return;
+        }
+        let Some(parent) = self.nodes.get(&node.parent) else {
+            return self.problem(id, IhtnFault::NoSuchParent { parent: node.parent.clone() });
+        };
+        if !parent.children.0.iter().any(|child| child == id) {
+            self.problem(id, IhtnFault::NotAmongChildren { parent: node.parent.clone() });
+        }
+        for agent in node.agents.0.iter().filter(|agent| !parent.agents.0.contains(agent)) {
+            self.problem(id, IhtnFault::StrangeAgent { agent: agent.clone() });
+        }
+    }
+
+    fn check_children(&mut self, id: &str, node: &FlatNode) {
+        let takes = match node.node_type {
+            NodeType::Task => "one method",
+            NodeType::Method => "tasks and actions",
+            NodeType::Action => "no children",
+        };
+        let mut seen = BTreeSet::new();
+        for name in &node.children.0 {
+            let Some(child) = self.nodes.get(name) else {
+                self.problem(id, IhtnFault::NoSuchChild { child: name.clone() });
+                continue;
+            };
+            if !seen.insert(name) {
+                self.problem(id, IhtnFault::ChildTwice { child: name.clone() });
+            } else if child.parent != id {
+                self.problem(id, IhtnFault::WrongParent { child: name.clone(), parent: child.parent.clone() });
+            }
+            let fits = match node.node_type {
+                NodeType::Task => child.node_type == NodeType::Method,
+                NodeType::Method => child.node_type != NodeType::Method,
+                NodeType::Action => false,
+            };
+            if !fits {
+                let (parent, found) = (node.node_type.word(), child.node_type.word());
+                self.problem(id, IhtnFault::WrongType { parent, child: name.clone(), found, takes });
+            }
+        }
+        match node.node_type {
+            NodeType::Task if node.children.0.len() != 1 => {
+                self.problem(id, IhtnFault::NotOneMethod { found: node.children.0.len() });
+            }
+            NodeType::Method if node.children.0.is_empty() => self.problem(id, Fault::EmptyMethod),
+            NodeType::Task | NodeType::Method | NodeType::Action => {}
+        }
+    }
+
+    /// Follows parents: in a tree everybody comes to the root, else somebody comes to himself.
+    fn find_cycles(&mut self) {
+        let mut rooted: BTreeSet<&str> = BTreeSet::new();
+        let nodes = self.nodes;
+        for start in nodes.keys() {
+            let mut trail: Vec<&str> = Vec::new();
+            let mut at = start.as_str();
+            while let Some(node) = nodes.get(at) {
+                if rooted.contains(at) {
+                    break;
+                }
+                if let Some(first) = trail.iter().position(|id| *id == at) {
+                    let mut cycle = trail[first..].to_vec();
+                    cycle.push(at);
+                    cycle.reverse();
+                    self.problem(at, IhtnFault::Cycle { cycle: cycle.join(" > ") });
+                    break;
+                }
+                trail.push(at);
+                at = &node.parent;
+            }
+            rooted.extend(trail);
+        }
+    }
+
+    /// Builds the mission of a tree without problems.
+    fn mission(&mut self, root: &'a str) -> Mission {
+        let mut tasks: Vec<TaskNode> = Vec::new();
+        let mut roles: BTreeMap<RoleId, Role> = BTreeMap::new();
+        let mut names = Names::of(self.nodes);
+        let mut open: Vec<(&'a str, Option<usize>)> = vec![(root, None)];
+        while let Some((id, parent)) = open.pop() {
+            let node = &self.nodes[id];
+            let index = tasks.len();
+            if let Some(Body::Abstract(method)) = parent.map(|parent| &mut tasks[parent].body) {
+                method.children.push(index as TaskIndex);
+            }
+            let body = if node.node_type == NodeType::Action {
+                self.action(id, node, &mut roles)
+            } else {
+                let below = &self.nodes[&node.children.0[0]].children.0;
+                open.extend(below.iter().rev().map(|child| (child.as_str(), Some(index))));
+                Body::Abstract(Method { order: Order::Sequential, children: vec![] })
+            };
+            match TaskId::new(names.next(&node.name)) {
+                Ok(id) => tasks.push(TaskNode { id, body }),
+                Err(error) => {
+                    self.problem(id, error);
+                    let id = TaskId::new(format!("unnamed-{index}")).expect("made of a slug's characters");
+                    tasks.push(TaskNode { id, body });
+                }
+            }
+        }
+        for agent in self.reading.unmanaged.iter().filter(|agent| !roles.contains_key(*agent)) {
+            let allowed = Allowed::instead_of(agent.as_str(), roles.keys());
+            let fault = IhtnFault::NoSuchAgent { allowed }.into();
+            self.problems.push(Problem { path: format!("roles/{agent}"), fault });
+        }
+        Mission { name: self.reading.name.clone(), roles, tasks }
+    }
+
+    fn action(&mut self, id: &str, node: &FlatNode, roles: &mut BTreeMap<RoleId, Role>) -> Body {
+        let mut own = Vec::new();
+        for agent in &node.agents.0 {
+            match RoleId::new(&**agent) {
+                Ok(role) => {
+                    let unmanaged = self.reading.unmanaged.contains(&role);
+                    let kind = if unmanaged { RoleKind::Unmanaged } else { RoleKind::Managed };
+                    roles.insert(role.clone(), Role { kind });
+                    own.push(role);
+                }
+                Err(error) => self.problem(id, error),
+            }
+        }
+        let (task_type, mut parameters) = match self.type_of(&node.name) {
+            Some(found) => found,
+            None => {
+                let allowed = Allowed::instead_of(&node.name, self.domain.task_types());
+                self.problem(id, Fault::UnknownType { task_type: node.name.clone(), allowed });
+                return Body::Abstract(Method { order: Order::Sequential, children: vec![] });
+            }
+        };
+        let mut reaches = BTreeMap::new();
+        let schema = self.domain.get(&task_type).expect("types are taken from the domain");
+        self.place(id, node, &task_type, schema, &mut parameters, &mut reaches);
+        let around = self.nodes.get(&node.parent).map_or(&[][..], |method| &method.agents.0);
+        let mut others = around.iter().filter(|agent| !node.agents.0.contains(agent));
+        if let (Some(other), None) = (others.next(), others.next()) {
+            let of_roles = schema.parameters.iter().filter(|(_, parameter)| parameter.kind == ValueKind::Role);
+            for (name, _) in of_roles {
+                parameters.entry(name.clone()).or_insert_with(|| other.clone());
+            }
+        }
+        Body::Elementary(TaskSpec { task_type, roles: own, parameters, reaches })
+    }
+
+    /// The task type that an action's name stands for, and the parameter that its ending stands for.
+    fn type_of(&self, name: &str) -> Option<(TaskType, BTreeMap<String, String>)> {
+        let known = |name: &str| match self.reading.aliases.get(name) {
+            Some(alias) => Some(alias.clone()).filter(|alias| self.domain.get(alias).is_some()),
+            None => TaskType::new(name).ok().filter(|own| self.domain.get(own).is_some()),
+        };
+        if let Some(task_type) = known(name) {
+            return Some((task_type, BTreeMap::new()));
+        }
+        name.match_indices('-').find_map(|(dash, _)| {
+            let (task_type, word) = (known(&name[..dash])?, &name[dash + 1..]);
+            let schema = self.domain.get(&task_type)?;
+            let mut choices = schema.parameters.iter().filter(|(_, parameter)| match &parameter.kind {
+                ValueKind::OneOf(words) => words.contains(word),
+                ValueKind::Place | ValueKind::Role | ValueKind::Seconds | ValueKind::Text => false,
+            });
+            match (choices.next(), choices.next()) {
+                (Some((parameter, _)), None) => Some((task_type, [(parameter.clone(), word.to_owned())].into())),
+                _ => None,
+            }
+        })
+    }
+
+    fn place(
+        &mut self,
+        id: &str,
+        node: &FlatNode,
+        task_type: &TaskType,
+        schema: &TaskSchema,
+        parameters: &mut BTreeMap<String, String>,
+        reaches: &mut BTreeMap<String, String>,
+    ) {
+        let location = match &node.locations.0[..] {
+            [] => return,
+            [location] => location,
+            several => return self.problem(id, IhtnFault::SeveralLocations { found: several.len() }),
+        };
+        let places = || schema.parameters.iter().filter(|(_, parameter)| parameter.kind == ValueKind::Place);
+        match places().find(|(_, parameter)| parameter.required).or_else(|| places().next()) {
+            Some((name, _)) => drop(parameters.insert(name.clone(), location.clone())),
+            None => {
+                let (location, task_type) = (location.clone(), task_type.to_string());
+                return self.problem(id, IhtnFault::UselessLocation { location, task_type });
+            }
+        }
+        if task_type.as_str() == "navigation" {
+            reaches.insert("location".to_owned(), location.clone());
+        }
+    }
+}
+
+/// Gives out names, each once, without giving to a later bearer what is another node's own name.
+struct Names<'a> {
+    own: BTreeSet<&'a str>,
+    given: BTreeMap<&'a str, u32>,
+}
+
+impl<'a> Names<'a> {
+    fn of(nodes: &'a BTreeMap<String, FlatNode>) -> Self {
+        Self { own: nodes.values().map(|node| node.name.as_str()).collect(), given: BTreeMap::new() }
+    }
+
+    fn next(&mut self, name: &'a str) -> String {
+        let number = self.given.entry(name).or_insert(0);
+        loop {
+            *number += 1;
+            if *number == 1 {
+                return name.to_owned();
+            }
+            let numbered = format!("{name}-{number}");
+            if !self.own.contains(numbered.as_str()) {
+                return numbered;
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn reading() -> IhtnReading {
+        IhtnReading {
+            name: TaskId::new("trial").unwrap(),
+            unmanaged: [RoleId::new("ann").unwrap()].into(),
+            aliases: [("navto".to_owned(), TaskType::new("navigation").unwrap())].into(),
+        }
+    }
+
+    /// A fetch by r1, with Ann putting something in.
+    fn nodes() -> serde_json::Value {
+        serde_json::json!({
+            "0": { "name": "Fetch", "type": "task", "parent": "-1", "agents": ["r1", "ann", "idler"], "children": ["1"] },
+            "1": { "name": "m", "type": "method", "parent": "0", "agents": ["r1", "ann"], "children": ["2", "3", "4", "5"] },
+            "2": { "name": "navto", "type": "action", "parent": "1", "locations": ["Ward"], "agents": ["r1"], "children": "" },
+            "3": { "name": "operate_drawer-open", "type": "action", "parent": "1", "locations": "", "agents": ["r1"], "children": "" },
+            "4": { "name": "deposit", "type": "action", "parent": "1", "locations": "", "agents": ["ann"], "children": "" },
+            "5": { "name": "navto", "type": "action", "parent": "1", "locations": ["Laboratory"], "agents": ["r1"], "children": "" },
+        })
+    }
+
+    fn import(nodes: &serde_json::Value) -> Result<Mission, Vec<String>> {
+        import_ihtn(&nodes.to_string(), &reading(), &Domain::hospital())
+            .map_err(|errors| errors.problems.iter().map(ToString::to_string).collect())
+    }
+
+    #[test]
+    fn the_gaps_of_the_form_are_filled_by_rule() {
+        let mission = import(&nodes()).unwrap();
+        let told: Vec<String> = mission
+            .elementary()
+            .iter()
+            .map(|(id, spec)| format!("{id} {} {:?} {:?}", spec.task_type, spec.parameters, spec.reaches))
+            .collect();
+        assert_eq!(
+            told,
+            [
+                r#"navto navigation {"to": "Ward"} {"location": "Ward"}"#,
+                r#"operate_drawer-open operate_drawer {"action": "open"} {}"#,
+                r#"deposit deposit {"into_role": "r1"} {}"#,
+                r#"navto-2 navigation {"to": "Laboratory"} {"location": "Laboratory"}"#,
+            ]
+        );
+        let roles: Vec<(&str, RoleKind)> = mission.roles.iter().map(|(id, role)| (id.as_str(), role.kind)).collect();
+        assert_eq!(roles, [("ann", RoleKind::Unmanaged), ("r1", RoleKind::Managed)]);
+        assert_eq!(mission.tasks[0].id.as_str(), "Fetch");
+    }
+
+    #[test]
+    fn what_is_no_tree_is_told_precisely() {
+        let cases: [(&dyn Fn(&mut serde_json::Value), &[&str]); 9] = [
+            (
+                &|n| n["1"]["children"] = ["2", "3", "4", "5", "9"].into(),
+                &["node 1 (m): its child \"9\" does not exist"],
+            ),
+            (
+                &|n| n["1"]["children"] = ["2", "3", "4"].into(),
+                &["node 5 (navto): its parent \"1\" does not have it among its children"],
+            ),
+            (
+                &|n| n["5"]["parent"] = "0".into(),
+                &[
+                    "node 1 (m): its child \"5\" says that its parent is \"0\"",
+                    "node 5 (navto): its parent \"0\" does not have it among its children",
+                ],
+            ),
+            (
+                &|n| n["5"]["parent"] = "-1".into(),
+                &[
+                    "file: several nodes have the parent \"-1\": 0, 5; exactly one is the root",
+                    "node 1 (m): its child \"5\" says that its parent is \"-1\"",
+                ],
+            ),
+            (
+                &|n| {
+                    n["0"]["parent"] = "1".into();
+                    n["0"]["agents"] = ["r1", "ann"].into();
+                    n["1"]["children"] = ["0", "2", "3", "4", "5"].into();
+                },
+                &[
+                    "file: no node is the root; the root has the parent \"-1\"",
+                    "node 0 (Fetch): is its own ancestor: 0 > 1 > 0",
+                ],
+            ),
+            (
+                &|n| n["0"]["children"] = "".into(),
+                &[
+                    "node 0 (Fetch): has 0 methods; in an instantiated network a task has exactly one",
+                    "node 1 (m): its parent \"0\" does not have it among its children",
+                ],
+            ),
+            (
+                &|n| n["3"]["name"] = "operate_drawer-slam".into(),
+                &["node 3 (operate_drawer-slam): unknown task type `operate_drawer-slam`; allowed: approach_person, \
+                   approach_robot, authenticate_person, carry, deposit, disinfect, navigation, operate_door, \
+                   operate_drawer, pick_up, wait; did you mean `operate_drawer`?"],
+            ),
+            (
+                &|n| n["3"]["locations"] = "Ward".into(),
+                &[
+                    "node 3 (operate_drawer-open): has the location \"Ward\", but `operate_drawer` has no parameter for \
+                   a place",
+                ],
+            ),
+            (
+                &|n| n["4"]["agents"] = ["bob"].into(),
+                &["node 4 (deposit): its agent `bob` is not among the agents of its parent"],
+            ),
+        ];
+        for (change, expected) in cases {
+            let mut nodes = nodes();
+            change(&mut nodes);
+            assert_eq!(import(&nodes).unwrap_err(), expected);
+        }
+    }
+
+    #[test]
+    fn a_node_given_twice_is_refused() {
+        let text = nodes().to_string().replacen("\"1\":", "\"0\":", 1);
+        let error = import_ihtn(&text, &reading(), &Domain::hospital()).unwrap_err().to_string();
+        assert!(error.contains("`0` stands here twice"), "{error}");
+    }
+
+    #[test]
+    fn the_caller_can_only_name_agents_that_act() {
+        let mut reading = reading();
+        reading.unmanaged = [RoleId::new("an").unwrap()].into();
+        let error = import_ihtn(&nodes().to_string(), &reading, &Domain::hospital()).unwrap_err().to_string();
+        assert!(
+            error.contains("roles/an: is said to be unmanaged") && error.contains("did you mean `ann`?"),
+            "{error}"
+        );
+    }
+}

@@ -1,0 +1,380 @@
+//! Whether a mission can be carried out at all: checked for missions from files and off the wire alike.
+//!
+//! Every problem is reported, not only the first, each with the path to the task. After a check that passed, the
+//! tree is a tree (every index in range, children after parents, one parent each, nothing left over), so that code
+//! which walks it needs no further care.
+
+use super::domain::{Domain, ValueKind};
+use super::model::{Body, Mission, RoleKind, TaskSpec};
+use super::problem::{Allowed, Fault, MissionErrors, Problem};
+use crate::ids::RoleId;
+use std::collections::{BTreeMap, BTreeSet};
+
+/// Most tasks of a mission, abstract ones included. More of them cost memory on every robot and ledger; the largest
+/// published mission has 21.
+pub const TASKS_MAX: usize = 512;
+/// Most roles of a mission.
+pub const ROLES_MAX: usize = 64;
+/// Most levels of the tree.
+pub const DEPTH_MAX: usize = 32;
+/// Most roles of one joint task: each of them signals to each other one, so the messages grow with the square.
+pub const JOINT_MAX: usize = 8;
+/// Most parameters, and most reached states, of one task.
+pub const ENTRIES_MAX: usize = 32;
+/// Longest value of a parameter or of a reached state, and longest name of one, in characters.
+pub const VALUE_CHARS_MAX: usize = 256;
+
+impl Mission {
+    /// Checks everything: the tree, the roles, and each task against the domain.
+    ///
+    /// # Errors
+    /// [`MissionErrors`] lists all problems.
+    pub fn check(&self, domain: &Domain) -> Result<(), MissionErrors> {
+        let mut found = structure(self);
+        // With a broken tree some paths are meaningless, but the tasks themselves can still be judged.
+        if self.tasks.len() <= TASKS_MAX && self.roles.len() <= ROLES_MAX {
+            let paths = paths(self);
+            for (node, path) in self.tasks.iter().zip(&paths) {
+                if let Body::Elementary(spec) = &node.body {
+                    found.extend(task_faults(self, spec, domain).into_iter().map(|fault| at(path, fault)));
+                }
+            }
+        }
+        MissionErrors::unless_none(&self.name, found)
+    }
+
+    /// Checks the tree and the roles alone, where no domain is at hand: enough to divide the mission.
+    ///
+    /// # Errors
+    /// [`MissionErrors`] lists all problems.
+    pub fn check_structure(&self) -> Result<(), MissionErrors> {
+        MissionErrors::unless_none(&self.name, structure(self))
+    }
+}
+
+fn at(path: &str, fault: Fault) -> Problem {
+    Problem { path: path.to_owned(), fault }
+}
+
+/// The parent of each task: the first that claims it from before it.
+fn parents(mission: &Mission) -> Vec<Option<usize>> {
+    let mut parents = vec![None; mission.tasks.len()];
+    for (index, node) in mission.tasks.iter().enumerate() {
+        let Body::Abstract(method) = &node.body else { continue };
+        for child in &method.children {
+            let child = *child as usize;
+            if child > index && child < parents.len() && parents[child].is_none() {
+                parents[child] = Some(index);
+            }
+        }
+    }
+    parents
+}
+
+/// The path of each task.
+fn paths(mission: &Mission) -> Vec<String> {
+    let mut paths: Vec<String> = Vec::with_capacity(mission.tasks.len());
+    for (index, (node, parent)) in mission.tasks.iter().zip(parents(mission)).enumerate() {
+        paths.push(match parent {
+            _ if index == 0 => "root".to_owned(),
+            // A path grows by at most 65 characters a level, and past the limit it would only be noise.
+            Some(parent) if paths[parent].len() < 65 * (DEPTH_MAX + 1) => format!("{}/{}", paths[parent], node.id),
+            Some(_) => format!("…/{}", node.id),
+            None => format!("tasks[{index}] ({})", node.id),
+        });
+    }
+    paths
+}
+
+fn structure(mission: &Mission) -> Vec<Problem> {
+    let mut found = Vec::new();
+    if mission.tasks.is_empty() {
+        found.push(at("root", Fault::NoTask));
+        return found;
+    }
+    if mission.tasks.len() > TASKS_MAX {
+        found.push(at("root", Fault::TooManyTasks { found: mission.tasks.len(), max: TASKS_MAX }));
+    }
+    if mission.roles.len() > ROLES_MAX {
+        found.push(at("roles", Fault::TooManyRoles { found: mission.roles.len(), max: ROLES_MAX }));
+    }
+    if !found.is_empty() {
+        return found; // the rest could take long, and would be more than anyone reads
+    }
+    if mission.managed_roles().next().is_none() {
+        found.push(at("roles", Fault::NoManagedRole));
+    }
+    let parents = parents(mission);
+    let paths = paths(mission);
+    tree_faults(mission, &parents, &paths, &mut found);
+    let mut busy: BTreeSet<&RoleId> = BTreeSet::new();
+    for (node, path) in mission.tasks.iter().zip(&paths) {
+        if let Body::Elementary(spec) = &node.body {
+            busy.extend(&spec.roles);
+            found.extend(assignment_faults(mission, spec).into_iter().map(|fault| at(path, fault)));
+        }
+    }
+    let idle = mission.roles.keys().filter(|role| !busy.contains(role));
+    found.extend(idle.map(|role| at(&format!("roles/{role}"), Fault::IdleRole)));
+    found
+}
+
+fn tree_faults(mission: &Mission, parents: &[Option<usize>], paths: &[String], found: &mut Vec<Problem>) {
+    let tasks = mission.tasks.len();
+    let mut named: BTreeMap<&str, usize> = BTreeMap::new();
+    let mut claimed: BTreeSet<usize> = BTreeSet::new();
+    let mut depths: Vec<usize> = Vec::with_capacity(tasks);
+    for (index, node) in mission.tasks.iter().enumerate() {
+        let path = &paths[index];
+        let depth = parents[index].map_or(1, |parent| depths[parent] + 1);
+        depths.push(depth);
+        if depth == DEPTH_MAX + 1 {
+            found.push(at(path, Fault::TooDeep { found: depth, max: DEPTH_MAX }));
+        }
+        if index > 0 && parents[index].is_none() {
+            found.push(at(path, Fault::NoParent));
+        }
+        match named.get(node.id.as_str()) {
+            Some(first) => found.push(at(path, Fault::DuplicateId { first: paths[*first].clone() })),
+            None => drop(named.insert(node.id.as_str(), index)),
+        }
+        let Body::Abstract(method) = &node.body else { continue };
+        if method.children.is_empty() {
+            found.push(at(path, Fault::EmptyMethod));
+        }
+        for &child in &method.children {
+            let Some(child_node) = mission.tasks.get(child as usize) else {
+                found.push(at(path, Fault::ChildOutOfRange { child, tasks }));
+                continue;
+            };
+            let name = child_node.id.to_string();
+            if child as usize <= index {
+                found.push(at(path, Fault::ChildNotAfter { child: name }));
+            } else if !claimed.insert(child as usize) {
+                let parent = parents[child as usize].map_or_else(String::new, |parent| paths[parent].clone());
+                found.push(at(path, Fault::TwoParents { child: name, parent }));
+            }
+        }
+    }
+}
+
+/// Who does it.
+fn assignment_faults(mission: &Mission, spec: &TaskSpec) -> Vec<Fault> {
+    let mut found = Vec::new();
+    if spec.roles.is_empty() {
+        found.push(Fault::NoRole { allowed: Allowed { names: role_names(mission), nearest: None } });
+    }
+    if spec.roles.len() > JOINT_MAX {
+        found.push(Fault::TooManyJoint { found: spec.roles.len(), max: JOINT_MAX });
+    }
+    let mut seen = BTreeSet::new();
+    for role in &spec.roles {
+        if !seen.insert(role) {
+            found.push(Fault::RoleTwice { role: role.clone() });
+        } else if !mission.roles.contains_key(role) {
+            let allowed = Allowed::instead_of(role.as_str(), mission.roles.keys());
+            found.push(Fault::UnknownRole { role: role.to_string(), allowed });
+        }
+    }
+    for (what, entries) in [("parameters", &spec.parameters), ("reached states", &spec.reaches)] {
+        if entries.len() > ENTRIES_MAX {
+            found.push(Fault::TooManyEntries { what, found: entries.len(), max: ENTRIES_MAX });
+        }
+        let what = if what == "parameters" { "the parameter" } else { "the reached state" };
+        for (name, value) in entries {
+            let length = name.chars().count().max(value.chars().count());
+            if length > VALUE_CHARS_MAX {
+                let name = name.chars().take(40).collect();
+                found.push(Fault::TooLong { what, name, found: length, max: VALUE_CHARS_MAX });
+            }
+        }
+    }
+    found
+}
+
+fn role_names(mission: &Mission) -> Vec<String> {
+    mission.roles.keys().map(ToString::to_string).collect()
+}
+
+/// What it is told.
+fn task_faults(mission: &Mission, spec: &TaskSpec, domain: &Domain) -> Vec<Fault> {
+    let Some(schema) = domain.get(&spec.task_type) else {
+        let allowed = Allowed::instead_of(spec.task_type.as_str(), domain.task_types());
+        return vec![Fault::UnknownType { task_type: spec.task_type.to_string(), allowed }];
+    };
+    let task_type = || spec.task_type.to_string();
+    let mut found = Vec::new();
+    for (name, parameter) in &schema.parameters {
+        if parameter.required && !spec.parameters.contains_key(name) {
+            let kind = parameter.kind.to_string();
+            found.push(Fault::MissingParameter { task_type: task_type(), name: name.clone(), kind });
+        }
+    }
+    for (name, value) in &spec.parameters {
+        let Some(parameter) = schema.parameters.get(name) else {
+            let allowed = Allowed::instead_of(name, schema.parameters.keys());
+            found.push(Fault::UnknownParameter { task_type: task_type(), name: name.clone(), allowed });
+            continue;
+        };
+        let is_role = parameter.kind == ValueKind::Role;
+        if is_role && !mission.roles.keys().any(|role| role.as_str() == value) {
+            let allowed = Allowed::instead_of(value, mission.roles.keys());
+            found.push(Fault::ParameterRole { name: name.clone(), role: value.clone(), allowed });
+        } else if !parameter.kind.admits(value) {
+            let kind = parameter.kind.to_string();
+            found.push(Fault::BadValue { name: name.clone(), value: value.clone(), kind });
+        }
+    }
+    found
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::model::{Method, Order, Role, TaskNode};
+    use super::*;
+    use crate::ids::{TaskId, TaskType};
+
+    fn role(name: &str) -> RoleId {
+        RoleId::new(name).unwrap()
+    }
+
+    fn elementary(id: &str, task_type: &str, roles: &[&str], parameters: &[(&str, &str)]) -> TaskNode {
+        let spec = TaskSpec {
+            task_type: TaskType::new(task_type).unwrap(),
+            roles: roles.iter().map(|name| role(name)).collect(),
+            parameters: parameters.iter().map(|(k, v)| ((*k).to_owned(), (*v).to_owned())).collect(),
+            reaches: BTreeMap::new(),
+        };
+        TaskNode { id: TaskId::new(id).unwrap(), body: Body::Elementary(spec) }
+    }
+
+    fn refined(id: &str, children: &[u32]) -> TaskNode {
+        let method = Method { order: Order::Sequential, children: children.to_vec() };
+        TaskNode { id: TaskId::new(id).unwrap(), body: Body::Abstract(method) }
+    }
+
+    fn mission(roles: &[(&str, RoleKind)], tasks: Vec<TaskNode>) -> Mission {
+        Mission {
+            name: TaskId::new("trial").unwrap(),
+            roles: roles.iter().map(|(name, kind)| (role(name), Role { kind: *kind })).collect(),
+            tasks,
+        }
+    }
+
+    const R1: &[(&str, RoleKind)] = &[("r1", RoleKind::Managed)];
+
+    fn problems(mission: &Mission) -> Vec<String> {
+        match mission.check(&Domain::hospital()) {
+            Ok(()) => vec![],
+            Err(errors) => errors.problems.iter().map(ToString::to_string).collect(),
+        }
+    }
+
+    #[test]
+    fn a_sound_mission_passes() {
+        let tasks = vec![refined("top", &[1]), elementary("go", "navigation", &["r1"], &[("to", "Laboratory")])];
+        assert_eq!(problems(&mission(R1, tasks)), Vec::<String>::new());
+    }
+
+    #[test]
+    fn every_problem_is_told_with_its_path_and_what_is_allowed() {
+        let tasks = vec![
+            refined("top", &[1, 2, 3]),
+            elementary("go", "navigatoin", &["r1"], &[]),
+            elementary("fetch", "pick_up", &["r1", "r9", "r1"], &[("from_role", "nurs"), ("colour", "red")]),
+            refined("more", &[4]),
+            elementary("shut", "operate_drawer", &["r1"], &[("action", "slam")]),
+        ];
+        let roles = &[("r1", RoleKind::Managed), ("nurse", RoleKind::Unmanaged)];
+        assert_eq!(
+            problems(&mission(roles, tasks)),
+            [
+                "root/fetch: unknown role `r9`; allowed: nurse, r1; did you mean `r1`?",
+                "root/fetch: names the role `r1` twice",
+                "roles/nurse: has no task; give it one or leave it out",
+                "root/go: unknown task type `navigatoin`; allowed: approach_person, approach_robot, \
+                 authenticate_person, carry, deposit, disinfect, navigation, operate_door, operate_drawer, pick_up, \
+                 wait; did you mean `navigation`?",
+                "root/fetch: `pick_up` has no parameter `colour`; allowed: from_role, item",
+                "root/fetch: parameter `from_role` names the role `nurs`, which the mission does not have; allowed: \
+                 nurse, r1; did you mean `nurse`?",
+                "root/more/shut: parameter `action` is \"slam\"; it should be one of close, open",
+            ]
+        );
+    }
+
+    #[test]
+    fn a_parameter_that_is_missing_is_named() {
+        let tasks = vec![elementary("go", "navigation", &["r1"], &[])];
+        assert_eq!(problems(&mission(R1, tasks)), ["root: `navigation` needs the parameter `to`: a place"]);
+    }
+
+    #[test]
+    fn what_no_tree_can_be_is_refused() {
+        let go = |id| elementary(id, "wait", &["r1"], &[("seconds", "1")]);
+        let cases = [
+            (vec![], vec!["root: there is no task at all; the first task is the root"]),
+            (
+                vec![refined("top", &[1, 7]), go("a")],
+                vec!["root: is refined into task number 7, but the mission has 2 tasks, counted from 0"],
+            ),
+            (
+                vec![refined("top", &[1, 2]), refined("loop", &[0]), go("a")],
+                vec!["root/loop: is refined into `top`, which does not stand after it: a cycle, or tasks out of order"],
+            ),
+            (
+                vec![refined("top", &[1, 2]), refined("x", &[2]), go("a")],
+                vec!["root/x: is refined into `a`, which already belongs to root; a task has one parent"],
+            ),
+            (
+                vec![refined("top", &[1]), go("a"), go("b")],
+                vec!["tasks[2] (b): belongs to no task; only the first task, the root, has no parent"],
+            ),
+            (
+                vec![refined("top", &[1, 2]), refined("x", &[]), go("a")],
+                vec!["root/x: its method has no tasks; a method has at least one"],
+            ),
+            (
+                vec![refined("top", &[1, 2]), go("a"), go("a")],
+                vec!["root/a: has the name of root/a; task names are unique in a mission"],
+            ),
+            (
+                vec![refined("top", &[1]), elementary("a", "wait", &[], &[("seconds", "1")])],
+                vec![
+                    "root/a: no role does it; name at least one, allowed: r1",
+                    "roles/r1: has no task; give it one or leave it out",
+                ],
+            ),
+        ];
+        for (tasks, expected) in cases {
+            assert_eq!(problems(&mission(R1, tasks)), expected);
+        }
+    }
+
+    #[test]
+    fn a_mission_of_people_alone_is_not_for_the_fleet() {
+        let tasks = vec![elementary("a", "wait", &["nurse"], &[("seconds", "1")])];
+        let roles = &[("nurse", RoleKind::Unmanaged)];
+        assert_eq!(
+            problems(&mission(roles, tasks)),
+            ["roles: no role is managed; a mission needs at least one role that a robot fills"]
+        );
+    }
+
+    #[test]
+    fn sizes_have_limits() {
+        let many: Vec<u32> = (1..=TASKS_MAX as u32).collect();
+        let mut tasks = vec![refined("top", &many)];
+        tasks.extend(many.iter().map(|n| elementary(&format!("t{n}"), "wait", &["r1"], &[("seconds", "1")])));
+        assert_eq!(problems(&mission(R1, tasks.clone())), ["root: 513 tasks; at most 512 are allowed"]);
+        tasks.pop();
+        tasks[0] = refined("top", &many[..TASKS_MAX - 1]);
+        assert_eq!(problems(&mission(R1, tasks)), Vec::<String>::new());
+
+        let mut chain: Vec<TaskNode> = (0..DEPTH_MAX as u32).map(|n| refined(&format!("d{n}"), &[n + 1])).collect();
+        chain.push(elementary("end", "wait", &["r1"], &[("seconds", "1")]));
+        let found = problems(&mission(R1, chain));
+        assert_eq!(found.len(), 1);
+        assert!(found[0].ends_with("stands 33 levels deep; at most 32 are allowed"), "{found:?}");
+    }
+}
