@@ -4,5 +4,6 @@
 //! the place that environment descriptors hold. Nothing here knows who coordinates whom.
 
 pub mod actions;
+pub mod bt;
 pub mod descriptor;
 pub mod environment;
