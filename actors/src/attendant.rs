@@ -217,7 +217,13 @@ impl AttendantState {
                 }
             } else {
                 let role = plan.role.clone();
-                let sequencer = Sequencer::new(plan, &ended, holders);
+                let sequencer = match Sequencer::new(plan, &ended, holders) {
+                    Ok(sequencer) => sequencer,
+                    Err(problem) => {
+                        warn!(%mission, %role, %problem, "a plan that cannot be taken up");
+                        continue;
+                    }
+                };
                 self.talk.begin(&mission, &role, Epoch::default(), sequencer.said().clone()).await?;
                 let to = myself.clone();
                 self.talk.ask(&mission, &sequencer.awaiting(), &mut self.tasks, move |said| {
