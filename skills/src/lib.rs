@@ -7,3 +7,5 @@ pub mod actions;
 pub mod bt;
 pub mod descriptor;
 pub mod environment;
+pub mod library;
+pub mod skill;

@@ -36,6 +36,7 @@ pub use blackboard::{Blackboard, BlackboardError};
 pub use blueprint::{Blueprint, Input, MAX_DEPTH, MAX_NODES};
 pub use error::{Problem, TreeError};
 pub use leaf::{Instant, Leaf};
+pub(crate) use ports::listed;
 pub use ports::{Constraint, Direction, Manifest, NodeKind, PortError, PortSpec, Ports, Presence};
 pub use registry::{Registry, RegistryError};
 pub use spec::{

@@ -1,21 +1,30 @@
-//! Driving to a place: the shortest way at the robot's average speed.
+//! Drives: the length of the shortest route over the average speed.
 
-use super::{Context, Estimate, EstimateError, SkillDescriptor};
-use crate::environment::{Environment, EnvironmentKind};
+use super::{Context, Estimate, EstimateError, SkillDescriptor, parsed};
+use crate::environment::{Environment, EnvironmentDescriptor, Routes};
 use consort_protocol::ids::{PlaceId, TaskType};
 use consort_protocol::mission::TaskSpec;
 
-/// Prices `navigation` to the place in parameter `to`.
-#[derive(Debug, Clone, Default)]
-pub struct Navigation;
+/// A drive to the place in parameter `to`.
+#[derive(Debug, Clone)]
+pub struct Navigation {
+    task_type: TaskType,
+}
+
+impl Navigation {
+    /// Tasks of this type are drives.
+    pub fn new(task_type: TaskType) -> Navigation {
+        Navigation { task_type }
+    }
+}
 
 impl SkillDescriptor for Navigation {
-    fn task_type(&self) -> TaskType {
-        TaskType::new("navigation").expect("a slug")
+    fn task_type(&self) -> &TaskType {
+        &self.task_type
     }
 
-    fn needs(&self) -> &[EnvironmentKind] {
-        &[EnvironmentKind::Routes]
+    fn needs(&self) -> Vec<&'static str> {
+        vec![Routes::KIND]
     }
 
     fn estimate(
@@ -24,11 +33,8 @@ impl SkillDescriptor for Navigation {
         context: &Context,
         environment: &Environment,
     ) -> Result<Estimate, EstimateError> {
-        let to = task.parameters.get("to").ok_or(EstimateError::Missing { parameter: "to" })?;
-        let to = PlaceId::new(to.as_str())
-            .map_err(|problem| EstimateError::Parameter { parameter: "to", problem: problem.to_string() })?;
-        let routes = environment.routes().expect("a navigation descriptor is resolved with routes");
-        let time = routes.length(&context.place, &to)?.at(context.speed);
-        Ok(Estimate { time, energy: context.discharge.over(time), place: to })
+        let to = parsed(task, "to", str::parse::<PlaceId>)?;
+        let length = environment.get::<Routes>()?.distance(&context.place, &to)?;
+        Ok(Estimate::lasting(length.at(context.speed), context, to))
     }
 }

@@ -1,168 +1,165 @@
-//! A topological map as plain data: places, and edges between them.
+//! The topological map: places, and the ways between neighbours.
 
-use consort_protocol::ids::{NameError, PlaceId};
+use consort_protocol::ids::PlaceId;
 use consort_protocol::pose::Pose;
-use consort_protocol::units::{Metres, UnitError};
-use serde::Deserialize;
+use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, BTreeSet};
 
-/// Places and the ways between neighbours.
-#[derive(Debug, Clone, PartialEq, Default)]
+/// Shortest edge: a millimetre. Anything shorter is lost when added to a long route.
+const LENGTH_MIN_M: f64 = 0.001;
+/// Longest edge: a thousand kilometres.
+const LENGTH_MAX_M: f64 = 1.0e6;
+
+/// Places and the ways between them, as in a file; [`check`](TopologicalMap::check) says whether it makes sense.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct TopologicalMap {
     /// Where each place is.
     pub places: BTreeMap<PlaceId, Pose>,
-    /// Which places are neighbours.
+    /// The ways between neighbours.
     pub edges: Vec<Edge>,
 }
 
 /// A way between two neighbours.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct Edge {
-    /// From here.
-    pub from: PlaceId,
-    /// To there.
-    pub to: PlaceId,
-    /// How far.
-    pub length: Metres,
-    /// Whether it may be driven from there to here too.
-    pub two_way: bool,
+    /// One end; the beginning of a one-way edge.
+    pub a: PlaceId,
+    /// The other end.
+    pub b: PlaceId,
+    /// Metres to drive, which may be more than the straight line.
+    pub length_m: f64,
+    /// Whether it may be driven from `a` to `b` only.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub one_way: bool,
 }
 
-/// What is wrong with a map.
+/// What is wrong with a map. Ordinary in hand-written files.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
-pub enum MapProblem {
-    /// The text is not of the form.
-    #[error("line {line}, column {column}: {problem}")]
-    Syntax {
-        /// From 1.
-        line: usize,
-        /// From 1.
-        column: usize,
-        /// What is wrong there.
-        problem: String,
-    },
-    /// A place's name cannot be one.
-    #[error(transparent)]
-    Name(#[from] NameError),
-    /// A place stands twice.
-    #[error("place {place:?} stands there twice", place = .place.as_str())]
-    Twice {
-        /// Which.
+pub enum MapError {
+    /// An edge ends nowhere.
+    #[error("the edge {a} – {b} names {place}, which is not among the places")]
+    UnknownPlace {
+        /// One end.
+        a: PlaceId,
+        /// The other end.
+        b: PlaceId,
+        /// The end that is not on the map.
         place: PlaceId,
     },
-    /// An edge to nowhere.
-    #[error("edge {from} – {to}: no place {missing:?}; there are {known}", missing = .missing.as_str())]
-    NoPlace {
+    /// An edge is of no sensible length.
+    #[error("the edge {a} – {b} is {length_m} m long; allowed is {LENGTH_MIN_M} m to {LENGTH_MAX_M} m")]
+    Length {
         /// One end.
-        from: PlaceId,
+        a: PlaceId,
         /// The other end.
-        to: PlaceId,
-        /// Which of them is not on the map.
-        missing: PlaceId,
-        /// The places that are, or the first of them.
-        known: String,
+        b: PlaceId,
+        /// Its length in metres.
+        length_m: f64,
     },
-    /// An edge of no length, which would make every way over it free.
-    #[error("edge {from} – {to}: its length must be above 0 m, but is {length}")]
-    NoLength {
-        /// One end.
-        from: PlaceId,
-        /// The other end.
-        to: PlaceId,
-        /// The length given.
-        length: f64,
-    },
-    /// An edge from a place to itself.
-    #[error("edge {place} – {place}: leads nowhere")]
+    /// An edge ends where it begins.
+    #[error("the edge {a} – {a} joins a place to itself")]
     Loop {
-        /// Which place.
+        /// The place.
+        a: PlaceId,
+    },
+    /// Two edges lead the same way.
+    #[error("there are two edges from {a} to {b}")]
+    Duplicate {
+        /// Where both begin.
+        a: PlaceId,
+        /// Where both end.
+        b: PlaceId,
+    },
+    /// A place is nowhere.
+    #[error("{place} has a pose that is not made of finite numbers")]
+    Pose {
+        /// The place.
         place: PlaceId,
     },
-    /// A number that is none.
-    #[error("{what}: {problem}")]
-    Number {
-        /// Of what.
-        what: String,
-        /// What is wrong.
-        problem: UnitError,
-    },
-}
-
-#[derive(Deserialize)]
-struct ReferenceMap {
-    nodes: Vec<ReferenceNode>,
-    edges: Vec<ReferenceEdge>,
-}
-
-#[derive(Deserialize)]
-struct ReferenceNode {
-    label: String,
-    x: f64,
-    y: f64,
-    yaw: Option<f64>,
-}
-
-#[derive(Deserialize)]
-struct ReferenceEdge {
-    a: String,
-    b: String,
-    length_m: f64,
 }
 
 impl TopologicalMap {
-    /// Reads the form in which the published evaluation's map is kept: `nodes` with `label`, `x`, `y` (metres) and `yaw`
-    /// (radians or null), and two-way `edges` with `a`, `b` and `length_m`.
+    /// Whether the map makes sense.
     ///
     /// # Errors
-    /// The first [`MapProblem`].
-    pub fn from_reference_json(text: &str) -> Result<TopologicalMap, MapProblem> {
-        let read: ReferenceMap = serde_json::from_str(text).map_err(|problem| MapProblem::Syntax {
-            line: problem.line(),
-            column: problem.column(),
-            problem: problem.to_string(),
-        })?;
-        let mut map = TopologicalMap::default();
-        for node in read.nodes {
-            let place = PlaceId::new(node.label)?;
-            let pose = Pose::new(node.x, node.y, node.yaw.unwrap_or(0.0));
-            if map.places.insert(place.clone(), pose).is_some() {
-                return Err(MapProblem::Twice { place });
+    /// [`MapError`] names the first mistake.
+    pub fn check(&self) -> Result<(), MapError> {
+        for (place, pose) in &self.places {
+            if ![pose.x, pose.y, pose.yaw].into_iter().all(f64::is_finite) {
+                return Err(MapError::Pose { place: place.clone() });
             }
         }
-        for edge in read.edges {
-            let (from, to) = (PlaceId::new(edge.a)?, PlaceId::new(edge.b)?);
-            let length = Metres::new(edge.length_m)
-                .map_err(|problem| MapProblem::Number { what: format!("edge {from} – {to}"), problem })?;
-            map.edges.push(Edge { from, to, length, two_way: true });
-        }
-        map.check()?;
-        Ok(map)
-    }
-
-    /// Checks that every edge joins two places of the map and is longer than nothing.
-    ///
-    /// # Errors
-    /// The first [`MapProblem`].
-    pub fn check(&self) -> Result<(), MapProblem> {
-        for Edge { from, to, length, .. } in &self.edges {
-            for end in [from, to] {
-                if !self.places.contains_key(end) {
-                    let known: BTreeSet<&str> = self.places.keys().map(PlaceId::as_str).collect();
-                    let mut known = known.into_iter().take(40).collect::<Vec<_>>().join(", ");
-                    if self.places.len() > 40 {
-                        known.push_str(", …");
-                    }
-                    let (from, to, missing) = (from.clone(), to.clone(), end.clone());
-                    return Err(MapProblem::NoPlace { from, to, missing, known });
+        let mut seen = BTreeSet::new();
+        for edge in &self.edges {
+            let (a, b) = (&edge.a, &edge.b);
+            if let Some(place) = [a, b].into_iter().find(|place| !self.places.contains_key(*place)) {
+                return Err(MapError::UnknownPlace { a: a.clone(), b: b.clone(), place: place.clone() });
+            }
+            if a == b {
+                return Err(MapError::Loop { a: a.clone() });
+            }
+            if !(LENGTH_MIN_M..=LENGTH_MAX_M).contains(&edge.length_m) {
+                return Err(MapError::Length { a: a.clone(), b: b.clone(), length_m: edge.length_m });
+            }
+            for (from, to) in edge.directions() {
+                if !seen.insert((from, to)) {
+                    return Err(MapError::Duplicate { a: from.clone(), b: to.clone() });
                 }
-            }
-            if from == to {
-                return Err(MapProblem::Loop { place: from.clone() });
-            }
-            if length.get() <= 0.0 {
-                return Err(MapProblem::NoLength { from: from.clone(), to: to.clone(), length: length.get() });
             }
         }
         Ok(())
+    }
+}
+
+impl Edge {
+    /// The ways it may be driven.
+    pub(super) fn directions(&self) -> impl Iterator<Item = (&PlaceId, &PlaceId)> {
+        let back = (!self.one_way).then_some((&self.b, &self.a));
+        [(&self.a, &self.b)].into_iter().chain(back)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn place(name: &str) -> PlaceId {
+        PlaceId::new(name).unwrap()
+    }
+
+    fn edge(a: &str, b: &str, length_m: f64) -> Edge {
+        Edge { a: place(a), b: place(b), length_m, one_way: false }
+    }
+
+    fn refusal(edges: Vec<Edge>) -> String {
+        let places = ["A", "B"].map(|name| (place(name), Pose::default())).into();
+        TopologicalMap { places, edges }.check().unwrap_err().to_string()
+    }
+
+    #[test]
+    fn each_mistake_names_the_edge() {
+        assert_eq!(refusal(vec![edge("A", "C", 1.0)]), "the edge A – C names C, which is not among the places");
+        assert_eq!(refusal(vec![edge("A", "B", 0.0)]), "the edge A – B is 0 m long; allowed is 0.001 m to 1000000 m");
+        for length in [-1.0, f64::NAN, f64::INFINITY, 2.0e6] {
+            assert!(refusal(vec![edge("A", "B", length)]).contains("m long"), "{length}");
+        }
+        assert_eq!(refusal(vec![edge("A", "A", 1.0)]), "the edge A – A joins a place to itself");
+        assert_eq!(refusal(vec![edge("A", "B", 1.0), edge("B", "A", 2.0)]), "there are two edges from B to A");
+    }
+
+    #[test]
+    fn two_opposite_one_way_edges_are_no_duplicate() {
+        let places = ["A", "B"].map(|name| (place(name), Pose::default())).into();
+        let edges = [("A", "B"), ("B", "A")].map(|(a, b)| Edge { one_way: true, ..edge(a, b, 1.0) }).into();
+        TopologicalMap { places, edges }.check().unwrap();
+    }
+
+    #[test]
+    fn a_pose_that_is_nowhere_is_refused() {
+        let places = [(place("A"), Pose::new(f64::NAN, 0.0, 0.0))].into();
+        let error = TopologicalMap { places, edges: vec![] }.check().unwrap_err();
+        assert_eq!(error, MapError::Pose { place: place("A") });
     }
 }
