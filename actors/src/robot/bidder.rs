@@ -78,7 +78,7 @@ impl Bidder {
         let speed = worker.speed.unwrap_or(MetresPerSecond::new(1.0).expect("1 m/s is a speed"));
         let context = Context { place: worker.place.clone(), speed, discharge: worker.discharge };
         let parts = self.estimator.price(plan, &context).map_err(|problem| RefusalReason::NotFeasible {
-            task: problem.task().clone(),
+            task: problem.task.clone(),
             problem: problem.to_string(),
         })?;
         let time = parts.iter().fold(Seconds::ZERO, |sum, part| sum + part.time);
