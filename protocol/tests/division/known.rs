@@ -187,6 +187,13 @@ fn the_checker_names_mission_task_and_role() {
         faults(&|division| drop(division.plans.get_mut(&role("r1")).unwrap().steps.pop())),
         ["role r1: its plan lacks the task close_drawer_lab"]
     );
+    assert_eq!(
+        faults(&|division| division.plans.get_mut(&role("nurse")).unwrap().steps[2].after.clear()),
+        [
+            "role nurse may send done:deposit:nurse:r1 before it has ended that task",
+            "role r1 may begin close_drawer_nurse before role nurse has ended deposit",
+        ]
+    );
     // The nurse waits for the drawer to be open, and the robot opens it when it has heard of the deposit.
     assert_eq!(
         faults(&|division| {
@@ -199,6 +206,19 @@ fn the_checker_names_mission_task_and_role() {
             plan.steps[6].after = vec![4];
         }),
         ["these tasks wait for one another: open_drawer_for_nurse, deposit"]
+    );
+}
+
+#[test]
+fn a_joint_task_without_its_rendezvous_is_refused() {
+    let mission = instance("bed-transfer", &[]);
+    let mut division = divide(&mission).unwrap();
+    // The foot end would lift as soon as it has told the head end, without having heard from it.
+    division.plans.get_mut(&role("foot")).unwrap().steps[5].after = vec![3];
+    assert_eq!(
+        check_division(&mission, &division).unwrap_err().to_string(),
+        "the local plans of mission bed-transfer do not carry it out:\n  role foot may begin the joint task carry_bed \
+         before it has told head and heard from it"
     );
 }
 
