@@ -5,4 +5,16 @@
 //! handed in, and whatever is iterated to choose or to send is an ordered map, so that a whole fleet repeats exactly on
 //! paused time.
 
+mod answer;
+pub mod attendant;
+pub mod body;
 pub mod bus;
+pub mod clock;
+pub mod coordinator;
+pub mod events;
+pub mod gossip;
+mod ledger;
+pub mod node;
+pub mod replica;
+pub mod robot;
+mod tasks;

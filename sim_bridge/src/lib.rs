@@ -1,1 +1,9 @@
 //! A world for robots to act in, behind the robot-actions interface.
+//!
+//! [`map`] is the floor: places, lanes between them, walls. [`world`] is what happens on it: robots that drive, people
+//! who hand things over, samples that change hands, batteries that run down, all as discrete events on a clock that only
+//! moves when its owner lets it. Nothing here knows missions, auctions or who coordinates whom.
+
+pub mod map;
+mod suggest;
+pub mod world;

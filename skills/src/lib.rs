@@ -4,3 +4,8 @@
 //! the place that environment descriptors hold. Nothing here knows who coordinates whom.
 
 pub mod actions;
+pub mod bt;
+pub mod descriptor;
+pub mod environment;
+pub mod library;
+pub mod skill;

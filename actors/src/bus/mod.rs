@@ -10,10 +10,21 @@
 //! - A query streams the replies of all matching services and ends when all have finished, or at its limit.
 //! - A token's disappearance is a hint that its node is gone, never a proof.
 
+mod keys;
+pub mod virtual_bus;
+pub mod zenoh_bus;
+
+pub use virtual_bus::{LinkModel, VirtualBus, VirtualNetwork};
+pub use zenoh_bus::{ZenohBus, ZenohSettings};
+
 use async_trait::async_trait;
 use bytes::Bytes;
 use std::sync::Arc;
 use std::time::Duration;
+
+/// Largest message on either bus, in bytes, the few kilobytes around its payload included. A larger payload is an error
+/// where it is sent.
+pub const MESSAGE_MAX: usize = 4 * 1024 * 1024;
 
 /// How a payload is to be read. It is set on every sample.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

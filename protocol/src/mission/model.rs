@@ -81,10 +81,10 @@ pub struct TaskSpec {
     /// Who does it: one role, or several jointly. Never empty, without repetition, in the order of the file.
     pub roles: Vec<RoleId>,
     /// What the skill needs to know, by name (`to = IC Room 6`, `action = open`).
-    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    #[serde(default)]
     pub parameters: BTreeMap<String, String>,
     /// The state that its success guarantees (`location = IC Room 6`).
-    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    #[serde(default)]
     pub reaches: BTreeMap<String, String>,
 }
 

@@ -1,0 +1,260 @@
+//! The host's side: an actor that lets a [`BodyHost`]'s time pass and carries commands to it.
+
+use super::wire::{BodyCommand, BodyState, Order, PeopleAsk, PersonDone, PersonState};
+use crate::answer;
+use crate::bus::{Delivery, Encoding, Query, SharedBus};
+use crate::clock::Clock;
+use crate::tasks::Tasks;
+use bytes::Bytes;
+use consort_protocol::codec;
+use consort_protocol::ids::RobotId;
+use consort_protocol::keys::{BodyCall, Key, Keys, PeopleCall};
+use consort_protocol::units::{NodeTime, WorldTime};
+use consort_skills::actions::{ActionError, BodyEvent, BodyHost, ErrorCode, GoalId, GoalStatus};
+use ractor::{Actor, ActorProcessingErr, ActorRef};
+use serde::Serialize;
+use std::collections::{BTreeMap, VecDeque};
+use std::time::Duration;
+use tracing::{info, warn};
+
+/// Latest goals of each body that its states tell of.
+const GOALS_TOLD: usize = 8;
+
+/// How bodies are hosted.
+pub struct HostSettings {
+    /// The fleet's keys.
+    pub keys: Keys,
+    /// The bus.
+    pub bus: SharedBus,
+    /// The node's clock.
+    pub clock: Clock,
+    /// World seconds that pass in one second of node time.
+    pub speed: f64,
+    /// How often states are published while nothing changes. Default 500 ms.
+    pub beat: Duration,
+    /// A body whose driver has been silent for this long stops where it is. Default 3 s.
+    pub silence: Duration,
+}
+
+/// To a host.
+pub enum HostMessage {
+    /// A driver's command.
+    Command(Query),
+    /// An attendant's ask.
+    Ask(Query),
+    /// Something is due in the world.
+    Due,
+    /// Time to publish states.
+    Beat,
+}
+
+/// Hosts bodies.
+pub struct Host;
+
+/// State of [`Host`].
+pub struct HostState {
+    settings: HostSettings,
+    world: Box<dyn BodyHost>,
+    started: NodeTime,
+    /// World time when the host started.
+    origin: WorldTime,
+    bodies: BTreeMap<RobotId, BodyEntry>,
+    people: BTreeMap<GoalId, Result<(), ActionError>>,
+    number: u64,
+    /// What the earliest wake-up under way is for.
+    armed: Option<WorldTime>,
+    tasks: Tasks,
+}
+
+#[derive(Default)]
+struct BodyEntry {
+    goals: VecDeque<GoalId>,
+    /// When its driver was last heard; `None` before the first time, and once it was found silent.
+    driver: Option<NodeTime>,
+}
+
+#[ractor::async_trait]
+impl Actor for Host {
+    type Msg = HostMessage;
+    type State = HostState;
+    type Arguments = (HostSettings, Box<dyn BodyHost>);
+
+    async fn pre_start(
+        &self,
+        myself: ActorRef<Self::Msg>,
+        (settings, world): Self::Arguments,
+    ) -> Result<Self::State, ActorProcessingErr> {
+        let mut tasks = Tasks::default();
+        tasks.forward(settings.bus.serve(&settings.keys.any_body_command()).await?, &myself, HostMessage::Command);
+        let ask = settings.keys.write(&Key::People(PeopleCall::Ask));
+        tasks.forward(settings.bus.serve(&ask).await?, &myself, HostMessage::Ask);
+        tasks.beat(settings.beat, &myself, || HostMessage::Beat);
+        let bodies = world.robots().into_iter().map(|robot| (robot, BodyEntry::default())).collect();
+        let (started, origin, number) = (settings.clock.now(), world.now(), settings.clock.wall_ms() << 16);
+        let people = BTreeMap::new();
+        Ok(HostState { settings, world, started, origin, bodies, people, number, armed: None, tasks })
+    }
+
+    async fn handle(
+        &self,
+        myself: ActorRef<Self::Msg>,
+        message: Self::Msg,
+        state: &mut Self::State,
+    ) -> Result<(), ActorProcessingErr> {
+        let changed = state.advance();
+        match message {
+            HostMessage::Command(query) => state.command(query).await,
+            HostMessage::Ask(query) => state.ask(query).await,
+            HostMessage::Due => state.armed = None,
+            HostMessage::Beat => {
+                state.stop_the_undriven();
+                state.publish_all().await;
+            }
+        }
+        state.tell(changed).await;
+        let after = state.advance();
+        state.tell(after).await;
+        state.wake_when_due(&myself);
+        Ok(())
+    }
+}
+
+impl HostState {
+    fn world_now(&self) -> WorldTime {
+        let elapsed = self.settings.clock.now().since(self.started).as_secs_f64();
+        WorldTime::from_secs(self.origin.as_secs() + elapsed * self.settings.speed)
+    }
+
+    fn advance(&mut self) -> Vec<BodyEvent> {
+        let now = self.world_now();
+        self.world.advance(now)
+    }
+
+    fn wake_when_due(&mut self, myself: &ActorRef<HostMessage>) {
+        let Some(due) = self.world.next_due() else { return };
+        if self.armed.is_some_and(|armed| armed <= due) {
+            return;
+        }
+        let ahead = (due.as_secs() - self.world_now().as_secs()).max(0.0) / self.settings.speed;
+        // A little late rather than early: an early wake-up would find nothing due and ask again.
+        self.tasks.after(Duration::from_secs_f64(ahead) + Duration::from_micros(1), myself, HostMessage::Due);
+        self.armed = Some(due);
+    }
+
+    async fn command(&mut self, query: Query) {
+        let Some(Key::Body(robot, BodyCall::Command)) = self.settings.keys.read(&query.key) else {
+            return answer::refuse(&query, "not a command to a body").await;
+        };
+        let Some(command) = answer::read::<BodyCommand>(&query).await else { return };
+        let now = self.settings.clock.now();
+        let Some(entry) = self.bodies.get_mut(&robot) else {
+            let here: Vec<_> = self.bodies.keys().map(RobotId::as_str).collect();
+            return answer::refuse(&query, &format!("no body of {robot} here; here are {}", here.join(", "))).await;
+        };
+        entry.driver = Some(now);
+        match command.order {
+            Some(Order::Start { id, goal }) => {
+                if !entry.goals.contains(&id) {
+                    entry.goals.push_back(id);
+                    while entry.goals.len() > GOALS_TOLD {
+                        entry.goals.pop_front();
+                    }
+                    self.world.start(&robot, id, goal);
+                }
+            }
+            Some(Order::Cancel { id }) => self.world.cancel(&robot, id),
+            None => {}
+        }
+        // Refusals and cancellations show at once.
+        let events = self.advance();
+        if let Some(state) = self.state_of(&robot) {
+            answer::wire(&query, &query.key, &state).await;
+        }
+        self.tell(events).await;
+    }
+
+    async fn ask(&mut self, query: Query) {
+        let Some(ask) = answer::read::<PeopleAsk>(&query).await else { return };
+        match ask.ask {
+            Some(what) => self.world.ask_person(ask.id, what),
+            None => self.world.dismiss_person(ask.id),
+        }
+        let events = self.advance();
+        self.tell(events).await;
+        let said = match self.people.get(&ask.id) {
+            Some(result) => PersonState::Ended(result.clone()),
+            None => PersonState::Asked,
+        };
+        answer::wire(&query, &query.key, &said).await;
+    }
+
+    /// A robot without its driver stands still: nobody would notice if it went wrong.
+    fn stop_the_undriven(&mut self) {
+        let now = self.settings.clock.now();
+        for (robot, entry) in &mut self.bodies {
+            if entry.driver.is_some_and(|heard| now.since(heard) > self.settings.silence) {
+                entry.driver = None;
+                let running =
+                    entry.goals.iter().filter(|id| self.world.status(robot, **id).is_some_and(|s| !s.is_final()));
+                for id in running.copied().collect::<Vec<_>>() {
+                    info!(%robot, "driver silent: stopped");
+                    self.world.cancel(robot, id);
+                }
+            }
+        }
+    }
+
+    async fn tell(&mut self, events: Vec<BodyEvent>) {
+        let mut moved: Vec<RobotId> = vec![];
+        for event in events {
+            match event {
+                BodyEvent::GoalEnded { robot, .. } => moved.push(robot),
+                BodyEvent::Stranded { robot } => {
+                    warn!(%robot, "battery empty: stands where it is");
+                    moved.push(robot);
+                }
+                BodyEvent::PersonEnded { ask, result } => {
+                    self.people.insert(ask, result.clone());
+                    let key = self.settings.keys.write(&Key::People(PeopleCall::Done));
+                    self.publish(&key, &PersonDone { id: ask, result }).await;
+                }
+            }
+        }
+        moved.dedup();
+        for robot in moved {
+            self.publish_state(&robot).await;
+        }
+    }
+
+    async fn publish_all(&mut self) {
+        for robot in self.bodies.keys().cloned().collect::<Vec<_>>() {
+            self.publish_state(&robot).await;
+        }
+    }
+
+    async fn publish_state(&mut self, robot: &RobotId) {
+        if let Some(state) = self.state_of(robot) {
+            let key = self.settings.keys.write(&Key::Body(robot.clone(), BodyCall::State));
+            self.publish(&key, &state).await;
+        }
+    }
+
+    async fn publish<T: Serialize>(&self, key: &str, message: &T) {
+        let bytes = Bytes::from(codec::encode(message).expect("a state fits a message"));
+        if let Err(problem) = self.settings.bus.publish(key, bytes, Encoding::Wire, Delivery::Drop).await {
+            warn!(%problem, "a state was not published");
+        }
+    }
+
+    fn state_of(&mut self, robot: &RobotId) -> Option<BodyState> {
+        let telemetry = self.world.telemetry(robot)?;
+        let entry = self.bodies.get(robot)?;
+        let status = |id: &GoalId| {
+            let lost = || ActionError { code: ErrorCode::Unknown, message: format!("goal {} is not known here", id.0) };
+            (*id, self.world.status(robot, *id).unwrap_or_else(|| GoalStatus::Aborted(lost())))
+        };
+        let goals = entry.goals.iter().map(status).collect();
+        self.number += 1;
+        Some(BodyState { robot: robot.clone(), number: self.number, telemetry, goals })
+    }
+}

@@ -1,0 +1,268 @@
+//! A robot's node drives its body: a local mirror that skills use without waiting, and the actor that keeps it true.
+
+use super::wire::{BodyCommand, BodyState, Order};
+use crate::bus::{Reply, Sample, SharedBus};
+use crate::tasks::Tasks;
+use bytes::Bytes;
+use consort_protocol::codec;
+use consort_protocol::ids::RobotId;
+use consort_protocol::keys::{BodyCall, Key, Keys};
+use consort_skills::actions::{Goal, GoalId, GoalStatus, RobotActions, Telemetry};
+use ractor::{Actor, ActorCell, ActorProcessingErr, ActorRef};
+use std::collections::BTreeMap;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::Duration;
+use tokio::sync::watch;
+use tokio::time::Instant;
+use tracing::{debug, warn};
+
+/// Final states of goals that are remembered.
+const REMEMBERED: usize = 32;
+
+/// How a body is driven.
+#[derive(Clone)]
+pub struct BodyLinkSettings {
+    /// Whose body.
+    pub robot: RobotId,
+    /// The fleet's keys.
+    pub keys: Keys,
+    /// The bus.
+    pub bus: SharedBus,
+    /// Ids of goals begin here: different for each life of the node, so that no id is used twice.
+    pub first_goal: u64,
+    /// How often the host is told that the driver is there. Raised: a lost command is repeated later. Default 300 ms.
+    pub beat: Duration,
+}
+
+/// The mirror of a body. Clones drive the same body; each shows the report that it last took in.
+#[derive(Clone)]
+pub struct Body {
+    mirror: Arc<Mutex<Mirror>>,
+    orders: ActorRef<BodyLinkMessage>,
+    /// The report as of this clone's last [`refresh`](Body::refresh).
+    seen: Option<Telemetry>,
+}
+
+struct Mirror {
+    next: u64,
+    telemetry: Option<Telemetry>,
+    /// When it was heard.
+    heard_at: Option<Instant>,
+    number: u64,
+    goals: BTreeMap<GoalId, GoalStatus>,
+    /// Orders that the host has not answered, in the order given.
+    unanswered: Vec<Order>,
+    changed: watch::Sender<u64>,
+}
+
+/// To the actor that keeps a mirror true.
+pub enum BodyLinkMessage {
+    /// There are orders to send.
+    Orders,
+    /// Time to say that the driver is there, and to repeat what was not answered.
+    Beat,
+    /// The host published a state.
+    State(Sample),
+    /// The host answered a command that carried this order.
+    Answered(Option<Order>, Reply),
+}
+
+/// Keeps a mirror true.
+pub struct BodyLink;
+
+/// State of [`BodyLink`].
+pub struct BodyLinkState {
+    settings: BodyLinkSettings,
+    body: Body,
+    tasks: Tasks,
+}
+
+impl Body {
+    /// Starts driving a body, under a supervisor.
+    ///
+    /// # Errors
+    /// When the actor cannot start: the bus is closed.
+    pub async fn link(settings: BodyLinkSettings, supervisor: &ActorCell) -> Result<Body, ractor::SpawnErr> {
+        let (hand_out, mut handed_out) = tokio::sync::mpsc::unbounded_channel();
+        Actor::spawn_linked(None, BodyLink, (settings, hand_out), supervisor.clone()).await?;
+        Ok(handed_out.recv().await.expect("the actor hands out its body before it has started"))
+    }
+
+    /// Counts the states heard from the host; wakes whoever waits for the next.
+    pub fn changes(&self) -> watch::Receiver<u64> {
+        self.lock().changed.subscribe()
+    }
+
+    /// Takes in the latest report of the body, for [`RobotActions::telemetry`] to show.
+    pub fn refresh(&mut self) {
+        let latest = self.lock().telemetry.clone();
+        self.seen = latest;
+    }
+
+    /// How long ago the latest report of the body was heard, in milliseconds; 0 before the first.
+    pub fn telemetry_age_ms(&self) -> u64 {
+        let heard = self.lock().heard_at;
+        heard.map_or(0, |at| u64::try_from(at.elapsed().as_millis()).unwrap_or(u64::MAX))
+    }
+
+    /// Cancels every goal under way: the body stops safely.
+    pub fn stop(&self) {
+        let mut mirror = self.lock();
+        let running: Vec<GoalId> = mirror.goals.iter().filter(|(_, s)| !s.is_final()).map(|(id, _)| *id).collect();
+        mirror.unanswered.extend(running.into_iter().map(|id| Order::Cancel { id }));
+        drop(mirror);
+        self.send_orders();
+    }
+
+    fn lock(&self) -> MutexGuard<'_, Mirror> {
+        // A skill that panicked while it looked at the mirror has not left it half written: writes are single steps.
+        self.mirror.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn send_orders(&self) {
+        // Without its actor the mirror is a picture of the past; the robot's supervisor knows.
+        let _ = self.orders.cast(BodyLinkMessage::Orders);
+    }
+}
+
+impl RobotActions for Body {
+    fn send_goal(&mut self, goal: Goal) -> GoalId {
+        let mut mirror = self.lock();
+        let id = GoalId(mirror.next);
+        mirror.next += 1;
+        mirror.goals.insert(id, GoalStatus::Sent);
+        while mirror.goals.len() > REMEMBERED {
+            mirror.goals.pop_first();
+        }
+        mirror.unanswered.push(Order::Start { id, goal });
+        drop(mirror);
+        self.send_orders();
+        id
+    }
+
+    fn status(&self, goal: GoalId) -> Option<GoalStatus> {
+        self.lock().goals.get(&goal).cloned()
+    }
+
+    fn cancel(&mut self, goal: GoalId) {
+        let mut mirror = self.lock();
+        if mirror.goals.get(&goal).is_none_or(GoalStatus::is_final) {
+            return;
+        }
+        mirror.unanswered.push(Order::Cancel { id: goal });
+        drop(mirror);
+        self.send_orders();
+    }
+
+    fn telemetry(&self) -> Option<&Telemetry> {
+        self.seen.as_ref()
+    }
+}
+
+impl Mirror {
+    fn take(&mut self, state: BodyState) {
+        if state.number <= self.number && self.number - state.number < 1 << 32 {
+            return; // overtaken by a later one; a number far below is a host that started anew
+        }
+        self.number = state.number;
+        self.telemetry = Some(state.telemetry);
+        self.heard_at = Some(Instant::now());
+        for (id, status) in state.goals {
+            if let Some(known) = self.goals.get_mut(&id).filter(|known| !known.is_final()) {
+                *known = status;
+            }
+        }
+        self.changed.send_modify(|count| *count += 1);
+    }
+}
+
+#[ractor::async_trait]
+impl Actor for BodyLink {
+    type Msg = BodyLinkMessage;
+    type State = BodyLinkState;
+    type Arguments = (BodyLinkSettings, tokio::sync::mpsc::UnboundedSender<Body>);
+
+    async fn pre_start(
+        &self,
+        myself: ActorRef<Self::Msg>,
+        (settings, hand_out): Self::Arguments,
+    ) -> Result<Self::State, ActorProcessingErr> {
+        let mirror = Mirror {
+            next: settings.first_goal,
+            telemetry: None,
+            heard_at: None,
+            number: 0,
+            goals: BTreeMap::new(),
+            unanswered: vec![],
+            changed: watch::channel(0).0,
+        };
+        let body = Body { mirror: Arc::new(Mutex::new(mirror)), orders: myself.clone(), seen: None };
+        let mut tasks = Tasks::default();
+        let state_key = settings.keys.write(&Key::Body(settings.robot.clone(), BodyCall::State));
+        tasks.forward(settings.bus.subscribe(&state_key).await?, &myself, BodyLinkMessage::State);
+        tasks.beat(settings.beat, &myself, || BodyLinkMessage::Beat);
+        myself.cast(BodyLinkMessage::Beat)?;
+        hand_out.send(body.clone())?;
+        Ok(BodyLinkState { settings, body, tasks })
+    }
+
+    async fn handle(
+        &self,
+        myself: ActorRef<Self::Msg>,
+        message: Self::Msg,
+        state: &mut Self::State,
+    ) -> Result<(), ActorProcessingErr> {
+        match message {
+            BodyLinkMessage::Orders => state.send(&myself, false),
+            BodyLinkMessage::Beat => state.send(&myself, true),
+            BodyLinkMessage::State(sample) => state.hear(&sample.payload),
+            BodyLinkMessage::Answered(order, reply) => state.answered(order, reply),
+        }
+        Ok(())
+    }
+}
+
+impl BodyLinkState {
+    /// Sends the orders that were not answered; on a beat also without any.
+    fn send(&mut self, myself: &ActorRef<BodyLinkMessage>, beat: bool) {
+        let orders = self.body.lock().unanswered.clone();
+        if orders.is_empty() && !beat {
+            return;
+        }
+        let commands: Vec<Option<Order>> =
+            if orders.is_empty() { vec![None] } else { orders.into_iter().map(Some).collect() };
+        let key = self.settings.keys.write(&Key::Body(self.settings.robot.clone(), BodyCall::Command));
+        let (bus, limit, to) = (self.settings.bus.clone(), self.settings.beat, myself.clone());
+        self.tasks.spawn(async move {
+            for order in commands {
+                let bytes = codec::encode(&BodyCommand { order: order.clone() }).expect("a goal fits a message");
+                let Ok(mut replies) = bus.query(&key, Bytes::from(bytes), limit).await else { return };
+                // What follows waits for this to be answered: a goal must not be canceled before it has begun.
+                let Some(reply) = replies.recv().await else { return };
+                if to.cast(BodyLinkMessage::Answered(order, reply)).is_err() {
+                    return;
+                }
+            }
+        });
+    }
+
+    fn answered(&mut self, order: Option<Order>, reply: Reply) {
+        match reply.payload {
+            Ok(payload) => {
+                if let Some(order) = order {
+                    self.body.lock().unanswered.retain(|waiting| *waiting != order);
+                }
+                self.hear(&payload);
+            }
+            Err(problem) => debug!(robot = %self.settings.robot, problem, "the host of the body refused a command"),
+        }
+    }
+
+    fn hear(&mut self, payload: &[u8]) {
+        match codec::decode::<BodyState>(payload) {
+            Ok(state) if state.robot == self.settings.robot => self.body.lock().take(state),
+            Ok(state) => warn!(robot = %self.settings.robot, other = %state.robot, "a state of another body"),
+            Err(problem) => warn!(robot = %self.settings.robot, %problem, "a state that cannot be read"),
+        }
+    }
+}

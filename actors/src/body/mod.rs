@@ -1,0 +1,22 @@
+//! Bodies over the bus: a robot's node drives its body with goals; a host (a simulated world, or an adapter to a real
+//! robot) carries them out.
+//!
+//! ```text
+//!  robot's node                                               host of bodies
+//!  skill ─▶ Body (mirror) ── wire/body/{robot}/command ──▶ Host ─▶ BodyHost (world)
+//!                         ◀── wire/body/{robot}/state ────
+//!  attendant of unmanaged ── wire/people/ask ─────────────▶
+//!  roles                  ◀── wire/people/done ────────────
+//! ```
+//!
+//! Commands are queries that are repeated until answered; goals have ids, so that a repeated one starts nothing. States
+//! are published when something ends and at a beat, and may be lost: the next one tells the same. A body whose driver
+//! falls silent stops where it is.
+
+mod host;
+mod link;
+mod wire;
+
+pub use host::{Host, HostMessage, HostSettings};
+pub use link::{Body, BodyLink, BodyLinkMessage, BodyLinkSettings};
+pub use wire::{BodyCommand, BodyState, Order, PeopleAsk, PersonDone, PersonState};

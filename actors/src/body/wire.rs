@@ -1,0 +1,69 @@
+//! What drivers and hosts say to one another.
+
+use consort_protocol::ids::RobotId;
+use consort_skills::actions::{ActionError, Goal, GoalId, GoalStatus, PersonAsk, Telemetry};
+use serde::{Deserialize, Serialize};
+
+/// From the node that drives a body to its host. Without an order it only says that the driver is there.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct BodyCommand {
+    /// What to do, if anything.
+    pub order: Option<Order>,
+}
+
+/// Something for a body to do.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub enum Order {
+    /// Begin a goal.
+    Start {
+        /// Its id: a repeated one starts nothing.
+        id: GoalId,
+        /// The goal.
+        goal: Goal,
+    },
+    /// End a goal early.
+    Cancel {
+        /// Which.
+        id: GoalId,
+    },
+}
+
+/// How a body is and what has become of its latest goals. Answer to each command; also published.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct BodyState {
+    /// Whose.
+    pub robot: RobotId,
+    /// Grows with each state of the same host, so that an overtaken one is not believed.
+    pub number: u64,
+    /// The body's report.
+    pub telemetry: Telemetry,
+    /// The latest goals, in the order of their ids.
+    pub goals: Vec<(GoalId, GoalStatus)>,
+}
+
+/// Someone who acts for an unmanaged role is asked, told again, or dismissed.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct PeopleAsk {
+    /// The ask's id: a repeated one asks nothing new.
+    pub id: GoalId,
+    /// What is asked; `None` dismisses.
+    pub ask: Option<PersonAsk>,
+}
+
+/// Answer to an ask.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub enum PersonState {
+    /// They have been asked.
+    Asked,
+    /// They have ended.
+    Ended(Result<(), ActionError>),
+}
+
+/// Published when a person has ended what they were asked to do.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct PersonDone {
+    /// The ask.
+    pub id: GoalId,
+    /// What came of it.
+    pub result: Result<(), ActionError>,
+}

@@ -1,0 +1,270 @@
+//! The real bus: one Zenoh session.
+//!
+//! Zenoh calls back inside its own receiving and sending, so every callback here only pushes into a mailbox without
+//! limit. Queries go to all matching services, replies are not consolidated, and every query has its own limit.
+
+mod settings;
+
+pub use settings::{Mode, ZenohSettings};
+
+use super::{Bus, BusError, Delivery, Encoding, Link, Presence, Query, Replier, Reply, Sample, Stream, Token, keys};
+use async_trait::async_trait;
+use bytes::Bytes;
+use std::collections::BTreeSet;
+use std::time::Duration;
+use tokio::runtime::{Handle, RuntimeFlavor};
+use tokio::sync::mpsc;
+use tokio::time::{Instant, sleep};
+use zenoh::Session;
+use zenoh::bytes::{Encoding as ZenohEncoding, ZBytes};
+use zenoh::qos::CongestionControl;
+use zenoh::query::{ConsolidationMode, QueryTarget, ReplyError};
+use zenoh::sample::SampleKind;
+use zenoh_keyexpr::OwnedKeyExpr;
+
+/// How often a condition is looked at while it is awaited.
+const LOOK_AGAIN: Duration = Duration::from_millis(10);
+
+/// One node's session on a Zenoh network. It needs a multi-threaded tokio runtime. Clones are the same session, which
+/// closes with the last of them.
+#[derive(Clone)]
+pub struct ZenohBus {
+    session: Session,
+    message_max: usize,
+}
+
+impl ZenohBus {
+    /// Opens a session. A router or peer opens even when none of its neighbours can be reached, and goes on trying: see
+    /// [`wait_connected`](Self::wait_connected).
+    ///
+    /// # Errors
+    /// [`BusError::Failed`] if the runtime is not multi-threaded, a setting is wrong, an address cannot be listened on
+    /// (it says which, and whether the port is taken), or a client reaches no router.
+    pub async fn open(settings: ZenohSettings) -> Result<ZenohBus, BusError> {
+        let multi_threaded =
+            Handle::try_current().is_ok_and(|runtime| runtime.runtime_flavor() != RuntimeFlavor::CurrentThread);
+        if !multi_threaded {
+            return Err(failed("open", "Zenoh needs a multi-threaded tokio runtime"));
+        }
+        let config = settings.config()?;
+        let session = zenoh::open(config).await.map_err(|problem| why_not_opened(&settings, &problem.to_string()))?;
+        Ok(ZenohBus { session, message_max: settings.message_max })
+    }
+
+    /// This node's id on the bus, as its neighbours see it in [`Bus::links`].
+    pub fn id(&self) -> String {
+        self.session.zid().to_string()
+    }
+
+    /// Where this node listens, with the ports it was given.
+    pub async fn listening(&self) -> Vec<String> {
+        self.session.info().locators().await.iter().map(ToString::to_string).collect()
+    }
+
+    /// Waits until there is a neighbour, at most for `limit`; returns all there are. None is no error: this node goes on
+    /// trying, and works alone meanwhile.
+    pub async fn wait_connected(&self, limit: Duration) -> Vec<Link> {
+        let end = Instant::now() + limit;
+        loop {
+            let links = self.links().await;
+            if !links.is_empty() || Instant::now() >= end {
+                return links;
+            }
+            sleep(LOOK_AGAIN.min(limit)).await;
+        }
+    }
+
+    /// Closes the session for all its clones: every stream ends, and the neighbours know at once.
+    ///
+    /// # Errors
+    /// [`BusError::Failed`] if Zenoh says so; the session is of no further use in either case.
+    pub async fn close(&self) -> Result<(), BusError> {
+        self.session.close().await.map_err(|problem| failed("close", problem))
+    }
+}
+
+fn failed(what: impl Into<String>, problem: impl ToString) -> BusError {
+    BusError::Failed { what: what.into(), problem: problem.to_string() }
+}
+
+/// Zenoh's errors name its source lines; people want to know which address is the matter.
+fn why_not_opened(settings: &ZenohSettings, problem: &str) -> BusError {
+    let of = |addresses: &[String]| addresses.iter().find(|address| problem.contains(address.as_str())).cloned();
+    if settings.mode == Mode::Client {
+        return failed(format!("reach a router at {}", settings.connect.join(", ")), problem);
+    }
+    match of(&settings.listen) {
+        Some(address) if problem.contains("in use") => {
+            failed(format!("listen on {address}"), format!("the port is taken ({problem})"))
+        }
+        Some(address) => failed(format!("listen on {address}"), problem),
+        None => failed("open", problem),
+    }
+}
+
+fn to_zenoh(encoding: Encoding) -> ZenohEncoding {
+    match encoding {
+        Encoding::Wire => ZenohEncoding::APPLICATION_OCTET_STREAM,
+        Encoding::Json => ZenohEncoding::APPLICATION_JSON,
+    }
+}
+
+/// What is not marked as JSON is for those who know what to expect.
+fn from_zenoh(encoding: &ZenohEncoding) -> Encoding {
+    if *encoding == ZenohEncoding::APPLICATION_OCTET_STREAM {
+        return Encoding::Wire;
+    }
+    let text = encoding.to_string(); // may be followed by parameters: `application/json;charset=utf-8`
+    let json = ["application/json", "text/json"].contains(&text.split(';').next().unwrap_or_default());
+    if json { Encoding::Json } else { Encoding::Wire }
+}
+
+fn content(payload: &ZBytes) -> Bytes {
+    match payload.to_bytes() {
+        std::borrow::Cow::Borrowed(bytes) => Bytes::copy_from_slice(bytes),
+        std::borrow::Cow::Owned(bytes) => Bytes::from(bytes),
+    }
+}
+
+/// A query that reaches its limit ends for Zenoh with an error which no service gave. The two are told apart by the
+/// encoding: ours are plain text.
+fn is_the_limit(error: &ReplyError) -> bool {
+    let unmarked = [ZenohEncoding::ZENOH_STRING, ZenohEncoding::ZENOH_BYTES].contains(error.encoding());
+    unmarked && error.payload().to_bytes() == b"Timeout".as_slice()
+}
+
+fn reply(from: zenoh::query::Reply, asked: &OwnedKeyExpr) -> Option<Reply> {
+    match from.into_result() {
+        Ok(sample) => Some(Reply { key: sample.key_expr().to_string(), payload: Ok(content(sample.payload())) }),
+        Err(error) if is_the_limit(&error) => None,
+        Err(error) => {
+            let reason = String::from_utf8_lossy(&error.payload().to_bytes()).into_owned();
+            Some(Reply { key: asked.to_string(), payload: Err(reason) })
+        }
+    }
+}
+
+#[async_trait]
+impl Bus for ZenohBus {
+    async fn publish(&self, key: &str, payload: Bytes, encoding: Encoding, delivery: Delivery) -> Result<(), BusError> {
+        let key = keys::single(key)?;
+        keys::fits("publish", &payload, self.message_max)?;
+        let control = match delivery {
+            Delivery::Drop => CongestionControl::Drop,
+            Delivery::Block => CongestionControl::Block,
+        };
+        let put = self.session.put(key, payload).encoding(to_zenoh(encoding)).congestion_control(control);
+        put.await.map_err(|problem| failed("publish", problem))
+    }
+
+    async fn subscribe(&self, key_expr: &str) -> Result<Stream<Sample>, BusError> {
+        let wanted = keys::expression(key_expr)?;
+        let (mailbox, receiver) = mpsc::unbounded_channel();
+        let hear = move |sample: zenoh::sample::Sample| {
+            if sample.kind() == SampleKind::Put {
+                // Nobody hears it any more: the declaration is about to end.
+                let _ = mailbox.send(Sample {
+                    key: sample.key_expr().to_string(),
+                    payload: content(sample.payload()),
+                    encoding: from_zenoh(sample.encoding()),
+                });
+            }
+        };
+        let declared = self.session.declare_subscriber(wanted).callback(hear).await;
+        Ok(Stream::new(receiver, Box::new(declared.map_err(|problem| failed("subscribe", problem))?)))
+    }
+
+    async fn query(&self, key_expr: &str, payload: Bytes, limit: Duration) -> Result<Stream<Reply>, BusError> {
+        let (asked, parameters) = keys::selector(key_expr)?;
+        keys::fits("query", &payload, self.message_max)?;
+        let (mailbox, receiver) = mpsc::unbounded_channel();
+        let key = asked.clone();
+        let hear = move |answer: zenoh::query::Reply| {
+            if let Some(reply) = reply(answer, &key) {
+                let _ = mailbox.send(reply);
+            }
+        };
+        let mut get = self
+            .session
+            .get((asked, parameters))
+            .target(QueryTarget::All)
+            .consolidation(ConsolidationMode::None)
+            .timeout(limit);
+        if !payload.is_empty() {
+            get = get.payload(payload).encoding(to_zenoh(Encoding::Wire));
+        }
+        get.callback(hear).await.map_err(|problem| failed("query", problem))?;
+        Ok(Stream::new(receiver, Box::new(())))
+    }
+
+    async fn serve(&self, key_expr: &str) -> Result<Stream<Query>, BusError> {
+        let wanted = keys::expression(key_expr)?;
+        let (mailbox, receiver) = mpsc::unbounded_channel();
+        let message_max = self.message_max;
+        let hear = move |query: zenoh::query::Query| {
+            let _ = mailbox.send(Query {
+                key: query.key_expr().to_string(),
+                parameters: query.parameters().to_string(),
+                payload: query.payload().map(content).unwrap_or_default(),
+                replier: Box::new(ZenohReplier {
+                    asked: OwnedKeyExpr::from(query.key_expr().clone()),
+                    query,
+                    message_max,
+                }),
+            });
+        };
+        let declared = self.session.declare_queryable(wanted).callback(hear).await;
+        Ok(Stream::new(receiver, Box::new(declared.map_err(|problem| failed("serve", problem))?)))
+    }
+
+    async fn announce(&self, key: &str) -> Result<Token, BusError> {
+        let key = keys::single(key)?;
+        let declared = self.session.liveliness().declare_token(key).await;
+        Ok(Token::new(Box::new(declared.map_err(|problem| failed("announce", problem))?)))
+    }
+
+    async fn watch(&self, key_expr: &str) -> Result<Stream<Presence>, BusError> {
+        let wanted = keys::expression(key_expr)?;
+        let (mailbox, receiver) = mpsc::unbounded_channel();
+        let mut present = BTreeSet::new();
+        // Zenoh repeats itself when links come and go; only changes are passed on.
+        let hear = move |sample: zenoh::sample::Sample| {
+            let key = sample.key_expr().to_string();
+            let alive = sample.kind() == SampleKind::Put;
+            let changed = if alive { present.insert(key.clone()) } else { present.remove(&key) };
+            if changed {
+                let _ = mailbox.send(Presence { key, alive });
+            }
+        };
+        let declared = self.session.liveliness().declare_subscriber(wanted).history(true).callback_mut(hear).await;
+        Ok(Stream::new(receiver, Box::new(declared.map_err(|problem| failed("watch", problem))?)))
+    }
+
+    async fn links(&self) -> Vec<Link> {
+        let transports = self.session.info().transports().await;
+        let links = transports.map(|link| Link { peer: link.zid().to_string(), kind: link.whatami().to_string() });
+        links.collect::<BTreeSet<Link>>().into_iter().collect()
+    }
+}
+
+/// Answers one query of Zenoh's, which ends when this is dropped.
+struct ZenohReplier {
+    query: zenoh::query::Query,
+    asked: OwnedKeyExpr,
+    message_max: usize,
+}
+
+#[async_trait]
+impl Replier for ZenohReplier {
+    async fn reply(&self, key: &str, payload: Bytes, encoding: Encoding) -> Result<(), BusError> {
+        let key = keys::answer(key, &self.asked)?;
+        keys::fits("answer a query", &payload, self.message_max)?;
+        let reply = self.query.reply(key, payload).encoding(to_zenoh(encoding));
+        reply.await.map_err(|problem| failed("answer a query", problem))
+    }
+
+    async fn refuse(&self, reason: &str) -> Result<(), BusError> {
+        let refusal = self.query.reply_err(reason).encoding(ZenohEncoding::TEXT_PLAIN);
+        refusal.await.map_err(|problem| failed("answer a query", problem))
+    }
+}

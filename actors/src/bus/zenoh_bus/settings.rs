@@ -1,0 +1,151 @@
+//! How a node takes its place on a Zenoh network.
+
+use crate::bus::{BusError, MESSAGE_MAX};
+use std::time::Duration;
+
+/// What a node is to its neighbours.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Mode {
+    /// Relays between its neighbours and reroutes when a link dies: what the nodes of a fleet are.
+    #[default]
+    Router,
+    /// Hears and tells everything through one router: what command-line tools are. It fails to open when it cannot
+    /// reach any.
+    Client,
+    /// Talks to those it is linked with, and never relays.
+    Peer,
+}
+
+impl Mode {
+    pub(super) fn name(self) -> &'static str {
+        match self {
+            Mode::Router => "router",
+            Mode::Client => "client",
+            Mode::Peer => "peer",
+        }
+    }
+}
+
+/// How to open a [`ZenohBus`](super::ZenohBus).
+///
+/// The defaults are those of a fleet's node: a router on the loopback interface only, without neighbours.
+#[derive(Debug, Clone)]
+pub struct ZenohSettings {
+    /// What this node is to its neighbours.
+    pub mode: Mode,
+    /// Where to listen, as `tcp/127.0.0.1:7447`; port 0 means any free one. Empty: nowhere. Clients never listen.
+    /// Zenoh does not authenticate, so that whoever reaches these addresses is part of the fleet.
+    pub listen: Vec<String>,
+    /// Neighbours to connect to, as `tcp/192.0.2.7:7447`. Those out of reach are tried again for as long as the bus
+    /// lives. More of them cost traffic and save the fleet from falling apart: two to four serve well.
+    pub connect: Vec<String>,
+    /// How long a silent neighbour counts as present. What *this* node states here is how long *others* wait for it, so
+    /// it is one setting for the whole fleet. Shorter means a silent loss is noticed earlier (measured: after 1.5 to
+    /// 2.0 s with the default of 2 s), and a slow link is mistaken for it more easily.
+    pub lease: Duration,
+    /// Largest message taken in or sent out, in bytes, at most [`MESSAGE_MAX`]. A neighbour can make this node set aside
+    /// so much for each of its messages under way.
+    pub message_max: usize,
+    /// How long the opening of one link may take.
+    pub open_timeout: Duration,
+    /// Further settings of Zenoh's own, as path and JSON5 value (`transport/link/tls/...`); they prevail.
+    pub overrides: Vec<(String, String)>,
+}
+
+impl Default for ZenohSettings {
+    fn default() -> Self {
+        ZenohSettings {
+            mode: Mode::Router,
+            listen: vec!["tcp/127.0.0.1:0".to_owned()],
+            connect: Vec::new(),
+            lease: Duration::from_secs(2),
+            message_max: MESSAGE_MAX,
+            open_timeout: Duration::from_secs(5),
+            overrides: Vec::new(),
+        }
+    }
+}
+
+impl ZenohSettings {
+    /// The settings as Zenoh takes them.
+    pub(super) fn config(&self) -> Result<zenoh::Config, BusError> {
+        let mut config = zenoh::Config::default();
+        let overrides = self.overrides.iter().cloned();
+        for (path, value) in self.entries()?.into_iter().map(|(path, value)| (path.to_owned(), value)).chain(overrides)
+        {
+            config.insert_json5(&path, &value).map_err(|problem| BusError::Failed {
+                what: format!("take {value} for Zenoh's setting {path}"),
+                problem: problem.to_string(),
+            })?;
+        }
+        Ok(config)
+    }
+
+    fn entries(&self) -> Result<Vec<(&'static str, String)>, BusError> {
+        if self.message_max > MESSAGE_MAX {
+            return Err(BusError::Failed {
+                what: "open".to_owned(),
+                problem: format!("a message limit of {} bytes exceeds {MESSAGE_MAX}", self.message_max),
+            });
+        }
+        let listen = if self.mode == Mode::Client { &[] } else { self.listen.as_slice() };
+        let lease_ms = self.lease.as_millis();
+        Ok(vec![
+            ("mode", format!("{:?}", self.mode.name())),
+            ("listen/endpoints", format!("{listen:?}")),
+            ("listen/timeout_ms", "0".to_owned()),
+            ("listen/exit_on_failure", "true".to_owned()),
+            ("connect/endpoints", format!("{:?}", self.connect)),
+            ("connect/timeout_ms", "{ router: -1, peer: -1, client: 0 }".to_owned()),
+            ("connect/exit_on_failure", "{ router: false, peer: false, client: true }".to_owned()),
+            ("connect/retry", "{ period_init_ms: 250, period_max_ms: 2000, period_increase_factor: 2 }".to_owned()),
+            ("scouting/multicast/enabled", "false".to_owned()),
+            // Links learned by gossip are never tried again after a cut: nobody is to depend on them.
+            ("scouting/gossip/autoconnect", "{ router: [], peer: [], client: [] }".to_owned()),
+            // A router waits so long in vain; whether it is connected is asked explicitly.
+            ("scouting/delay", if self.mode == Mode::Router { "0" } else { "500" }.to_owned()),
+            ("transport/unicast/open_timeout", self.open_timeout.as_millis().to_string()),
+            ("transport/unicast/accept_timeout", self.open_timeout.as_millis().to_string()),
+            ("transport/link/tx/lease", lease_ms.to_string()),
+            // A neighbour that takes nothing for a whole lease is gone, and must not hold up the others for longer.
+            ("transport/link/tx/queue/congestion_control/block/wait_before_close", self.lease.as_micros().to_string()),
+            ("transport/link/rx/max_message_size", self.message_max.to_string()),
+        ])
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn zenoh_takes_every_setting_as_it_is_meant() {
+        for mode in [Mode::Router, Mode::Client, Mode::Peer] {
+            let settings = ZenohSettings { mode, connect: vec!["tcp/127.0.0.1:9".to_owned()], ..Default::default() };
+            let config = settings.config().unwrap();
+            let read = |path| config.get_json(path).unwrap();
+            assert_eq!(read("mode"), format!("{:?}", mode.name()));
+            assert_eq!(read("connect/endpoints"), r#"["tcp/127.0.0.1:9"]"#);
+            let listen = if mode == Mode::Client { "[]" } else { r#"["tcp/127.0.0.1:0"]"# };
+            assert_eq!(read("listen/endpoints"), listen);
+            assert_eq!(read("listen/exit_on_failure"), "true");
+            assert_eq!(read("scouting/multicast/enabled"), "false");
+            assert_eq!(read("transport/link/tx/lease"), "2000");
+            assert_eq!(read("transport/link/rx/max_message_size"), MESSAGE_MAX.to_string());
+        }
+    }
+
+    #[test]
+    fn what_zenoh_does_not_know_is_refused_by_name() {
+        let settings =
+            ZenohSettings { overrides: vec![("transport/lnk".to_owned(), "1".to_owned())], ..Default::default() };
+        let error = settings.config().unwrap_err().to_string();
+        assert!(error.starts_with("the bus failed to take 1 for Zenoh's setting transport/lnk: "), "{error}");
+    }
+
+    #[test]
+    fn the_message_limit_has_a_limit() {
+        let settings = ZenohSettings { message_max: MESSAGE_MAX + 1, ..Default::default() };
+        assert!(settings.config().is_err());
+    }
+}

@@ -1,0 +1,104 @@
+//! What a coordinator has to do next, as a value.
+
+use consort_protocol::ids::{MissionId, RobotId, RoleId};
+use consort_protocol::lease::{Epoch, Watch};
+use consort_protocol::ledger::{Ledger, RolePhase};
+use consort_protocol::units::NodeTime;
+use std::collections::{BTreeMap, BTreeSet};
+use std::time::Duration;
+
+/// An auction of a mission's open roles, as far as this coordinator has come with it.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(super) struct Round {
+    /// How many rounds this coordinator has called for the mission.
+    pub(super) number: u32,
+    /// Where this one stands.
+    pub(super) phase: Phase,
+}
+
+/// Where a round stands.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(super) enum Phase {
+    /// Bids are coming in.
+    Calling,
+    /// These robots are being given roles; the ledger has not said yes yet.
+    Proposing(BTreeMap<RoleId, RobotId>),
+    /// It came to nothing; the next is called then.
+    Waiting(NodeTime),
+}
+
+/// Something to do.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(super) enum Duty {
+    /// Ask for bids for a mission's open roles.
+    Call(MissionId),
+    /// Tell a robot that it has a role.
+    Tell { mission: MissionId, role: RoleId, robot: RobotId, epoch: Epoch },
+    /// Take a role from a robot that has certainly stopped acting on it.
+    GiveUp { mission: MissionId, role: RoleId, robot: RobotId, epoch: Epoch, cause: String },
+}
+
+/// How long to wait after the n-th round in a row that came to nothing: 0.25 s, doubled each time, 5 s at most. Raised:
+/// fewer questions to a busy fleet, later starts when a robot becomes free unnoticed.
+pub(super) fn back_off(rounds: u32) -> Duration {
+    Duration::from_millis(250 << rounds.saturating_sub(1).min(5)).min(Duration::from_secs(5))
+}
+
+/// How often a robot is told of an award that it has not confirmed.
+const TELL_AGAIN: Duration = Duration::from_millis(500);
+
+/// All that is to be done now, in the order in which missions were submitted.
+pub(super) fn duties(
+    ledger: &Ledger,
+    watch: &Watch,
+    rounds: &BTreeMap<MissionId, Round>,
+    told: &BTreeMap<(Epoch, RoleId), NodeTime>,
+    now: NodeTime,
+) -> Vec<Duty> {
+    let mut duties = vec![];
+    for entry in ledger.live() {
+        let due = match rounds.get(&entry.id).map(|round| &round.phase) {
+            None => true,
+            Some(Phase::Waiting(until)) => *until <= now,
+            Some(Phase::Calling | Phase::Proposing(_)) => false,
+        };
+        if due && !entry.open_roles().is_empty() {
+            duties.push(Duty::Call(entry.id.clone()));
+        }
+        for (role, held) in &entry.roles {
+            let (Some(holder), RolePhase::Awarded | RolePhase::Active) = (&held.holder, held.phase) else { continue };
+            let (mission, role, robot, epoch) = (entry.id.clone(), role.clone(), holder.robot.clone(), holder.epoch);
+            if watch.is_over(epoch, &robot, now) {
+                let cause = format!("{robot} silent for {:.1} s", watch.silence(epoch, &robot, now).as_secs_f64());
+                duties.push(Duty::GiveUp { mission, role, robot, epoch, cause });
+            } else if held.phase == RolePhase::Awarded
+                && told.get(&(epoch, role.clone())).is_none_or(|at| now.since(*at) >= TELL_AGAIN)
+            {
+                duties.push(Duty::Tell { mission, role, robot, epoch });
+            }
+        }
+    }
+    duties
+}
+
+/// Robots that hold a role or are about to, and which.
+pub(super) fn taken(ledger: &Ledger, rounds: &BTreeMap<MissionId, Round>) -> BTreeMap<RobotId, (MissionId, RoleId)> {
+    let held = ledger.live().into_iter().flat_map(|entry| {
+        let holding =
+            entry.roles.iter().filter(|(_, held)| matches!(held.phase, RolePhase::Awarded | RolePhase::Active));
+        holding.filter_map(|(role, held)| Some((held.holder.as_ref()?.robot.clone(), (entry.id.clone(), role.clone()))))
+    });
+    let about_to = rounds.iter().flat_map(|(mission, round)| match &round.phase {
+        Phase::Proposing(holders) => {
+            holders.iter().map(|(role, robot)| (robot.clone(), (mission.clone(), role.clone()))).collect()
+        }
+        Phase::Calling | Phase::Waiting(_) => vec![],
+    });
+    held.chain(about_to).collect()
+}
+
+/// The awards that are in force.
+pub(super) fn awards(ledger: &Ledger) -> BTreeSet<Epoch> {
+    let live = ledger.live().into_iter().flat_map(|entry| entry.roles.values());
+    live.filter_map(|role| role.holder.as_ref().map(|holder| holder.epoch)).collect()
+}

@@ -1,0 +1,171 @@
+//! The fleet as people see it, in JSON.
+
+use crate::gossip::SharedKnowledge;
+use crate::replica::{Leadership, Replica};
+use consort_protocol::ensemble::Ensemble;
+use consort_protocol::ids::{NodeId, RobotId};
+use consort_protocol::keys::{Key, Keys};
+use consort_protocol::knowledge::Heard;
+use consort_protocol::ledger::{Ledger, MissionEntry};
+use consort_protocol::plan::{LocalPlan, StepAction, StepIndex};
+use consort_protocol::units::NodeTime;
+use serde_json::{Value, json};
+use std::collections::BTreeSet;
+
+/// Auctions shown.
+const AUCTIONS_SHOWN: usize = 20;
+
+/// What views are drawn from.
+pub(super) struct Window<'a> {
+    pub(super) keys: &'a Keys,
+    pub(super) node: &'a NodeId,
+    pub(super) leadership: &'a Leadership,
+    pub(super) since: NodeTime,
+    pub(super) now: NodeTime,
+    pub(super) knowledge: &'a SharedKnowledge,
+    pub(super) ensemble: &'a Ensemble,
+    pub(super) replica: &'a Replica<Ledger>,
+}
+
+impl Window<'_> {
+    /// Every view there is, with its key.
+    pub(super) fn all(&self) -> Vec<(String, Value)> {
+        let mut views = vec![
+            (Key::ViewFleet, self.fleet()),
+            (Key::ViewCoordinator, self.coordinator()),
+            (Key::ViewMissions, self.replica.read(missions)),
+            (Key::ViewAuctions, self.replica.read(auctions)),
+        ];
+        views.extend(self.knowledge.read(|base| {
+            let robots = base.iter().filter(|(_, heard)| heard.record.knowledge.worker.is_some());
+            robots
+                .map(|(node, heard)| (Key::ViewRobot(RobotId::from(node.clone())), self.node(node, heard)))
+                .collect::<Vec<_>>()
+        }));
+        views.extend(self.replica.read(|ledger| {
+            ledger.missions().map(|entry| (Key::ViewMission(entry.id.clone()), mission(entry))).collect::<Vec<_>>()
+        }));
+        views.into_iter().map(|(key, value)| (self.keys.write(&key), value)).collect()
+    }
+
+    fn coordinator(&self) -> Value {
+        json!({
+            "node": self.node,
+            "term": self.leadership.term,
+            "since_ms": self.now.since(self.since).as_millis(),
+            "quorum_age_ms": self.replica.quorum_age().map(|age| age.as_millis()),
+            "voters": self.leadership.voters.values().collect::<Vec<_>>(),
+            "observers": self.leadership.observers.values().collect::<Vec<_>>(),
+        })
+    }
+
+    fn fleet(&self) -> Value {
+        self.knowledge.read(|base| {
+            let nodes: Vec<Value> = base.iter().map(|(node, heard)| self.node(node, heard)).collect();
+            let members = base.iter().map(|(node, _)| {
+                let verdict = self.ensemble.judge(node, self.node, base, self.now);
+                json!({ "node": node, "member": verdict.member, "reason": verdict.reason, "age_ms": verdict.age_ms })
+            });
+            json!({
+                "seen_by": self.node,
+                "coordinator": self.node,
+                "term": self.leadership.term,
+                "nodes": nodes,
+                "ensembles": [{ "name": self.ensemble.spec().name, "nodes": members.collect::<Vec<_>>() }],
+            })
+        })
+    }
+
+    fn node(&self, node: &NodeId, heard: &Heard) -> Value {
+        let record = &heard.record;
+        let held = self.replica.read(|ledger| {
+            let held = ledger.held_by(&RobotId::from(node.clone()));
+            held.map(|(entry, role, epoch)| json!({ "mission": entry.id, "role": role, "epoch": epoch.to_string() }))
+        });
+        json!({
+            "node": node,
+            "alive": self.knowledge.alive(node),
+            "age_ms": heard.age(self.now).as_millis(),
+            "seen_by": self.node,
+            "incarnation": record.stamp.incarnation,
+            "version": record.stamp.version,
+            "may_vote": record.knowledge.may_vote,
+            "stationary": record.knowledge.stationary,
+            "mains_powered": record.knowledge.mains_powered,
+            "robot": record.knowledge.worker,
+            "holds": held,
+        })
+    }
+}
+
+/// All missions, briefly, in the order in which they were submitted.
+pub(super) fn missions(ledger: &Ledger) -> Value {
+    let mut entries: Vec<&MissionEntry> = ledger.missions().collect();
+    entries.sort_by_key(|entry| entry.number);
+    let brief = entries.into_iter().map(|entry| {
+        let (done, steps) = entry.progress();
+        json!({
+            "mission": entry.id,
+            "state": entry.state.word(),
+            "detail": entry.state,
+            "why_pending": entry.auction.as_ref().and_then(|auction| auction.failure.clone()),
+            "parameters": entry.submission.parameters,
+            "holders": entry.holders(),
+            "done": done,
+            "steps": steps,
+            "submitted_at_ms": entry.submission.at_ms,
+        })
+    });
+    json!({ "missions": brief.collect::<Vec<_>>() })
+}
+
+/// One mission, with the plans of its roles and how far they have come.
+pub(super) fn mission(entry: &MissionEntry) -> Value {
+    let roles = entry.roles.iter().map(|(id, role)| {
+        let plan = entry.plan(id).map(|plan| steps(plan, &role.ended));
+        json!({
+            "role": id,
+            "kind": role.kind,
+            "phase": role.phase,
+            "holder": role.holder.as_ref().map(|holder| &holder.robot),
+            "epoch": role.holder.as_ref().map(|holder| holder.epoch.to_string()),
+            "steps": plan,
+        })
+    });
+    let (done, steps) = entry.progress();
+    json!({
+        "mission": entry.id,
+        "number": entry.number,
+        "request": entry.submission.request,
+        "state": entry.state.word(),
+        "detail": entry.state,
+        "parameters": entry.submission.parameters,
+        "tasks": entry.submission.mission.tasks,
+        "roles": roles.collect::<Vec<_>>(),
+        "done": done,
+        "steps": steps,
+        "auction": entry.auction,
+        "submitted_at_ms": entry.submission.at_ms,
+    })
+}
+
+fn steps(plan: &LocalPlan, ended: &BTreeSet<StepIndex>) -> Vec<Value> {
+    let step = |(index, step): (usize, &consort_protocol::plan::Step)| {
+        let done = u32::try_from(index).is_ok_and(|index| ended.contains(&index));
+        let (kind, label) = match &step.action {
+            StepAction::Task { id, spec } => (spec.task_type.to_string(), id.to_string()),
+            StepAction::Send(signal) => ("send_message".to_owned(), signal.to_string()),
+            StepAction::Wait(signal) => ("wait_message".to_owned(), signal.to_string()),
+        };
+        json!({ "step": index, "type": kind, "label": label, "after": step.after, "done": done })
+    };
+    plan.steps.iter().enumerate().map(step).collect()
+}
+
+/// The latest auction of each mission, latest first.
+fn auctions(ledger: &Ledger) -> Value {
+    let mut records: Vec<_> = ledger.missions().filter_map(|entry| entry.auction.as_ref()).collect();
+    records.sort_by_key(|record| std::cmp::Reverse((record.at_ms, record.auction.clone())));
+    records.truncate(AUCTIONS_SHOWN);
+    json!({ "auctions": records })
+}

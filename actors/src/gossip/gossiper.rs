@@ -1,0 +1,469 @@
+//! What a node does about what it hears, as values: [`Event`]s go in, [`Action`]s come out. It waits for nobody.
+
+use super::exchange::Turns;
+use super::memory::{Heard, Memory};
+use super::settings::Settings;
+use super::shared::{Known, Status};
+use super::swim::{Suspicion, Swim, SwimAction, Timer};
+use bytes::Bytes;
+use consort_protocol::ids::NodeId;
+use consort_protocol::knowledge::{Knowledge, Record, Stamp};
+use consort_protocol::message::Exchange;
+use consort_protocol::units::NodeTime;
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use std::collections::{BTreeMap, BTreeSet};
+use std::time::Duration;
+
+/// A change of the own knowledge.
+pub(super) type Change = Box<dyn FnOnce(&mut Knowledge) + Send>;
+
+/// Something that happened.
+pub(super) enum Event {
+    /// The node's own knowledge changes.
+    Changed(Change),
+    /// An owner itself published its record.
+    Published(Record),
+    /// A packet of failure detection came in.
+    Packet(Bytes),
+    /// A node's presence token appeared or vanished.
+    Token(NodeId, bool),
+    /// A peer compares digests with us.
+    Asked(Exchange),
+    /// A peer answered in this round, or nobody did.
+    Answered(u64, Option<Exchange>),
+    /// The time last given by [`Gossiper::next_due`] has come.
+    Woke,
+}
+
+/// Something to carry out, in the order given.
+#[derive(Debug, PartialEq)]
+pub(super) enum Action {
+    /// Publish the own record.
+    Publish(Record),
+    /// Hand a packet to a node.
+    Send(NodeId, Bytes),
+    /// Compare digests with a peer, and bring the answer back as [`Event::Answered`] with the same number.
+    Ask(u64, NodeId, Exchange),
+    /// The answer to [`Event::Asked`].
+    Answer(Exchange),
+}
+
+/// Something that comes in time.
+#[derive(Debug)]
+enum Due {
+    Beat,
+    Round,
+    Greet,
+    Swim(Timer),
+    /// A node whose token vanished should have answered by now; the number tells this question from earlier ones.
+    Answer(NodeId, u64),
+    Condemn(Suspicion, NodeId),
+}
+
+/// A round of anti-entropy under way.
+struct Round {
+    number: u64,
+    peer: NodeId,
+    legs: u32,
+    /// What the peer was handed in this round: it is not handed over twice, even if the peer will not have it.
+    handed: BTreeSet<(NodeId, Stamp)>,
+}
+
+/// Messages to one peer in one round at most: the rest waits for the next.
+const LEGS: u32 = 4;
+
+/// Greetings at once, and the pause before the next: when hundreds of nodes start together, the answers to the first
+/// few make most of the others known.
+const GREETINGS: usize = 5;
+const GREETING_PAUSE: Duration = Duration::from_millis(100);
+
+pub(super) struct Gossiper {
+    settings: Settings,
+    memory: Memory,
+    swim: Swim,
+    rng: ChaCha8Rng,
+    agenda: BTreeMap<(NodeTime, u64), Due>,
+    /// Tells apart what is due at one instant, rounds, and questions.
+    last_number: u64,
+    tokens: BTreeSet<NodeId>,
+    to_greet: BTreeSet<NodeId>,
+    questioned: BTreeMap<NodeId, u64>,
+    round: Option<Round>,
+    turns: Turns,
+    changed: bool,
+}
+
+impl Gossiper {
+    /// Starts, with what to do first.
+    pub(super) fn new(
+        settings: Settings,
+        knowledge: Knowledge,
+        mut rng: ChaCha8Rng,
+        known: &mut Known,
+        now: NodeTime,
+    ) -> (Gossiper, Vec<Action>) {
+        // Whoever was alive to an actor before this one has to be met again.
+        known.status = BTreeMap::from([(settings.node.clone(), Status::Alive { since: now })]);
+        let memory = Memory::new(settings.node.clone(), settings.incarnation, knowledge, known, now);
+        let swim =
+            Swim::new(settings.node.clone(), settings.incarnation, settings.swim(), ChaCha8Rng::from_rng(&mut rng));
+        let mut gossiper = Gossiper {
+            memory,
+            swim,
+            agenda: BTreeMap::new(),
+            last_number: 0,
+            tokens: BTreeSet::new(),
+            to_greet: BTreeSet::new(),
+            questioned: BTreeMap::new(),
+            round: None,
+            turns: Turns::default(),
+            changed: true,
+            settings,
+            rng,
+        };
+        // Nodes that start together should not speak together ever after.
+        let (beat, round) = (gossiper.settings.beat, gossiper.settings.round);
+        let (beat, round) = (gossiper.up_to(beat), gossiper.up_to(round));
+        gossiper.at(now + beat, Due::Beat);
+        gossiper.at(now + round, Due::Round);
+        let first = gossiper.publish(known);
+        (gossiper, vec![first])
+    }
+
+    /// When to be woken.
+    pub(super) fn next_due(&self) -> Option<NodeTime> {
+        self.agenda.first_key_value().map(|((at, _), _)| *at)
+    }
+
+    /// Whether what there is to read has changed since this was last asked.
+    pub(super) fn take_changed(&mut self) -> bool {
+        std::mem::take(&mut self.changed)
+    }
+
+    /// Something happened. An error says what was wrong with a message; nothing was changed by it.
+    pub(super) fn handle(&mut self, event: Event, known: &mut Known, now: NodeTime) -> Result<Vec<Action>, String> {
+        let mut actions = vec![];
+        match event {
+            Event::Changed(change) => self.change(change, known, now, &mut actions)?,
+            Event::Published(record) => self.published(record, known, now, &mut actions)?,
+            Event::Packet(bytes) => {
+                let (from, what) = self.swim.hear(&bytes)?;
+                self.questioned.remove(&from);
+                self.obey(what, known, now, &mut actions);
+            }
+            Event::Token(node, there) => self.token(node, there, known, now, &mut actions)?,
+            Event::Asked(exchange) => self.asked(exchange, known, now, &mut actions)?,
+            Event::Answered(number, Some(exchange)) => self.answered(number, exchange, known, now, &mut actions)?,
+            Event::Answered(number, None) => {
+                self.round.take_if(|round| round.number == number);
+            }
+            Event::Woke => self.woke(known, now, &mut actions)?,
+        }
+        Ok(actions)
+    }
+
+    /// Says farewell.
+    pub(super) fn leave(&mut self) -> Vec<Action> {
+        let what = self.swim.leave().unwrap_or_default();
+        let send = |action| match action {
+            SwimAction::Send(to, bytes) => Some(Action::Send(to, bytes)),
+            SwimAction::After(..) | SwimAction::Up(_) | SwimAction::Down(_) | SwimAction::Returned => None,
+        };
+        what.into_iter().filter_map(send).collect()
+    }
+
+    fn change(
+        &mut self,
+        change: Change,
+        known: &mut Known,
+        now: NodeTime,
+        actions: &mut Vec<Action>,
+    ) -> Result<(), String> {
+        match self.memory.update(change, known, now) {
+            Ok(false) => {}
+            Ok(true) => {
+                self.changed = true;
+                actions.push(self.publish(known));
+            }
+            Err(bytes) => return Err(format!("own record of {bytes} bytes is too large, and was not changed")),
+        }
+        Ok(())
+    }
+
+    fn published(
+        &mut self,
+        record: Record,
+        known: &mut Known,
+        now: NodeTime,
+        actions: &mut Vec<Action>,
+    ) -> Result<(), String> {
+        let (owner, stamp) = (record.owner.clone(), record.stamp);
+        self.hear(record, known, now, actions)?;
+        known.base.confirm(&owner, stamp, now);
+        // It speaks, so it is worth a greeting, but that we hear it is no proof that it hears us.
+        self.meet(owner, known, now);
+        Ok(())
+    }
+
+    fn hear(
+        &mut self,
+        record: Record,
+        known: &mut Known,
+        now: NodeTime,
+        actions: &mut Vec<Action>,
+    ) -> Result<bool, String> {
+        let owner = record.owner.clone();
+        match self.memory.hear(record, known, now) {
+            Heard::Old => return Ok(false),
+            Heard::Again => {}
+            Heard::News => self.changed = true,
+            Heard::Mine(stamp) => {
+                tracing::warn!(node = %owner, ?stamp, "others know a later record of this node than it wrote: an earlier \
+                    incarnation was higher, or another node has the same name");
+                self.memory.overtake(stamp, known, now);
+                actions.push(self.publish(known));
+                let what = self.swim.overtake(stamp.incarnation)?;
+                self.obey(what, known, now, actions);
+                return Ok(false);
+            }
+        }
+        self.meet(owner, known, now);
+        Ok(true)
+    }
+
+    fn token(
+        &mut self,
+        node: NodeId,
+        there: bool,
+        known: &mut Known,
+        now: NodeTime,
+        actions: &mut Vec<Action>,
+    ) -> Result<(), String> {
+        if node == self.settings.node {
+            return Ok(());
+        }
+        if there {
+            self.tokens.insert(node.clone());
+            self.questioned.remove(&node);
+            self.meet(node, known, now);
+        } else {
+            self.tokens.remove(&node);
+            if known.alive(&node) {
+                let number = self.number();
+                self.questioned.insert(node.clone(), number);
+                self.at(now + self.settings.question(), Due::Answer(node.clone(), number));
+                let what = self.swim.greet(&node)?;
+                self.obey(what, known, now, actions);
+            }
+        }
+        Ok(())
+    }
+
+    fn asked(
+        &mut self,
+        exchange: Exchange,
+        known: &mut Known,
+        now: NodeTime,
+        actions: &mut Vec<Action>,
+    ) -> Result<(), String> {
+        for record in exchange.records {
+            self.hear(record, known, now, actions)?;
+        }
+        known.counters.answered += 1;
+        let answer = self.turns.compose(known.base.digest(), &self.memory.lacking(known, &exchange.digest));
+        actions.push(Action::Answer(answer));
+        Ok(())
+    }
+
+    fn answered(
+        &mut self,
+        number: u64,
+        exchange: Exchange,
+        known: &mut Known,
+        now: NodeTime,
+        actions: &mut Vec<Action>,
+    ) -> Result<(), String> {
+        let mut news = false;
+        for record in exchange.records {
+            news |= self.hear(record, known, now, actions)?;
+        }
+        let Some(mut round) = self.round.take_if(|round| round.number == number) else { return Ok(()) };
+        let mut lacking = self.memory.lacking(known, &exchange.digest);
+        lacking.retain(|record| !round.handed.contains(&(record.owner.clone(), record.stamp)));
+        let more_to_hear = news && !known.base.behind(&exchange.digest).is_empty();
+        if round.legs < LEGS && (!lacking.is_empty() || more_to_hear) {
+            round.legs += 1;
+            let message = self.turns.compose(known.base.digest(), &lacking);
+            round.handed.extend(message.records.iter().map(|record| (record.owner.clone(), record.stamp)));
+            known.counters.asked += 1;
+            actions.push(Action::Ask(number, round.peer.clone(), message));
+            self.round = Some(round);
+        }
+        Ok(())
+    }
+
+    fn woke(&mut self, known: &mut Known, now: NodeTime, actions: &mut Vec<Action>) -> Result<(), String> {
+        while let Some(entry) = self.agenda.first_entry().filter(|entry| entry.key().0 <= now) {
+            match entry.remove() {
+                Due::Beat => {
+                    self.memory.repeat(self.settings.renew, known, now);
+                    actions.push(self.publish(known));
+                    let pause = self.about(self.settings.beat);
+                    self.at(now + pause, Due::Beat);
+                }
+                Due::Round => {
+                    self.changed |= self.memory.forget(self.settings.forget_after, known, now);
+                    self.miss(known, now);
+                    self.begin_round(known, actions);
+                    let pause = self.about(self.settings.round);
+                    self.at(now + pause, Due::Round);
+                }
+                Due::Greet => self.greet(known, now, actions)?,
+                Due::Swim(timer) => {
+                    let what = self.swim.wake(timer)?;
+                    self.obey(what, known, now, actions);
+                }
+                Due::Answer(node, number) => self.unanswered(node, number, known, now, actions)?,
+                Due::Condemn(suspicion, node) => {
+                    if !self.tokens.contains(&node) {
+                        let what = self.swim.condemn(&suspicion)?;
+                        self.obey(what, known, now, actions);
+                    }
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// A node whose token vanished was asked whether it is there.
+    fn unanswered(
+        &mut self,
+        node: NodeId,
+        number: u64,
+        known: &mut Known,
+        now: NodeTime,
+        actions: &mut Vec<Action>,
+    ) -> Result<(), String> {
+        if self.questioned.get(&node) != Some(&number) {
+            return Ok(());
+        }
+        self.questioned.remove(&node);
+        if let Some((suspicion, what)) = self.swim.suspect(&node)? {
+            self.at(now + self.settings.suspicion_when_vanished, Due::Condemn(suspicion, node));
+            self.obey(what, known, now, actions);
+        }
+        Ok(())
+    }
+
+    /// Compares digests with one peer that is alive, or whose token at least is there.
+    fn begin_round(&mut self, known: &mut Known, actions: &mut Vec<Action>) {
+        let mut peers: Vec<&NodeId> = known.status.keys().filter(|node| known.alive(node)).collect();
+        peers.retain(|node| **node != self.settings.node);
+        if peers.is_empty() {
+            peers = self.tokens.iter().collect();
+        }
+        if peers.is_empty() {
+            return;
+        }
+        let peer = peers[self.rng.random_range(0..peers.len())].clone();
+        let number = self.number();
+        let message = self.turns.compose(known.base.digest(), &[]);
+        known.counters.asked += 1;
+        actions.push(Action::Ask(number, peer.clone(), message));
+        self.round = Some(Round { number, peer, legs: 1, handed: BTreeSet::new() });
+    }
+
+    /// Remembers to greet a node, unless it is known to be alive.
+    fn meet(&mut self, node: NodeId, known: &Known, now: NodeTime) {
+        if node == self.settings.node || known.alive(&node) {
+            return;
+        }
+        if self.to_greet.is_empty() {
+            self.at(now, Due::Greet);
+        }
+        self.to_greet.insert(node);
+    }
+
+    /// Greets one node that should be there or was once: a greeting may have been lost, or a cut may have healed.
+    fn miss(&mut self, known: &Known, now: NodeTime) {
+        let missed: BTreeSet<&NodeId> =
+            self.tokens.iter().chain(self.memory.missed()).filter(|n| !known.alive(n)).collect();
+        if !missed.is_empty() {
+            let chosen = self.rng.random_range(0..missed.len());
+            let chosen = missed.into_iter().nth(chosen).cloned();
+            if let Some(node) = chosen {
+                self.meet(node, known, now);
+            }
+        }
+    }
+
+    fn greet(&mut self, known: &mut Known, now: NodeTime, actions: &mut Vec<Action>) -> Result<(), String> {
+        self.to_greet.retain(|node| !known.alive(node));
+        for _ in 0..GREETINGS.min(self.to_greet.len()) {
+            let chosen = self.rng.random_range(0..self.to_greet.len());
+            if let Some(node) = self.to_greet.iter().nth(chosen).cloned() {
+                self.to_greet.remove(&node);
+                let what = self.swim.greet(&node)?;
+                self.obey(what, known, now, actions);
+            }
+        }
+        if !self.to_greet.is_empty() {
+            self.at(now + GREETING_PAUSE, Due::Greet);
+        }
+        Ok(())
+    }
+
+    fn obey(&mut self, what: Vec<SwimAction>, known: &mut Known, now: NodeTime, actions: &mut Vec<Action>) {
+        for action in what {
+            match action {
+                SwimAction::Send(to, bytes) => {
+                    known.counters.packets += 1;
+                    actions.push(Action::Send(to, bytes));
+                }
+                SwimAction::After(pause, timer) => self.at(now + pause, Due::Swim(timer)),
+                SwimAction::Up(node) => {
+                    tracing::info!(node = %self.settings.node, other = %node, "is alive");
+                    self.memory.up(&node);
+                    known.status.insert(node, Status::Alive { since: now });
+                    self.changed = true;
+                }
+                SwimAction::Down(node) => {
+                    tracing::info!(node = %self.settings.node, other = %node, "is down");
+                    self.memory.down(&node, now);
+                    known.status.insert(node, Status::Down { since: now });
+                    self.changed = true;
+                }
+                SwimAction::Returned => {
+                    tracing::warn!(node = %self.settings.node, "was judged down by others, and came back");
+                    known.counters.returned += 1;
+                }
+            }
+        }
+    }
+
+    fn publish(&mut self, known: &mut Known) -> Action {
+        known.counters.published += 1;
+        Action::Publish(self.memory.own().clone())
+    }
+
+    fn at(&mut self, due: NodeTime, what: Due) {
+        let number = self.number();
+        self.agenda.insert((due, number), what);
+    }
+
+    fn number(&mut self) -> u64 {
+        self.last_number += 1;
+        self.last_number
+    }
+
+    /// A time from nothing up to this.
+    fn up_to(&mut self, time: Duration) -> Duration {
+        time.mul_f64(self.rng.random_range(0.0..1.0))
+    }
+
+    /// This time, give or take a tenth. Never nothing, or the agenda would not end.
+    fn about(&mut self, time: Duration) -> Duration {
+        time.mul_f64(self.rng.random_range(0.9..1.1)).max(Duration::from_millis(1))
+    }
+}

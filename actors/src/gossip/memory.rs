@@ -1,0 +1,253 @@
+//! The own record, and which records of others are kept.
+//!
+//! A node that has not been alive for `forget_after` is forgotten. What remains of it is the stamp of its last record, so
+//! that nobody brings the same record back; a later one is welcome, and so is the same one once its owner is alive.
+
+use super::exchange::{RECORD_MAX, size};
+use super::shared::Known;
+use consort_protocol::ids::NodeId;
+use consort_protocol::knowledge::{Digest, Knowledge, Record, Stamp};
+use consort_protocol::units::NodeTime;
+use std::collections::BTreeMap;
+use std::time::Duration;
+
+/// How long a stamp is remembered. By then every node has forgotten the record, since none hands over what belongs to
+/// a node that is not alive.
+const STAMP_KEPT: Duration = Duration::from_secs(3600);
+
+/// What became of a record that was heard.
+#[derive(Debug, PartialEq, Eq)]
+pub(super) enum Heard {
+    /// Nothing: it was known, is older than what is known, or belongs to somebody forgotten.
+    Old,
+    /// A later version of the same knowledge.
+    Again,
+    /// It says something new.
+    News,
+    /// It is of this node, and later than what this node itself says: an earlier life with a later incarnation, or another
+    /// node with the same name.
+    Mine(Stamp),
+}
+
+pub(super) struct Memory {
+    own: Record,
+    renewed: NodeTime,
+    /// Since when the owner of a record has not been alive.
+    absent: BTreeMap<NodeId, NodeTime>,
+    forgotten: BTreeMap<NodeId, (Stamp, NodeTime)>,
+}
+
+impl Memory {
+    /// Begins with this knowledge of itself; goes on from what an actor before it knew.
+    pub(super) fn new(
+        owner: NodeId,
+        incarnation: u64,
+        knowledge: Knowledge,
+        known: &mut Known,
+        now: NodeTime,
+    ) -> Memory {
+        let mut stamp = Stamp { incarnation, version: 0 };
+        if let Some(before) = known.base.get(&owner).map(|heard| heard.record.stamp).filter(|before| *before >= stamp) {
+            stamp = next(before).unwrap_or(before);
+        }
+        let own = Record { owner, stamp, knowledge };
+        known.base.merge(own.clone(), now);
+        let absent =
+            known.base.iter().map(|(node, _)| (node.clone(), now)).filter(|(node, _)| *node != own.owner).collect();
+        Memory { own, renewed: now, absent, forgotten: BTreeMap::new() }
+    }
+
+    pub(super) fn own(&self) -> &Record {
+        &self.own
+    }
+
+    /// The owner's knowledge changes. True if it did, and there is a new version to tell of.
+    pub(super) fn update(
+        &mut self,
+        change: impl FnOnce(&mut Knowledge),
+        known: &mut Known,
+        now: NodeTime,
+    ) -> Result<bool, usize> {
+        let mut record = self.own.clone();
+        change(&mut record.knowledge);
+        if record.knowledge == self.own.knowledge {
+            return Ok(false);
+        }
+        let bytes = size(&record);
+        if bytes > RECORD_MAX {
+            return Err(bytes);
+        }
+        self.own = record;
+        self.renew(known, now);
+        Ok(true)
+    }
+
+    /// The owner still says the same: a new version now and then, else a confirmation of the one there is.
+    pub(super) fn repeat(&mut self, every: Duration, known: &mut Known, now: NodeTime) {
+        if now.since(self.renewed) >= every {
+            self.renew(known, now);
+        } else {
+            known.base.confirm(&self.own.owner, self.own.stamp, now);
+        }
+    }
+
+    /// Goes beyond a stamp that others believe to be this node's latest.
+    pub(super) fn overtake(&mut self, stamp: Stamp, known: &mut Known, now: NodeTime) {
+        self.own.stamp = self.own.stamp.max(stamp);
+        self.renew(known, now);
+    }
+
+    fn renew(&mut self, known: &mut Known, now: NodeTime) {
+        // The last stamp of all cannot be overtaken, and takes longer to reach than any fleet lives.
+        self.own.stamp = next(self.own.stamp).unwrap_or(self.own.stamp);
+        self.renewed = now;
+        known.base.merge(self.own.clone(), now);
+    }
+
+    /// Takes in a record that somebody handed over.
+    pub(super) fn hear(&mut self, record: Record, known: &mut Known, now: NodeTime) -> Heard {
+        let Record { owner, stamp, .. } = &record;
+        if *owner == self.own.owner {
+            return if *stamp > self.own.stamp { Heard::Mine(*stamp) } else { Heard::Old };
+        }
+        if self.forgotten.get(owner).is_some_and(|(last, _)| last >= stamp) || size(&record) > RECORD_MAX {
+            return Heard::Old;
+        }
+        let owner = owner.clone();
+        let same = known.base.get(&owner).is_some_and(|heard| heard.record.knowledge == record.knowledge);
+        if !known.base.merge(record, now) {
+            return Heard::Old;
+        }
+        self.forgotten.remove(&owner);
+        if !known.alive(&owner) {
+            self.absent.entry(owner).or_insert(now);
+        }
+        if same { Heard::Again } else { Heard::News }
+    }
+
+    pub(super) fn up(&mut self, node: &NodeId) {
+        self.absent.remove(node);
+        self.forgotten.remove(node);
+    }
+
+    pub(super) fn down(&mut self, node: &NodeId, now: NodeTime) {
+        self.absent.entry(node.clone()).or_insert(now);
+    }
+
+    /// Forgets whoever has not been alive for so long. True if there was anybody.
+    pub(super) fn forget(&mut self, after: Duration, known: &mut Known, now: NodeTime) -> bool {
+        self.forgotten.retain(|_, (_, at)| now.since(*at) < STAMP_KEPT);
+        let gone: Vec<NodeId> =
+            self.absent.iter().filter(|(_, since)| now.since(**since) >= after).map(|(node, _)| node.clone()).collect();
+        for node in &gone {
+            self.absent.remove(node);
+            known.status.remove(node);
+            if let Some(heard) = known.base.forget(node) {
+                self.forgotten.insert(node.clone(), (heard.record.stamp, now));
+            }
+        }
+        !gone.is_empty()
+    }
+
+    /// Everybody of whom something is or was known, without being alive.
+    pub(super) fn missed(&self) -> impl Iterator<Item = &NodeId> {
+        self.absent.keys().chain(self.forgotten.keys())
+    }
+
+    /// What to hand to a node with this digest. Records of nodes that are not alive are not handed on: so the dead are
+    /// forgotten everywhere, whoever asks meanwhile.
+    pub(super) fn lacking<'a>(&self, known: &'a Known, digest: &Digest) -> Vec<&'a Record> {
+        let mut records = known.base.missing_for(digest);
+        records.retain(|record| known.alive(&record.owner));
+        records
+    }
+}
+
+fn next(stamp: Stamp) -> Option<Stamp> {
+    match stamp.version.checked_add(1) {
+        Some(version) => Some(Stamp { version, ..stamp }),
+        None => Some(Stamp { incarnation: stamp.incarnation.checked_add(1)?, version: 0 }),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::gossip::Status;
+
+    const T0: NodeTime = NodeTime::ZERO;
+
+    fn node(name: &str) -> NodeId {
+        NodeId::new(name).unwrap()
+    }
+
+    fn knowledge(replica: u64) -> Knowledge {
+        Knowledge { may_vote: true, stationary: true, mains_powered: true, replica: Some(replica), worker: None }
+    }
+
+    fn record(owner: &str, incarnation: u64, version: u64) -> Record {
+        Record { owner: node(owner), stamp: Stamp { incarnation, version }, knowledge: knowledge(version) }
+    }
+
+    fn ada() -> (Memory, Known) {
+        let mut known = Known::default();
+        known.status.insert(node("ada"), Status::Alive { since: T0 });
+        (Memory::new(node("ada"), 5, knowledge(0), &mut known, T0), known)
+    }
+
+    #[test]
+    fn only_a_change_makes_a_new_version() {
+        let (mut memory, mut known) = ada();
+        assert_eq!(memory.update(|own| own.replica = Some(0), &mut known, T0), Ok(false));
+        assert_eq!(memory.own().stamp, Stamp { incarnation: 5, version: 0 });
+        assert_eq!(memory.update(|own| own.replica = Some(1), &mut known, T0), Ok(true));
+        assert_eq!(memory.own().stamp, Stamp { incarnation: 5, version: 1 });
+        assert_eq!(&known.base.get(&node("ada")).unwrap().record, memory.own());
+    }
+
+    #[test]
+    fn an_actor_started_in_place_of_another_speaks_after_it() {
+        let (_, mut known) = ada();
+        let memory = Memory::new(node("ada"), 5, knowledge(0), &mut known, T0);
+        assert_eq!(memory.own().stamp, Stamp { incarnation: 5, version: 1 });
+    }
+
+    #[test]
+    fn who_claims_to_be_me_is_not_believed_but_overtaken() {
+        let (mut memory, mut known) = ada();
+        assert_eq!(memory.hear(record("ada", 4, 9), &mut known, T0), Heard::Old);
+        let later = Stamp { incarnation: 6, version: 2 };
+        assert_eq!(memory.hear(record("ada", 6, 2), &mut known, T0), Heard::Mine(later));
+        memory.overtake(later, &mut known, T0);
+        assert_eq!(known.base.get(&node("ada")).unwrap().record.stamp, Stamp { incarnation: 6, version: 3 });
+        assert_eq!(known.base.get(&node("ada")).unwrap().record.knowledge, knowledge(0));
+    }
+
+    #[test]
+    fn the_forgotten_stay_so_until_they_say_more_or_are_alive() {
+        let (mut memory, mut known) = ada();
+        let after = Duration::from_secs(30);
+        assert_eq!(memory.hear(record("bob", 1, 1), &mut known, T0), Heard::News);
+        assert!(!memory.forget(after, &mut known, NodeTime::at(after - Duration::from_millis(1))));
+        let then = NodeTime::at(after);
+        assert!(memory.forget(after, &mut known, then));
+        assert_eq!(memory.hear(record("bob", 1, 1), &mut known, then), Heard::Old);
+        assert_eq!(memory.hear(record("bob", 1, 0), &mut known, then), Heard::Old);
+        assert_eq!(memory.hear(record("bob", 2, 0), &mut known, then), Heard::News);
+        assert!(memory.forget(after, &mut known, NodeTime::at(after * 2)));
+        memory.up(&node("bob"));
+        assert_eq!(memory.hear(record("bob", 2, 0), &mut known, then), Heard::News);
+    }
+
+    #[test]
+    fn records_of_the_dead_are_not_handed_on() {
+        let (mut memory, mut known) = ada();
+        memory.hear(record("bob", 1, 1), &mut known, T0);
+        memory.hear(record("cyd", 1, 1), &mut known, T0);
+        known.status.insert(node("bob"), Status::Alive { since: T0 });
+        known.status.insert(node("cyd"), Status::Down { since: T0 });
+        let owners: Vec<_> =
+            memory.lacking(&known, &Digest::new()).iter().map(|record| record.owner.as_str()).collect();
+        assert_eq!(owners, ["ada", "bob"]);
+    }
+}

@@ -1,0 +1,114 @@
+//! What a node has heard, for its other actors to read.
+
+use consort_protocol::ids::NodeId;
+use consort_protocol::knowledge::KnowledgeBase;
+use consort_protocol::units::NodeTime;
+use std::collections::BTreeMap;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use tokio::sync::watch;
+
+/// Whether a node is alive, as far as this one can tell.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Status {
+    /// Not met yet, or forgotten.
+    Unknown,
+    /// Alive, or at least not judged down yet.
+    Alive {
+        /// Since when, on this node's clock.
+        since: NodeTime,
+    },
+    /// Judged down.
+    Down {
+        /// Since when, on this node's clock.
+        since: NodeTime,
+    },
+}
+
+/// What gossip has done so far.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct Counters {
+    /// Times that the own record was published.
+    pub published: u64,
+    /// Packets of failure detection sent.
+    pub packets: u64,
+    /// Digests sent to a peer.
+    pub asked: u64,
+    /// Digests of peers answered.
+    pub answered: u64,
+    /// Messages that could not be read, and were dropped.
+    pub malformed: u64,
+    /// Messages not sent because the bus was slow or failed.
+    pub unsent: u64,
+    /// Times that others judged this node down wrongly and it came back.
+    pub returned: u64,
+}
+
+/// All that there is to read.
+#[derive(Debug, Default)]
+pub(super) struct Known {
+    pub(super) base: KnowledgeBase,
+    pub(super) status: BTreeMap<NodeId, Status>,
+    pub(super) counters: Counters,
+}
+
+impl Known {
+    pub(super) fn alive(&self, node: &NodeId) -> bool {
+        matches!(self.status.get(node), Some(Status::Alive { .. }))
+    }
+}
+
+/// A handle on what a node has heard. The gossip actor is the only writer; it outlives that actor, so that one which is
+/// started in its place goes on from here and no reader notices.
+#[derive(Debug, Clone)]
+pub struct SharedKnowledge {
+    known: Arc<Mutex<Known>>,
+    changes: Arc<watch::Sender<u64>>,
+}
+
+impl Default for SharedKnowledge {
+    fn default() -> Self {
+        SharedKnowledge { known: Arc::default(), changes: Arc::new(watch::Sender::new(0)) }
+    }
+}
+
+impl SharedKnowledge {
+    /// Reads what is known. The gossip actor waits meanwhile: take out what is needed, and return.
+    pub fn read<T>(&self, look: impl FnOnce(&KnowledgeBase) -> T) -> T {
+        look(&self.lock().base)
+    }
+
+    /// A number that grows whenever somebody's knowledge or status changes. Being confirmed is no change: to notice that
+    /// knowledge grows old takes a timer.
+    pub fn changed(&self) -> watch::Receiver<u64> {
+        self.changes.subscribe()
+    }
+
+    /// Whether a node is alive; this one always is.
+    pub fn alive(&self, node: &NodeId) -> bool {
+        self.lock().alive(node)
+    }
+
+    /// The same in detail.
+    pub fn status(&self, node: &NodeId) -> Status {
+        self.lock().status.get(node).copied().unwrap_or(Status::Unknown)
+    }
+
+    /// The status of all nodes that have one, in the order of their names.
+    pub fn statuses(&self) -> BTreeMap<NodeId, Status> {
+        self.lock().status.clone()
+    }
+
+    /// What gossip has done so far.
+    pub fn counters(&self) -> Counters {
+        self.lock().counters
+    }
+
+    pub(super) fn lock(&self) -> MutexGuard<'_, Known> {
+        // A reader that panicked has written nothing.
+        self.known.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    pub(super) fn announce_change(&self) {
+        self.changes.send_modify(|number| *number += 1);
+    }
+}

@@ -1,0 +1,247 @@
+//! How failure detection packets are spelled: fixed layouts, big-endian, names with their length before them.
+//!
+//! foca puts several of these into one packet and asks for each by itself, which the codec of whole messages does not do.
+
+use bytes::{Buf, BufMut};
+use consort_protocol::ids::NodeId;
+use foca::{Codec, Header, Member, Message, State};
+
+/// A node as the failure detector knows it: an address that bears one life at a time.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(in crate::gossip) struct SwimId {
+    pub(in crate::gossip) node: NodeId,
+    /// Which start of the node.
+    pub(in crate::gossip) incarnation: u64,
+    /// How often it came back after having been judged down wrongly.
+    pub(in crate::gossip) returns: u32,
+}
+
+impl SwimId {
+    /// The least identity of a node: enough to greet one of whom only the name is known.
+    pub(in crate::gossip) fn least(node: NodeId) -> SwimId {
+        SwimId { node, incarnation: 0, returns: 0 }
+    }
+
+    fn size(&self) -> usize {
+        1 + self.node.as_str().len() + 8 + 4
+    }
+}
+
+impl foca::Identity for SwimId {
+    type Addr = NodeId;
+
+    fn renew(&self) -> Option<SwimId> {
+        let returns = self.returns.checked_add(1)?;
+        Some(SwimId { returns, ..self.clone() })
+    }
+
+    fn addr(&self) -> NodeId {
+        self.node.clone()
+    }
+
+    fn win_addr_conflict(&self, other: &SwimId) -> bool {
+        (self.incarnation, self.returns) > (other.incarnation, other.returns)
+    }
+}
+
+/// Why a packet cannot be read or written. Nothing was changed.
+#[derive(Debug, PartialEq, Eq, thiserror::Error)]
+pub(in crate::gossip) enum PacketError {
+    /// Ordinary: foca sends what fits.
+    #[error("no room left in the packet")]
+    Full,
+    /// Somebody else writes on our keys.
+    #[error("packet ends too early")]
+    Short,
+    /// As above.
+    #[error("packet holds no {0} where one is due")]
+    Wrong(&'static str),
+}
+
+#[derive(Debug, Clone, Copy)]
+pub(in crate::gossip) struct Packets;
+
+fn put_id(id: &SwimId, buf: &mut impl BufMut) {
+    let name = id.node.as_str().as_bytes();
+    buf.put_u8(u8::try_from(name.len()).expect("a node's name is at most 64 bytes long"));
+    buf.put_slice(name);
+    buf.put_u64(id.incarnation);
+    buf.put_u32(id.returns);
+}
+
+fn need(buf: &impl Buf, bytes: usize) -> Result<(), PacketError> {
+    if buf.remaining() < bytes { Err(PacketError::Short) } else { Ok(()) }
+}
+
+fn get_u8(buf: &mut impl Buf) -> Result<u8, PacketError> {
+    need(buf, 1)?;
+    Ok(buf.get_u8())
+}
+
+fn get_u16(buf: &mut impl Buf) -> Result<u16, PacketError> {
+    need(buf, 2)?;
+    Ok(buf.get_u16())
+}
+
+fn get_id(buf: &mut impl Buf) -> Result<SwimId, PacketError> {
+    let length = usize::from(get_u8(buf)?);
+    need(buf, length + 12)?;
+    let mut name = vec![0; length];
+    buf.copy_to_slice(&mut name);
+    let name = String::from_utf8(name).map_err(|_| PacketError::Wrong("name"))?;
+    let node = NodeId::new(name).map_err(|_| PacketError::Wrong("name"))?;
+    Ok(SwimId { node, incarnation: buf.get_u64(), returns: buf.get_u32() })
+}
+
+/// What a message consists of: its number, and whom and which probe it concerns.
+fn parts(message: &Message<SwimId>) -> (u8, Option<&SwimId>, Option<u8>) {
+    match message {
+        Message::Ping(probe) => (0, None, Some(*probe)),
+        Message::Ack(probe) => (1, None, Some(*probe)),
+        Message::PingReq { target, probe_number } => (2, Some(target), Some(*probe_number)),
+        Message::IndirectPing { origin, probe_number } => (3, Some(origin), Some(*probe_number)),
+        Message::IndirectAck { target, probe_number } => (4, Some(target), Some(*probe_number)),
+        Message::ForwardedAck { origin, probe_number } => (5, Some(origin), Some(*probe_number)),
+        Message::Announce => (6, None, None),
+        Message::Feed => (7, None, None),
+        Message::Gossip => (8, None, None),
+        Message::Broadcast => (9, None, None),
+        Message::TurnUndead => (10, None, None),
+    }
+}
+
+fn get_message(buf: &mut impl Buf) -> Result<Message<SwimId>, PacketError> {
+    Ok(match get_u8(buf)? {
+        0 => Message::Ping(get_u8(buf)?),
+        1 => Message::Ack(get_u8(buf)?),
+        2 => Message::PingReq { target: get_id(buf)?, probe_number: get_u8(buf)? },
+        3 => Message::IndirectPing { origin: get_id(buf)?, probe_number: get_u8(buf)? },
+        4 => Message::IndirectAck { target: get_id(buf)?, probe_number: get_u8(buf)? },
+        5 => Message::ForwardedAck { origin: get_id(buf)?, probe_number: get_u8(buf)? },
+        6 => Message::Announce,
+        7 => Message::Feed,
+        8 => Message::Gossip,
+        9 => Message::Broadcast,
+        10 => Message::TurnUndead,
+        _ => return Err(PacketError::Wrong("message")),
+    })
+}
+
+impl Codec<SwimId> for Packets {
+    type Error = PacketError;
+
+    fn encode_header(&mut self, header: &Header<SwimId>, mut buf: impl BufMut) -> Result<(), PacketError> {
+        let (number, whom, probe) = parts(&header.message);
+        let size =
+            header.src.size() + 2 + header.dst.size() + 1 + whom.map_or(0, SwimId::size) + usize::from(probe.is_some());
+        if buf.remaining_mut() < size {
+            return Err(PacketError::Full);
+        }
+        put_id(&header.src, &mut buf);
+        buf.put_u16(header.src_incarnation);
+        put_id(&header.dst, &mut buf);
+        buf.put_u8(number);
+        if let Some(id) = whom {
+            put_id(id, &mut buf);
+        }
+        if let Some(probe) = probe {
+            buf.put_u8(probe);
+        }
+        Ok(())
+    }
+
+    fn decode_header(&mut self, mut buf: impl Buf) -> Result<Header<SwimId>, PacketError> {
+        Ok(Header {
+            src: get_id(&mut buf)?,
+            src_incarnation: get_u16(&mut buf)?,
+            dst: get_id(&mut buf)?,
+            message: get_message(&mut buf)?,
+        })
+    }
+
+    fn encode_member(&mut self, member: &Member<SwimId>, mut buf: impl BufMut) -> Result<(), PacketError> {
+        if buf.remaining_mut() < member.id().size() + 3 {
+            return Err(PacketError::Full);
+        }
+        put_id(member.id(), &mut buf);
+        buf.put_u16(member.incarnation());
+        buf.put_u8(match member.state() {
+            State::Alive => 0,
+            State::Suspect => 1,
+            State::Down => 2,
+        });
+        Ok(())
+    }
+
+    fn decode_member(&mut self, mut buf: impl Buf) -> Result<Member<SwimId>, PacketError> {
+        let (id, incarnation) = (get_id(&mut buf)?, get_u16(&mut buf)?);
+        let state = match get_u8(&mut buf)? {
+            0 => State::Alive,
+            1 => State::Suspect,
+            2 => State::Down,
+            _ => return Err(PacketError::Wrong("state")),
+        };
+        Ok(Member::new(id, incarnation, state))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    fn id(name: &str) -> SwimId {
+        SwimId { node: NodeId::new(name).unwrap(), incarnation: 1 << 40, returns: 3 }
+    }
+
+    #[test]
+    fn what_is_written_reads_back_and_a_cut_packet_is_refused() {
+        let messages = [
+            Message::Ping(1),
+            Message::Ack(2),
+            Message::PingReq { target: id("cyd"), probe_number: 3 },
+            Message::IndirectPing { origin: id("cyd"), probe_number: 4 },
+            Message::IndirectAck { target: id("cyd"), probe_number: 5 },
+            Message::ForwardedAck { origin: id("cyd"), probe_number: 6 },
+            Message::Announce,
+            Message::Feed,
+            Message::Gossip,
+            Message::Broadcast,
+            Message::TurnUndead,
+        ];
+        for message in messages {
+            let header = Header { src: id("ada"), src_incarnation: 7, dst: id("bob"), message };
+            let mut bytes = Vec::new();
+            Packets.encode_header(&header, &mut bytes).unwrap();
+            assert_eq!(Packets.decode_header(&bytes[..]), Ok(header.clone()));
+            assert_eq!(Packets.decode_header(&bytes[..bytes.len() - 1]), Err(PacketError::Short));
+            let mut tight = Vec::new().limit(bytes.len() - 1);
+            assert_eq!(Packets.encode_header(&header, &mut tight), Err(PacketError::Full));
+            assert!(tight.get_ref().is_empty());
+        }
+        for state in [State::Alive, State::Suspect, State::Down] {
+            let member = Member::new(id("ada"), 9, state);
+            let mut bytes = Vec::new();
+            Packets.encode_member(&member, &mut bytes).unwrap();
+            assert_eq!(Packets.decode_member(&bytes[..]), Ok(member));
+        }
+    }
+
+    proptest! {
+        #[test]
+        fn no_bytes_are_too_strange_to_refuse(bytes in prop::collection::vec(any::<u8>(), 0..200)) {
+            drop(Packets.decode_header(&bytes[..]));
+            drop(Packets.decode_member(&bytes[..]));
+        }
+    }
+
+    #[test]
+    fn a_later_life_wins_the_name_and_so_does_a_return() {
+        use foca::Identity;
+        let first = id("ada");
+        let back = first.renew().unwrap();
+        let restarted = SwimId { incarnation: first.incarnation + 1, returns: 0, node: first.node.clone() };
+        assert!(back.win_addr_conflict(&first) && restarted.win_addr_conflict(&back));
+        assert!(!first.win_addr_conflict(&back) && !back.win_addr_conflict(&restarted));
+    }
+}

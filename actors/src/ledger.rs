@@ -1,0 +1,14 @@
+//! The mission ledger as the state machine that is replicated.
+
+use crate::replica::StateMachine;
+use consort_protocol::lease::Epoch;
+use consort_protocol::ledger::{Command, Ledger, Outcome};
+
+impl StateMachine for Ledger {
+    type Command = Command;
+    type Outcome = Outcome;
+
+    fn apply(&mut self, at: Epoch, command: Command) -> Outcome {
+        Ledger::apply(self, at, command)
+    }
+}

@@ -1,0 +1,410 @@
+//! A node: everything that runs in one process of a fleet (or in one place of a virtual one), started in order and
+//! watched over together.
+//!
+//! Each node gossips; each that may vote keeps a copy of the ledger and is ready to coordinate; a robot's node drives a
+//! body and bids; one node hosts bodies and attends to people. If any of these actors fails, the node stops: what it
+//! promised is in the ledger, and its supervisor (a service manager, a test) starts it anew.
+
+use crate::attendant::{Attendant, AttendantSettings};
+use crate::body::{Body, BodyLinkSettings, Host, HostSettings};
+use crate::bus::{BusError, SharedBus};
+use crate::clock::Clock;
+use crate::coordinator::{Coordinator, CoordinatorSettings};
+use crate::events::Events;
+use crate::gossip::{self, Gossip, GossipHandle, SharedKnowledge};
+use crate::replica::{MemoryJournal, RaftId, Replica, ReplicaSettings, StartError};
+use crate::robot::{Robot, RobotSettings};
+use crate::tasks::Tasks;
+use consort_protocol::auction::Limits;
+use consort_protocol::ensemble::Ensemble;
+use consort_protocol::ids::{FleetId, NodeId, RobotId};
+use consort_protocol::keys::{Key, Keys};
+use consort_protocol::knowledge::{Knowledge, Worker};
+use consort_protocol::lease::LeaseTerms;
+use consort_protocol::ledger::Ledger;
+use consort_protocol::mission::Domain;
+use consort_skills::actions::BodyHost;
+use consort_skills::descriptor::Estimator;
+use consort_skills::library::SkillLibrary;
+use ractor::{Actor, ActorProcessingErr, ActorRef, SpawnErr, SupervisionEvent};
+use rand::{Rng, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use std::collections::{BTreeMap, BTreeSet};
+use std::sync::Arc;
+use std::time::Duration;
+use tokio::task::JoinHandle;
+use tracing::{debug, error, info};
+
+/// Most voters: more would slow every commit and survive little more.
+pub const VOTERS_MAX: usize = 5;
+
+/// What all nodes of a fleet agree on.
+#[derive(Clone)]
+pub struct FleetSettings {
+    /// Its name.
+    pub fleet: FleetId,
+    /// Whose members are asked for bids.
+    pub ensemble: Arc<Ensemble>,
+    /// The task types that missions may use.
+    pub domain: Arc<Domain>,
+    /// What bids must keep to.
+    pub limits: Limits,
+    /// How long awards last.
+    pub terms: LeaseTerms,
+    /// How long an auction waits for a member that does not answer.
+    pub window: Duration,
+    /// Nodes that may vote and must have met before the first election. All nodes that are started together count: a node
+    /// that has met so many founds the fleet's ledger, with those it has met.
+    pub bootstrap_expect: usize,
+}
+
+/// What one node is.
+pub struct NodeSettings {
+    /// The fleet's settings.
+    pub fleet: FleetSettings,
+    /// Its name.
+    pub node: NodeId,
+    /// Which life of the node this is: larger than in any former one.
+    pub incarnation: u64,
+    /// Where all its chance comes from.
+    pub seed: u64,
+    /// Its clock.
+    pub clock: Clock,
+    /// Whether it keeps a copy of the ledger and may coordinate.
+    pub may_vote: bool,
+    /// Whether it stays where it is.
+    pub stationary: bool,
+    /// Whether it lives on mains power.
+    pub mains_powered: bool,
+    /// Its robot, if it has one.
+    pub robot: Option<RobotPart>,
+    /// The bodies and people it hosts, if it does.
+    pub host: Option<HostPart>,
+}
+
+/// A robot's part of a node.
+pub struct RobotPart {
+    /// What it says of itself before its body has reported.
+    pub worker: Worker,
+    /// Prices its work.
+    pub estimator: Arc<Estimator>,
+    /// Carries its work out.
+    pub library: Arc<SkillLibrary>,
+}
+
+/// A host's part of a node.
+pub struct HostPart {
+    /// The bodies.
+    pub world: Box<dyn BodyHost>,
+    /// World seconds that pass in one second of node time.
+    pub speed: f64,
+}
+
+/// Why a node did not start. Nothing of it runs.
+#[derive(Debug, thiserror::Error)]
+pub enum NodeError {
+    /// The bus is closed, or a key was refused.
+    #[error(transparent)]
+    Bus(#[from] BusError),
+    /// The copy of the ledger could not be taken up.
+    #[error(transparent)]
+    Ledger(#[from] StartError),
+    /// An actor could not start.
+    #[error("an actor could not start: {0}")]
+    Actor(String),
+}
+
+impl From<SpawnErr> for NodeError {
+    fn from(problem: SpawnErr) -> NodeError {
+        NodeError::Actor(problem.to_string())
+    }
+}
+
+/// A node that runs. Dropping it leaves it running; see [`kill`](NodeHandle::kill) and [`stop`](NodeHandle::stop).
+pub struct NodeHandle {
+    /// Its name.
+    pub node: NodeId,
+    root: ActorRef<NodeMessage>,
+    ended: JoinHandle<()>,
+    /// Its copy of the ledger, if it keeps one.
+    pub replica: Option<Replica<Ledger>>,
+    /// What it has heard.
+    pub knowledge: SharedKnowledge,
+    tasks: Tasks,
+}
+
+impl NodeHandle {
+    /// Starts everything that the settings name.
+    ///
+    /// # Errors
+    /// [`NodeError`]; nothing of the node runs then.
+    pub async fn start(settings: NodeSettings, bus: SharedBus) -> Result<NodeHandle, NodeError> {
+        let (root, ended) = Actor::spawn(None, Root, settings.node.clone()).await?;
+        match assemble(settings, bus, &root).await {
+            Ok((node, replica, knowledge, tasks)) => Ok(NodeHandle { node, root, ended, replica, knowledge, tasks }),
+            Err(problem) => {
+                root.kill();
+                Err(problem)
+            }
+        }
+    }
+
+    /// Ends the node as a crash would: nothing is said to anybody.
+    pub async fn kill(mut self) {
+        self.tasks = Tasks::default();
+        for child in self.root.get_children() {
+            child.kill();
+        }
+        self.root.kill();
+        // It ends in one way or the other; how is of no interest.
+        let _ = self.ended.await;
+    }
+
+    /// Ends the node: others are told that it leaves.
+    pub async fn stop(mut self) {
+        self.tasks = Tasks::default();
+        for child in self.root.get_children() {
+            child.stop(None);
+        }
+        if let Some(replica) = self.replica.take() {
+            replica.shutdown().await;
+        }
+        self.root.stop(None);
+        // See above.
+        let _ = self.ended.await;
+    }
+
+    /// Waits until the node has ended by itself: an actor of it failed.
+    pub async fn ended(&mut self) {
+        // See above.
+        let _ = (&mut self.ended).await;
+    }
+}
+
+/// Watches over a node's actors.
+struct Root;
+
+enum NodeMessage {}
+
+#[ractor::async_trait]
+impl Actor for Root {
+    type Msg = NodeMessage;
+    type State = NodeId;
+    type Arguments = NodeId;
+
+    async fn pre_start(&self, _: ActorRef<NodeMessage>, node: NodeId) -> Result<NodeId, ActorProcessingErr> {
+        Ok(node)
+    }
+
+    async fn handle_supervisor_evt(
+        &self,
+        myself: ActorRef<NodeMessage>,
+        event: SupervisionEvent,
+        node: &mut NodeId,
+    ) -> Result<(), ActorProcessingErr> {
+        if let SupervisionEvent::ActorFailed(who, problem) = event {
+            error!(%node, actor = %who.get_id(), %problem, "an actor failed: the node stops");
+            for child in myself.get_children() {
+                child.kill();
+            }
+            myself.stop(Some(problem.to_string()));
+        }
+        Ok(())
+    }
+}
+
+type Assembled = (NodeId, Option<Replica<Ledger>>, SharedKnowledge, Tasks);
+
+async fn assemble(
+    settings: NodeSettings,
+    bus: SharedBus,
+    root: &ActorRef<NodeMessage>,
+) -> Result<Assembled, NodeError> {
+    let NodeSettings { fleet, node, incarnation, seed, clock, .. } = settings;
+    let keys = Keys::new(&fleet.fleet);
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    let mut tasks = Tasks::default();
+    let events = Events::open(node.clone(), &keys, bus.clone(), clock);
+
+    let replica = if settings.may_vote {
+        let journal = Arc::new(MemoryJournal::new(rng.next_u64()));
+        let replica_settings = ReplicaSettings::new(fleet.fleet.clone(), node.clone());
+        Some(Replica::<Ledger>::start(replica_settings, bus.clone(), journal, rng.next_u64()).await?)
+    } else {
+        None
+    };
+
+    let knowledge = Knowledge {
+        may_vote: settings.may_vote,
+        stationary: settings.stationary,
+        mains_powered: settings.mains_powered,
+        replica: replica.as_ref().map(|replica| replica.id().0),
+        worker: settings.robot.as_ref().map(|robot| robot.worker.clone()),
+    };
+    let shared = SharedKnowledge::default();
+    let start = gossip::Start {
+        settings: gossip::Settings::new(fleet.fleet.clone(), node.clone(), incarnation),
+        knowledge,
+        shared: shared.clone(),
+        bus: bus.clone(),
+        clock,
+        rng: ChaCha8Rng::from_rng(&mut rng),
+    };
+    let supervisor = root.get_cell();
+    let (gossip, _) =
+        Gossip::start(start, Some(supervisor.clone())).await.map_err(|problem| NodeError::from(*problem))?;
+
+    if let Some(replica) = &replica {
+        let coordinator = CoordinatorSettings {
+            node: node.clone(),
+            keys: keys.clone(),
+            bus: bus.clone(),
+            clock,
+            replica: replica.clone(),
+            knowledge: shared.clone(),
+            events: events.clone(),
+            ensemble: Arc::clone(&fleet.ensemble),
+            domain: Arc::clone(&fleet.domain),
+            limits: fleet.limits,
+            terms: fleet.terms,
+            window: fleet.window,
+            beat: Duration::from_millis(200),
+        };
+        Actor::spawn_linked(None, Coordinator, coordinator, supervisor.clone()).await?;
+        tasks.spawn(bootstrap(node.clone(), replica.clone(), shared.clone(), fleet.bootstrap_expect));
+    }
+
+    if let Some(host) = settings.host {
+        let host_settings = HostSettings {
+            keys: keys.clone(),
+            bus: bus.clone(),
+            clock,
+            speed: host.speed,
+            beat: Duration::from_millis(500),
+            silence: Duration::from_secs(3),
+        };
+        Actor::spawn_linked(None, Host, (host_settings, host.world), supervisor.clone()).await?;
+        let attendant = AttendantSettings {
+            node: node.clone(),
+            keys: keys.clone(),
+            bus: bus.clone(),
+            clock,
+            events: events.clone(),
+            beat: Duration::from_secs(1),
+        };
+        Actor::spawn_linked(None, Attendant, attendant, supervisor.clone()).await?;
+    }
+
+    if let Some(part) = settings.robot {
+        start_robot(
+            part,
+            RobotId::from(node.clone()),
+            incarnation,
+            &fleet,
+            &keys,
+            bus,
+            clock,
+            events,
+            gossip,
+            &supervisor,
+            &mut tasks,
+        )
+        .await?;
+    }
+    Ok((node, replica, shared, tasks))
+}
+
+#[expect(clippy::too_many_arguments, reason = "the parts of a node that a robot is wired to, once")]
+async fn start_robot(
+    part: RobotPart,
+    robot: RobotId,
+    incarnation: u64,
+    fleet: &FleetSettings,
+    keys: &Keys,
+    bus: SharedBus,
+    clock: Clock,
+    events: Events,
+    gossip: GossipHandle,
+    supervisor: &ractor::ActorCell,
+    tasks: &mut Tasks,
+) -> Result<(), NodeError> {
+    let link = BodyLinkSettings {
+        robot: robot.clone(),
+        keys: keys.clone(),
+        bus: bus.clone(),
+        // Twenty bits of goals in each life; a life begins at least a millisecond after the former.
+        first_goal: incarnation << 20,
+        beat: Duration::from_millis(300),
+    };
+    let body = Body::link(link, supervisor).await?;
+    let token = bus.announce(&keys.write(&Key::AliveRobot(robot.clone()))).await?;
+    tasks.spawn(async move {
+        std::future::pending::<()>().await;
+        drop(token);
+    });
+    let settings = RobotSettings {
+        robot,
+        incarnation,
+        worker: part.worker,
+        keys: keys.clone(),
+        bus,
+        clock,
+        events,
+        knowledge: gossip.shared().clone(),
+        gossip,
+        ensemble: Arc::clone(&fleet.ensemble),
+        terms: fleet.terms,
+        estimator: part.estimator,
+        library: part.library,
+        body,
+        beat: Duration::from_millis(250),
+        tick: Duration::from_millis(100),
+    };
+    Actor::spawn_linked(None, Robot, settings, supervisor.clone()).await?;
+    Ok(())
+}
+
+/// Founds the ledger once enough nodes that may vote have met: the first of them by name does it, with up to
+/// [`VOTERS_MAX`] voters, an odd number, stationary and mains-powered ones before others.
+async fn bootstrap(node: NodeId, replica: Replica<Ledger>, knowledge: SharedKnowledge, expect: usize) {
+    let mut changed = knowledge.changed();
+    loop {
+        if !replica.leadership().borrow().voters.is_empty() {
+            return; // somebody has
+        }
+        let voters = first_voters(&knowledge, expect);
+        if voters.values().min() == Some(&node) {
+            info!(%node, voters = voters.len(), "founds the ledger");
+            if let Err(problem) = replica.bootstrap(voters).await {
+                debug!(%node, %problem, "did not found the ledger");
+            }
+            return;
+        }
+        if changed.changed().await.is_err() {
+            return;
+        }
+    }
+}
+
+fn first_voters(knowledge: &SharedKnowledge, expect: usize) -> BTreeMap<RaftId, NodeId> {
+    let met: Vec<(bool, bool, NodeId, RaftId)> = knowledge.read(|base| {
+        let candidates = base.iter().filter_map(|(node, heard)| {
+            let known = &heard.record.knowledge;
+            let id = known.replica.filter(|_| known.may_vote)?;
+            Some((!known.stationary, !known.mains_powered, node.clone(), RaftId(id)))
+        });
+        candidates.collect()
+    });
+    let mut met: BTreeSet<_> = met.into_iter().filter(|(_, _, node, _)| knowledge.alive(node)).collect();
+    if met.len() < expect.max(1) {
+        return BTreeMap::new();
+    }
+    let odd = |count: usize| if count.is_multiple_of(2) { count - 1 } else { count };
+    let count = odd(met.len().min(VOTERS_MAX));
+    let mut voters = BTreeMap::new();
+    while voters.len() < count {
+        let Some((_, _, node, id)) = met.pop_first() else { break };
+        voters.insert(id, node);
+    }
+    voters
+}

@@ -1,0 +1,42 @@
+//! The ledger that survives its nodes: a state machine replicated by Raft (`openraft`), over our own bus.
+//!
+//! ```text
+//!             propose, read, leadership                          the other voters
+//!   actors ──────────────────────────────► Replica                      ▲
+//!                                             │                         │ bus queries, one key per raft id
+//!                                             ▼                         ▼
+//!                  store ◄────────────── openraft core ──────────► network, serve
+//!          (log, vote, snapshot;              │
+//!           durable in a Journal)             └── told by `canvass` when to beat and when to stand
+//! ```
+//!
+//! What is promised:
+//! - What [`Replica::propose`] returned `Ok` for is in the ledger of every node that ever applies so far, at one and
+//!   the same place, while a majority of the voters' journals survive.
+//! - [`Leadership::is_me`] is true only on a node whose ledger holds everything committed before its reign, and which
+//!   a majority acknowledged not longer ago than [`ReplicaSettings::quorum_silence_max`]. It is a belief about the
+//!   recent past all the same: whatever acts outside the ledger carries the [`Reign`] or an [`Epoch`].
+//! - openraft orders leaders by term *and* raft id, so two leaders may follow one another **within one term**: a term
+//!   alone is no fencing token, a [`Reign`] and the [`Epoch`] of an applied entry are.
+//!
+//! Why not a lock, a lease or gossip: see Ongaro and Ousterhout, *In search of an understandable consensus algorithm*,
+//! 2014. When to stand for election is decided by `canvass`, not by openraft, which has neither pre-vote nor check
+//! quorum.
+
+mod canvass;
+mod codec;
+mod journal;
+mod network;
+#[expect(clippy::module_inception, reason = "a module's main type has a file of its own, as elsewhere")]
+mod replica;
+mod runtime;
+mod serve;
+mod settings;
+mod store;
+mod types;
+
+pub use journal::{Journal, MemoryJournal, Recorded, StoreIdentity};
+pub use replica::{BootstrapError, Leadership, MemberError, ProposeError, Replica, StartError};
+pub use runtime::{SeededRuntime, seed_elections};
+pub use settings::{ReplicaSettings, SettingsError};
+pub use types::{Epoch, Peer, RaftId, Reign, StateMachine};

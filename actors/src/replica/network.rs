@@ -1,0 +1,272 @@
+//! Raft's questions to other voters, as queries on the bus.
+
+use super::canvass::Canvass;
+use super::codec::{self, CodecError, FRAME_MAX};
+use super::types::{Peer, RaftId, StateMachine, Types};
+use crate::bus::SharedBus;
+use consort_protocol::ids::FleetId;
+use openraft::error::{
+    InstallSnapshotError, NetworkError, PayloadTooLarge, RPCError, RaftError, RemoteError, SnapshotMismatch, Timeout,
+    Unreachable,
+};
+use openraft::network::{Backoff, RPCOption, RPCTypes};
+use openraft::raft::{
+    AppendEntriesRequest, AppendEntriesResponse, InstallSnapshotRequest, InstallSnapshotResponse, VoteRequest,
+    VoteResponse,
+};
+use openraft::{AnyError, RaftNetwork, RaftNetworkFactory};
+use serde::de::DeserializeOwned;
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::Duration;
+use tokio::time::Instant;
+
+/// Bytes of a snapshot that go in one message; with its frame around it, a message stays within [`FRAME_MAX`].
+pub(super) const SNAPSHOT_CHUNK: usize = 48 * 1024;
+
+/// What one node asks another.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Verb {
+    Vote,
+    Append,
+    Snapshot,
+    /// Not Raft's own: see [`super::canvass`].
+    Canvass,
+}
+
+impl Verb {
+    const ALL: [Verb; 4] = [Verb::Vote, Verb::Append, Verb::Snapshot, Verb::Canvass];
+
+    fn word(self) -> &'static str {
+        match self {
+            Verb::Vote => "vote",
+            Verb::Append => "append",
+            Verb::Snapshot => "snapshot",
+            Verb::Canvass => "canvass",
+        }
+    }
+}
+
+/// Where `target` is asked `verb`; without a verb, the expression for all of them.
+pub(super) fn key(fleet: &FleetId, target: RaftId, verb: Option<Verb>) -> String {
+    let word = verb.map_or("*", Verb::word);
+    format!("consort/{fleet}/wire/raft/{target}/{word}")
+}
+
+/// The verb that a key asks, if it is one of ours.
+pub(super) fn verb_of(key: &str) -> Option<Verb> {
+    let (_, word) = key.rsplit_once('/')?;
+    Verb::ALL.into_iter().find(|verb| verb.word() == word)
+}
+
+/// What a voter answers to a question it could read.
+#[derive(Debug, Serialize, Deserialize)]
+pub(super) enum Answer<A> {
+    Done(A),
+    /// To a chunk of a snapshot only: it is not the one expected.
+    Mismatch(SnapshotMismatch),
+}
+
+/// When we sent what each voter answered last: the same measure as the age of the majority's acknowledgement.
+#[derive(Debug, Default)]
+pub(super) struct Heard(Mutex<BTreeMap<RaftId, Instant>>);
+
+impl Heard {
+    fn note(&self, voter: RaftId, asked_at: Instant) {
+        let mut heard = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        let last = heard.entry(voter).or_insert(asked_at);
+        *last = asked_at.max(*last);
+    }
+
+    /// When the last question was sent that `voter` has answered.
+    pub(super) fn last(&self, voter: RaftId) -> Option<Instant> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner).get(&voter).copied()
+    }
+}
+
+/// Makes a [`Line`] to each voter.
+#[derive(Clone)]
+pub(super) struct Switchboard {
+    pub(super) bus: SharedBus,
+    pub(super) fleet: FleetId,
+    pub(super) me: RaftId,
+    pub(super) heard: Arc<Heard>,
+    /// The pause before asking again a voter that cannot be reached.
+    pub(super) pause: Duration,
+    /// Whether this node keeps its leader's messages to itself; see [`super::canvass`].
+    pub(super) muted: Arc<AtomicBool>,
+}
+
+impl Switchboard {
+    /// The way to one voter.
+    pub(super) fn line(&self, target: RaftId) -> Line {
+        Line { board: self.clone(), target }
+    }
+}
+
+impl<S: StateMachine> RaftNetworkFactory<Types<S>> for Switchboard {
+    type Network = Line;
+
+    async fn new_client(&mut self, target: RaftId, _node: &Peer) -> Line {
+        self.line(target)
+    }
+}
+
+/// The way to one voter.
+pub(super) struct Line {
+    board: Switchboard,
+    target: RaftId,
+}
+
+/// Why there is no answer.
+#[derive(Debug, thiserror::Error)]
+enum Trouble {
+    #[error("no service answers for {0}")]
+    Unserved(RaftId),
+    #[error("no answer within {0:?}")]
+    Silent(Duration),
+    #[error("it refused: {0}")]
+    Refused(String),
+    #[error("its answer cannot be read: {0}")]
+    Garbled(CodecError),
+    #[error(transparent)]
+    Bus(#[from] crate::bus::BusError),
+    #[error("no majority has answered for too long: this leader falls silent")]
+    Muted,
+}
+
+impl Line {
+    /// Whether `target` would have this node stand for election; no answer is a no.
+    pub(super) async fn canvass(&self, question: &Canvass, limit: Duration) -> bool {
+        let Ok(question) = codec::encode(question, FRAME_MAX) else { return false };
+        matches!(self.ask(Verb::Canvass, question, limit).await, Ok(Answer::Done(true)))
+    }
+
+    async fn ask<A: DeserializeOwned>(
+        &self,
+        verb: Verb,
+        question: Vec<u8>,
+        limit: Duration,
+    ) -> Result<Answer<A>, Trouble> {
+        if verb == Verb::Append && self.board.muted.load(Ordering::Relaxed) {
+            return Err(Trouble::Muted);
+        }
+        let asked_at = Instant::now();
+        let key = key(&self.board.fleet, self.target, Some(verb));
+        let mut replies = self.board.bus.query(&key, question.into(), limit).await?;
+        let Some(reply) = replies.recv().await else {
+            let silent = asked_at.elapsed() >= limit;
+            return Err(if silent { Trouble::Silent(limit) } else { Trouble::Unserved(self.target) });
+        };
+        let answer = reply.payload.map_err(Trouble::Refused)?;
+        let answer = codec::decode(&answer, FRAME_MAX).map_err(Trouble::Garbled)?;
+        self.board.heard.note(self.target, asked_at);
+        Ok(answer)
+    }
+
+    fn explain<E: std::error::Error>(
+        &self,
+        what: RPCTypes,
+        trouble: &Trouble,
+    ) -> RPCError<RaftId, Peer, RaftError<RaftId, E>> {
+        match trouble {
+            Trouble::Silent(timeout) => {
+                Timeout { action: what, id: self.board.me, target: self.target, timeout: *timeout }.into()
+            }
+            Trouble::Unserved(_) | Trouble::Bus(_) | Trouble::Muted => Unreachable::new(trouble).into(),
+            Trouble::Refused(_) | Trouble::Garbled(_) => NetworkError::new(trouble).into(),
+        }
+    }
+}
+
+fn unencodable<E: std::error::Error>(error: &CodecError) -> RPCError<RaftId, Peer, RaftError<RaftId, E>> {
+    NetworkError::new(error).into()
+}
+
+fn out_of_place<E: std::error::Error>() -> RPCError<RaftId, Peer, RaftError<RaftId, E>> {
+    NetworkError::new(&AnyError::error("it answered as to a snapshot")).into()
+}
+
+impl<S: StateMachine> RaftNetwork<Types<S>> for Line {
+    async fn append_entries(
+        &mut self,
+        question: AppendEntriesRequest<Types<S>>,
+        option: RPCOption,
+    ) -> Result<AppendEntriesResponse<RaftId>, RPCError<RaftId, Peer, RaftError<RaftId>>> {
+        let bytes = match codec::encode(&question, FRAME_MAX) {
+            Ok(bytes) => bytes,
+            Err(CodecError::TooLarge { .. }) if question.entries.len() > 1 => {
+                return Err(PayloadTooLarge::new_entries_hint(question.entries.len() as u64 / 2).into());
+            }
+            Err(error) => return Err(unencodable(&error)),
+        };
+        let trouble = match self.ask(Verb::Append, bytes, option.hard_ttl()).await {
+            Ok(Answer::Done(answer)) => return Ok(answer),
+            Ok(Answer::Mismatch(_)) => return Err(out_of_place()),
+            Err(trouble) => trouble,
+        };
+        match trouble {
+            Trouble::Silent(_) => Err(self.explain(RPCTypes::AppendEntries, &trouble)),
+            Trouble::Unserved(_) | Trouble::Refused(_) | Trouble::Garbled(_) | Trouble::Bus(_) | Trouble::Muted => {
+                // openraft would ask again at once; for what it is told is unreachable it waits, but in a `select!`
+                // that draws its order by chance, so that runs would no longer repeat. So the wait is here.
+                tokio::time::sleep(self.board.pause.min(option.soft_ttl())).await;
+                Err(NetworkError::new(&trouble).into())
+            }
+        }
+    }
+
+    async fn install_snapshot(
+        &mut self,
+        question: InstallSnapshotRequest<Types<S>>,
+        option: RPCOption,
+    ) -> Result<InstallSnapshotResponse<RaftId>, RPCError<RaftId, Peer, RaftError<RaftId, InstallSnapshotError>>> {
+        let bytes = codec::encode(&question, FRAME_MAX).map_err(|error| unencodable(&error))?;
+        match self.ask(Verb::Snapshot, bytes, option.hard_ttl()).await {
+            Ok(Answer::Done(answer)) => Ok(answer),
+            Ok(Answer::Mismatch(mismatch)) => {
+                let error = RaftError::APIError(InstallSnapshotError::SnapshotMismatch(mismatch));
+                Err(RemoteError::new(self.target, error).into())
+            }
+            Err(trouble) => Err(self.explain(RPCTypes::InstallSnapshot, &trouble)),
+        }
+    }
+
+    async fn vote(
+        &mut self,
+        question: VoteRequest<RaftId>,
+        option: RPCOption,
+    ) -> Result<VoteResponse<RaftId>, RPCError<RaftId, Peer, RaftError<RaftId>>> {
+        let bytes = codec::encode(&question, FRAME_MAX).map_err(|error| unencodable(&error))?;
+        match self.ask(Verb::Vote, bytes, option.hard_ttl()).await {
+            Ok(Answer::Done(answer)) => Ok(answer),
+            Ok(Answer::Mismatch(_)) => Err(out_of_place()),
+            Err(trouble) => Err(self.explain(RPCTypes::Vote, &trouble)),
+        }
+    }
+
+    fn backoff(&self) -> Backoff {
+        Backoff::new(std::iter::repeat(self.board.pause))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_key_that_is_written_is_read_back_and_all_verbs_match_the_expression_served() {
+        let fleet = FleetId::new("ward").unwrap();
+        let all = key(&fleet, RaftId(10), None);
+        assert_eq!(all, "consort/ward/wire/raft/000000000000000a/*");
+        let all = zenoh_keyexpr::keyexpr::new(&all).unwrap();
+        for verb in Verb::ALL {
+            let one = key(&fleet, RaftId(10), Some(verb));
+            assert_eq!(verb_of(&one), Some(verb));
+            assert!(all.intersects(zenoh_keyexpr::keyexpr::new(&one).unwrap()));
+        }
+        assert_eq!(verb_of("consort/ward/wire/raft/000000000000000a/dance"), None);
+    }
+}

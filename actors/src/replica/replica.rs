@@ -1,0 +1,584 @@
+//! A node's share in the replicated ledger.
+
+use super::canvass::{self, Ear};
+use super::codec::{self, CodecError, FRAME_MAX};
+use super::journal::Journal;
+use super::network::{self, Heard, Switchboard};
+use super::runtime::seed_elections;
+use super::serve::Service;
+use super::settings::{ReplicaSettings, SettingsError};
+use super::store::{self, MachineStore};
+use super::types::{Epoch, Peer, Raft, RaftId, Reign, StateMachine, epoch_of, reign_of};
+use crate::bus::{BusError, SharedBus};
+use consort_protocol::ids::NodeId;
+use openraft::error::{
+    ChangeMembershipError, CheckIsLeaderError, ClientWriteError, Fatal, ForwardToLeader, InitializeError, RaftError,
+};
+use openraft::{ChangeMembers, ServerState};
+use std::collections::{BTreeMap, BTreeSet};
+use std::future::Future;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::time::Duration;
+use tokio::sync::watch;
+use tokio::task::JoinHandle;
+use tokio::time::{Instant, timeout};
+use tracing::info;
+
+type Metrics = openraft::RaftMetrics<RaftId, Peer>;
+
+/// Bytes of a message that are left for its frame when it carries one command.
+const FRAME_OVERHEAD: usize = 1024;
+
+/// Who leads, as this node believes. A watch shows the latest belief; a reign that came and went in between is seen
+/// by the next one's being greater.
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
+pub struct Leadership {
+    /// This node's term. It also grows by candidacies that fail.
+    pub term: u64,
+    /// The reign this node accepts at present, its own included; `None` while it knows of none, or has lost its
+    /// majority. A node that is cut off as an observer goes on believing in the last it heard of.
+    pub reign: Option<Reign>,
+    /// The name of the reign's leader, if this node knows its membership yet.
+    pub leader: Option<NodeId>,
+    /// Whether this node leads, holds all that was committed before its reign, and has been acknowledged by a majority
+    /// not longer ago than [`ReplicaSettings::quorum_silence_max`].
+    pub is_me: bool,
+    /// Whether this node was elected but hears no majority: it must not act, and a proposal is refused at once.
+    pub cut_off: bool,
+    /// Who votes.
+    pub voters: BTreeMap<RaftId, NodeId>,
+    /// Who is replicated to without a vote.
+    pub observers: BTreeMap<RaftId, NodeId>,
+}
+
+/// Why a node could not take part. Nothing runs.
+#[derive(Debug, thiserror::Error)]
+pub enum StartError {
+    /// Our own mistake, or that of the configuration.
+    #[error(transparent)]
+    Settings(#[from] SettingsError),
+    /// The journal cannot be read, or is of another release.
+    #[error("the journal cannot be read: {0}")]
+    Journal(#[from] std::io::Error),
+    /// The bus is closed.
+    #[error(transparent)]
+    Bus(#[from] BusError),
+    /// What openraft says of the stored state.
+    #[error("the stored state cannot be taken up: {0}")]
+    Raft(#[from] Fatal<RaftId>),
+}
+
+/// Why the fleet's first voters were not written down. Nothing was changed.
+#[derive(Debug, PartialEq, Eq, thiserror::Error)]
+pub enum BootstrapError {
+    /// Ordinary: this was done before, or a leader has been here already.
+    #[error("this node already belongs to a fleet")]
+    Already,
+    /// Our own mistake.
+    #[error("{0} is not among the first voters")]
+    NotMember(RaftId),
+    /// The replica has stopped.
+    #[error("the replica has stopped")]
+    Closed,
+}
+
+/// Why a command was not acknowledged. Only after [`ProposeError::TimedOut`] is it open what became of it.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+pub enum ProposeError {
+    /// Ordinary. It was not proposed here, or was replaced by another leader's entry: it will not happen by this
+    /// call.
+    #[error("the leader is {}", leader.as_ref().map_or("unknown", NodeId::as_str))]
+    NotLeader {
+        /// Whom to ask instead, as far as this node knows.
+        leader: Option<NodeId>,
+    },
+    /// This node was elected but hears no majority. It was not proposed.
+    #[error("no quorum: {reachable} of {voters} voters reachable")]
+    NoQuorum {
+        /// Voters that answered something sent within the last two heartbeats, this one included.
+        reachable: usize,
+        /// All voters.
+        voters: usize,
+    },
+    /// It was proposed and is not committed yet. **Its outcome is unknown**: it may yet be committed, now or by the
+    /// next leader. Look for its effect in the ledger, or propose something that may happen twice.
+    #[error("not committed within {limit:?}: whether it will be is unknown")]
+    TimedOut {
+        /// The time it was given.
+        limit: Duration,
+    },
+    /// Our own mistake, or a mission of absurd size. It was not proposed.
+    #[error("a command of {size} bytes exceeds the {max} that one message may carry")]
+    TooLarge {
+        /// Its encoded size.
+        size: usize,
+        /// The limit.
+        max: usize,
+    },
+    /// It cannot be written down; our own mistake. It was not proposed.
+    #[error("the command cannot be encoded: {0}")]
+    Unencodable(String),
+    /// The replica has stopped, on request or because its journal failed. After a failure the outcome is unknown.
+    #[error("the replica has stopped")]
+    Closed,
+}
+
+/// Why the membership was not changed.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+pub enum MemberError {
+    /// As for any other entry of the log; after [`ProposeError::TimedOut`] the change may yet happen.
+    #[error(transparent)]
+    Propose(#[from] ProposeError),
+    /// An earlier change is not committed yet. Nothing was changed; try again later.
+    #[error("another change of membership is under way")]
+    InProgress,
+    /// Our own mistake: a voter must be an observer first. Nothing was changed.
+    #[error("{0} is no observer")]
+    NotObserver(RaftId),
+    /// Our own mistake: somebody must vote. Nothing was changed.
+    #[error("no voters would be left")]
+    NobodyLeft,
+}
+
+/// A node's share in the replicated ledger. Clones are the same share; when the last is dropped, the node falls
+/// silent, as in a crash.
+pub struct Replica<S: StateMachine> {
+    inner: Arc<Inner<S>>,
+}
+
+impl<S: StateMachine> Clone for Replica<S> {
+    fn clone(&self) -> Self {
+        Replica { inner: Arc::clone(&self.inner) }
+    }
+}
+
+struct Inner<S: StateMachine> {
+    id: RaftId,
+    settings: ReplicaSettings,
+    raft: Raft<S>,
+    machine: MachineStore<S>,
+    leadership: watch::Receiver<Leadership>,
+    acked_at: watch::Receiver<Option<Instant>>,
+    heard: Arc<Heard>,
+    refused: Arc<AtomicU64>,
+    _serving: Task,
+    _watching: Task,
+    _canvassing: Task,
+    _beating: Task,
+}
+
+/// A task that ends with its owner.
+struct Task(JoinHandle<()>);
+
+impl Task {
+    fn spawn(work: impl Future<Output = ()> + Send + 'static) -> Self {
+        Task(tokio::spawn(work))
+    }
+}
+
+impl Drop for Task {
+    fn drop(&mut self) {
+        self.0.abort();
+    }
+}
+
+impl<S: StateMachine> Replica<S> {
+    /// Takes part with what `journal` holds. `seed` decides how long it waits for a leader: nodes need different ones.
+    ///
+    /// # Errors
+    /// [`StartError`]: nothing runs.
+    pub async fn start(
+        settings: ReplicaSettings,
+        bus: SharedBus,
+        journal: Arc<dyn Journal>,
+        seed: u64,
+    ) -> Result<Self, StartError> {
+        let config = settings.to_config()?;
+        let id = RaftId::of(&settings.node, journal.identity());
+        let (log, machine) = store::open::<S>(journal).await?;
+        let queries = bus.serve(&network::key(&settings.fleet, id, None)).await?;
+        let heard = Arc::<Heard>::default();
+        let muted = Arc::<AtomicBool>::default();
+        let board = Switchboard {
+            bus,
+            fleet: settings.fleet.clone(),
+            me: id,
+            heard: Arc::clone(&heard),
+            pause: settings.heartbeat,
+            muted: Arc::clone(&muted),
+        };
+
+        // Nothing is awaited between these two: openraft draws its timeout before `new` first waits.
+        seed_elections(seed);
+        let raft = Raft::<S>::new(id, config, board.clone(), log, machine.clone()).await?;
+
+        let (tell_leadership, leadership) = watch::channel(Leadership::default());
+        let (tell_acked, acked_at) = watch::channel(None);
+        let watcher = Watcher {
+            silence_max: settings.quorum_silence_max,
+            election_max: settings.election_max,
+            leadership: tell_leadership,
+            acked: tell_acked,
+            muted,
+            elected: None,
+        };
+        let watching = Task::spawn(watcher.run(raft.metrics()));
+        let ear = Arc::new(Ear::new());
+        let canvass = canvass::canvass(raft.clone(), board, Arc::clone(&ear), settings.clone(), seed);
+        let canvassing = Task::spawn(canvass);
+        let beating = Task::spawn(canvass::beat(raft.clone(), settings.heartbeat));
+        let refused = Arc::<AtomicU64>::default();
+        let service = Service {
+            raft: raft.clone(),
+            ear,
+            leadership: leadership.clone(),
+            election_min: settings.election_min,
+            heartbeat: settings.heartbeat,
+            refused: Arc::clone(&refused),
+        };
+        let serving = Task::spawn(service.run(queries));
+        info!(node = %settings.node, raft = %id, "takes part in the ledger");
+        let inner = Inner {
+            id,
+            settings,
+            raft,
+            machine,
+            leadership,
+            acked_at,
+            heard,
+            refused,
+            _serving: serving,
+            _watching: watching,
+            _canvassing: canvassing,
+            _beating: beating,
+        };
+        Ok(Replica { inner: Arc::new(inner) })
+    }
+
+    /// This node and its store, as Raft counts them.
+    pub fn id(&self) -> RaftId {
+        self.inner.id
+    }
+
+    /// Writes down the fleet's first voters, and stands for election. More than one of them may do it, with the very
+    /// same voters; other voters would found a second fleet.
+    ///
+    /// # Errors
+    /// [`BootstrapError`]: nothing was changed.
+    pub async fn bootstrap(&self, members: BTreeMap<RaftId, NodeId>) -> Result<(), BootstrapError> {
+        let members: BTreeMap<_, _> = members.into_iter().map(|(id, name)| (id, Peer { name })).collect();
+        self.inner.raft.initialize(members).await.map_err(|error| match error {
+            RaftError::APIError(InitializeError::NotAllowed(_)) => BootstrapError::Already,
+            RaftError::APIError(InitializeError::NotInMembers(_)) => BootstrapError::NotMember(self.inner.id),
+            RaftError::Fatal(_) => BootstrapError::Closed,
+        })
+    }
+
+    /// Has `command` committed and applied, and gives what the state machine answered. The whole takes `limit` at
+    /// most: openraft itself would wait for a quorum for ever.
+    ///
+    /// # Errors
+    /// [`ProposeError`]: after [`ProposeError::TimedOut`] **the outcome is unknown**.
+    pub async fn propose(&self, command: S::Command, limit: Duration) -> Result<S::Outcome, ProposeError> {
+        check_size(&command)?;
+        self.refuse_when_cut_off()?;
+        match timeout(limit, self.inner.raft.client_write(command)).await {
+            Err(_) => Err(ProposeError::TimedOut { limit }),
+            Ok(Err(error)) => Err(write_error(error).into_propose()),
+            Ok(Ok(written)) => Ok(written.data.expect("a command's entry has an outcome")),
+        }
+    }
+
+    /// Who leads, now and whenever that changes.
+    pub fn leadership(&self) -> watch::Receiver<Leadership> {
+        self.inner.leadership.clone()
+    }
+
+    /// The place of the last entry applied on this node, now and whenever it grows.
+    pub fn applied(&self) -> watch::Receiver<Epoch> {
+        self.inner.machine.applied()
+    }
+
+    /// What `look` sees in this node's state, which may lag behind the leader's. Applying waits meanwhile.
+    pub fn read<R>(&self, look: impl FnOnce(&S) -> R) -> R {
+        self.inner.machine.read(look)
+    }
+
+    /// Asks a majority whether this node still leads, and waits until it has applied all that was committed when
+    /// they were asked. A [`Replica::read`] after that is linearizable.
+    ///
+    /// # Errors
+    /// [`ProposeError`]; nothing was changed in any case.
+    pub async fn ensure_leader(&self, limit: Duration) -> Result<(), ProposeError> {
+        let confirmed = async {
+            let (committed, _) = self.inner.raft.get_read_log_id().await.map_err(|error| match error {
+                RaftError::APIError(CheckIsLeaderError::ForwardToLeader(other)) => not_leader(other),
+                RaftError::APIError(CheckIsLeaderError::QuorumNotEnough(_)) => self.no_quorum(),
+                RaftError::Fatal(_) => ProposeError::Closed,
+            })?;
+            let committed = committed.as_ref().map(epoch_of).unwrap_or_default();
+            let caught_up = self.applied().wait_for(|applied| *applied >= committed).await.is_ok();
+            if caught_up { Ok(()) } else { Err(ProposeError::Closed) }
+        };
+        timeout(limit, confirmed).await.unwrap_or(Err(ProposeError::TimedOut { limit }))
+    }
+
+    /// How long ago the newest message was *sent* that a majority has acknowledged in this reign; `None` for a node
+    /// that is not elected, or not acknowledged yet.
+    ///
+    /// openraft takes the time at which each `AppendEntries` was sent, keeps the latest acknowledged one per voter
+    /// and its own clock for itself, and gives the latest that a majority reaches. No other leader can have been
+    /// elected before this age exceeds `election_min`, since each of that majority refuses candidates for so long
+    /// after *receiving* the message. It is read from the metrics, rounded so as to seem older (by 1 ms at most).
+    /// Idle, it swings between one round trip and a heartbeat plus one round trip.
+    pub fn quorum_age(&self) -> Option<Duration> {
+        self.inner.acked_at.borrow().map(|at| at.elapsed())
+    }
+
+    /// How long ago the last message was sent that each other voter and observer has answered. Only a leader asks
+    /// them regularly.
+    pub fn heard(&self) -> BTreeMap<RaftId, Option<Duration>> {
+        let leadership = self.inner.leadership.borrow();
+        let others = leadership.voters.keys().chain(leadership.observers.keys()).filter(|id| **id != self.inner.id);
+        others.map(|id| (*id, self.inner.heard.last(*id).map(|at| at.elapsed()))).collect()
+    }
+
+    /// Questions of other nodes that could not be read or answered, counted since the start.
+    pub fn refused(&self) -> u64 {
+        self.inner.refused.load(Ordering::Relaxed)
+    }
+
+    /// Stands for election at once. Voters that heard their leader within `election_min` refuse all the same; a
+    /// leader does nothing.
+    ///
+    /// # Errors
+    /// [`ProposeError::Closed`].
+    pub async fn stand(&self) -> Result<(), ProposeError> {
+        self.inner.raft.trigger().elect().await.map_err(|_| ProposeError::Closed)
+    }
+
+    /// Takes a snapshot soon, whether or not it is due.
+    ///
+    /// # Errors
+    /// [`ProposeError::Closed`].
+    pub async fn snapshot(&self) -> Result<(), ProposeError> {
+        self.inner.raft.trigger().snapshot().await.map_err(|_| ProposeError::Closed)
+    }
+
+    /// Has the ledger replicated to another node, without a vote. Does nothing if that is so already.
+    ///
+    /// # Errors
+    /// [`MemberError`].
+    pub async fn add_observer(&self, id: RaftId, name: NodeId, limit: Duration) -> Result<(), MemberError> {
+        let node = BTreeMap::from([(id, Peer { name })]);
+        self.change(ChangeMembers::AddNodes(node), true, limit).await
+    }
+
+    /// Makes `voters` the voters, by joint consensus. Each must be an observer or voter already; those left out are
+    /// forgotten. Needs a majority of the old and of the new voters: a dead voter is never removed without a quorum.
+    ///
+    /// # Errors
+    /// [`MemberError`].
+    pub async fn set_voters(&self, voters: BTreeSet<RaftId>, limit: Duration) -> Result<(), MemberError> {
+        self.change(ChangeMembers::ReplaceAllVoters(voters), false, limit).await
+    }
+
+    /// Forgets an observer.
+    ///
+    /// # Errors
+    /// [`MemberError`].
+    pub async fn remove_observer(&self, id: RaftId, limit: Duration) -> Result<(), MemberError> {
+        self.change(ChangeMembers::RemoveNodes(BTreeSet::from([id])), true, limit).await
+    }
+
+    /// Stops taking part. The journal is at rest when it returns.
+    pub async fn shutdown(&self) {
+        // The only error openraft could give is that its task is gone already.
+        let _ = self.inner.raft.shutdown().await;
+    }
+
+    async fn change(
+        &self,
+        change: ChangeMembers<RaftId, Peer>,
+        retain: bool,
+        limit: Duration,
+    ) -> Result<(), MemberError> {
+        self.refuse_when_cut_off()?;
+        match timeout(limit, self.inner.raft.change_membership(change, retain)).await {
+            Err(_) => Err(ProposeError::TimedOut { limit }.into()),
+            Ok(Err(error)) => Err(write_error(error)),
+            Ok(Ok(_)) => Ok(()),
+        }
+    }
+
+    fn refuse_when_cut_off(&self) -> Result<(), ProposeError> {
+        let cut_off = self.inner.leadership.borrow().cut_off;
+        if cut_off { Err(self.no_quorum()) } else { Ok(()) }
+    }
+
+    fn no_quorum(&self) -> ProposeError {
+        let leadership = self.inner.leadership.borrow();
+        let near = |id: &&RaftId| {
+            let heard = self.inner.heard.last(**id);
+            **id == self.inner.id || heard.is_some_and(|at| at.elapsed() <= self.inner.settings.heartbeat * 2)
+        };
+        let reachable = leadership.voters.keys().filter(near).count();
+        ProposeError::NoQuorum { reachable, voters: leadership.voters.len() }
+    }
+}
+
+fn check_size<C: serde::Serialize>(command: &C) -> Result<(), ProposeError> {
+    match codec::encode(command, FRAME_MAX - FRAME_OVERHEAD) {
+        Ok(_) => Ok(()),
+        Err(CodecError::TooLarge { size, max }) => Err(ProposeError::TooLarge { size, max }),
+        Err(error) => Err(ProposeError::Unencodable(error.to_string())),
+    }
+}
+
+fn not_leader(other: ForwardToLeader<RaftId, Peer>) -> ProposeError {
+    ProposeError::NotLeader { leader: other.leader_node.map(|peer| peer.name) }
+}
+
+fn write_error(error: RaftError<RaftId, ClientWriteError<RaftId, Peer>>) -> MemberError {
+    match error {
+        RaftError::APIError(ClientWriteError::ForwardToLeader(other)) => not_leader(other).into(),
+        RaftError::APIError(ClientWriteError::ChangeMembershipError(error)) => match error {
+            ChangeMembershipError::InProgress(_) => MemberError::InProgress,
+            ChangeMembershipError::EmptyMembership(_) => MemberError::NobodyLeft,
+            ChangeMembershipError::LearnerNotFound(missing) => MemberError::NotObserver(missing.node_id),
+        },
+        RaftError::Fatal(_) => ProposeError::Closed.into(),
+    }
+}
+
+impl MemberError {
+    fn into_propose(self) -> ProposeError {
+        match self {
+            MemberError::Propose(error) => error,
+            MemberError::InProgress | MemberError::NotObserver(_) | MemberError::NobodyLeft => {
+                unreachable!("openraft answers so to a change of membership only")
+            }
+        }
+    }
+}
+
+/// Turns openraft's metrics into [`Leadership`], doubts it when the majority falls silent, and then mutes the node.
+struct Watcher {
+    silence_max: Duration,
+    election_max: Duration,
+    leadership: watch::Sender<Leadership>,
+    acked: watch::Sender<Option<Instant>>,
+    muted: Arc<AtomicBool>,
+    /// The reign in which this node was elected, if it leads, and since when it knows.
+    elected: Option<(Reign, Instant)>,
+}
+
+impl Watcher {
+    async fn run(mut self, mut metrics: watch::Receiver<Metrics>) {
+        loop {
+            let latest = metrics.borrow_and_update().clone();
+            // Metrics are sent at the instant they are taken, and openraft takes them at every event. Its whole
+            // milliseconds round the age down, so one is added.
+            let acked =
+                latest.millis_since_quorum_ack.and_then(|ms| Instant::now().checked_sub(Duration::from_millis(ms + 1)));
+            self.acked.send_replace(acked);
+            let elected_at = self.note_election(&latest);
+            if self.believe_until_changed(&latest, acked, elected_at, &mut metrics).await.is_err() {
+                break;
+            }
+        }
+        self.acked.send_replace(None);
+        self.leadership.send_modify(|now| {
+            *now = Leadership { term: now.term, ..Leadership::default() };
+        });
+    }
+
+    /// Since when this node leads, if it does.
+    fn note_election(&mut self, latest: &Metrics) -> Option<Instant> {
+        let reign = (latest.state == ServerState::Leader).then(|| reign_of(latest.vote.leader_id()));
+        if self.elected.map(|(reign, _)| reign) != reign {
+            self.elected = reign.map(|reign| (reign, Instant::now()));
+        }
+        self.elected.map(|(_, at)| at)
+    }
+
+    /// Tells what follows from `latest`, and what no longer does once the majority has been silent for too long.
+    async fn believe_until_changed(
+        &self,
+        latest: &Metrics,
+        acked: Option<Instant>,
+        elected_at: Option<Instant>,
+        metrics: &mut watch::Receiver<Metrics>,
+    ) -> Result<(), watch::error::RecvError> {
+        // A fresh leader has not been acknowledged yet; that is no silence to complain of, for a while.
+        let Some(doubt_at) = acked.or(elected_at).map(|at| at + self.silence_max) else {
+            self.muted.store(false, Ordering::Relaxed);
+            self.tell(latest, Quorum::Unknown);
+            return metrics.changed().await;
+        };
+        if doubt_at > Instant::now() {
+            self.muted.store(false, Ordering::Relaxed);
+            self.tell(latest, if acked.is_some() { Quorum::Hears } else { Quorum::Unknown });
+            tokio::select! {
+                biased;
+                changed = metrics.changed() => return changed,
+                () = tokio::time::sleep_until(doubt_at) => {}
+            }
+        }
+        // Metrics come with each of openraft's ticks, so this is looked at often enough.
+        self.muted.store(self.falls_silent(doubt_at.elapsed()), Ordering::Relaxed);
+        self.tell(latest, Quorum::Silent);
+        metrics.changed().await
+    }
+
+    /// Whether a leader says nothing at `doubted` after it began to doubt its majority: four times the longest
+    /// election timeout, in which any other majority finds a leader, then once that time aloud, and so on.
+    fn falls_silent(&self, doubted: Duration) -> bool {
+        let round = self.election_max * 5;
+        doubted.as_nanos() % round.as_nanos().max(1) < (self.election_max * 4).as_nanos()
+    }
+
+    fn tell(&self, metrics: &Metrics, quorum: Quorum) {
+        let next = believe(metrics, quorum);
+        self.leadership.send_if_modified(|now| {
+            let changed = *now != next;
+            if changed {
+                *now = next;
+            }
+            changed
+        });
+    }
+}
+
+/// What an elected leader knows of its majority.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Quorum {
+    /// Not acknowledged yet, or not elected.
+    Unknown,
+    Hears,
+    Silent,
+}
+
+/// What a node believes, given openraft's metrics and what is known of its majority.
+fn believe(metrics: &Metrics, quorum: Quorum) -> Leadership {
+    let running = metrics.running_state.is_ok() && metrics.state != ServerState::Shutdown;
+    let reign = metrics.vote.is_committed().then(|| reign_of(metrics.vote.leader_id())).filter(|_| running);
+    let elected = running && metrics.state == ServerState::Leader;
+    // The first entry of a reign is openraft's blank one: once it is applied, so is all that was committed before.
+    let caught_up = reign.is_some() && metrics.last_applied.map(|at| reign_of(&at.leader_id)) == reign;
+    let cut_off = elected && quorum == Quorum::Silent;
+    let reign = reign.filter(|_| !cut_off);
+    let membership = metrics.membership_config.membership();
+    let name = |id: RaftId| membership.get_node(&id).map(|peer| peer.name.clone());
+    let named = |ids: Vec<RaftId>| ids.into_iter().filter_map(|id| Some((id, name(id)?))).collect();
+    Leadership {
+        term: metrics.current_term,
+        reign,
+        leader: reign.and_then(|reign| name(reign.leader)),
+        is_me: elected && caught_up && quorum == Quorum::Hears,
+        cut_off,
+        voters: named(membership.voter_ids().collect()),
+        observers: named(membership.learner_ids().collect()),
+    }
+}

@@ -1,0 +1,128 @@
+//! Raft's answers to other voters' questions. One task holds them all; a slow one delays no other.
+
+use super::canvass::{Canvass, Ear};
+use super::codec::{self, FRAME_MAX};
+use super::network::{Answer, Verb, verb_of};
+use super::replica::Leadership;
+use super::types::{Raft, StateMachine, Types, Vote};
+use crate::bus::{BusError, Encoding, Query, Stream};
+use futures::StreamExt as _;
+use futures::stream::FuturesUnordered;
+use openraft::error::{InstallSnapshotError, RaftError};
+use openraft::raft::{AppendEntriesRequest, InstallSnapshotRequest};
+use serde::Serialize;
+use serde::de::DeserializeOwned;
+use std::fmt::Display;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::time::Duration;
+use tokio::sync::watch;
+use tracing::{debug, warn};
+
+/// Questions in hand at once; a voter has one open per peer, so more is a fault or an attack. A guess.
+const IN_HAND_MAX: usize = 256;
+
+/// What is needed to answer.
+pub(super) struct Service<S: StateMachine> {
+    pub(super) raft: Raft<S>,
+    pub(super) ear: Arc<Ear>,
+    pub(super) leadership: watch::Receiver<Leadership>,
+    pub(super) election_min: Duration,
+    pub(super) heartbeat: Duration,
+    /// Questions refused so far.
+    pub(super) refused: Arc<AtomicU64>,
+}
+
+impl<S: StateMachine> Service<S> {
+    /// Answers until the bus closes.
+    pub(super) async fn run(self, mut queries: Stream<Query>) {
+        let mut in_hand = FuturesUnordered::new();
+        loop {
+            tokio::select! {
+                biased;
+                Some(()) = in_hand.next() => {}
+                query = queries.recv(), if in_hand.len() < IN_HAND_MAX => match query {
+                    Some(query) => in_hand.push(self.answer(query)),
+                    None => return,
+                },
+            }
+        }
+    }
+
+    async fn answer(&self, query: Query) {
+        let outcome = match verb_of(&query.key) {
+            Some(Verb::Vote) => self.vote(&query).await,
+            Some(Verb::Append) => self.append(&query).await,
+            Some(Verb::Snapshot) => self.snapshot(&query).await,
+            Some(Verb::Canvass) => self.canvass(&query),
+            None => Err("no such question".to_owned()),
+        };
+        let sent = match outcome {
+            Ok(bytes) => query.replier.reply(&query.key, bytes.into(), Encoding::Wire).await,
+            Err(reason) => refuse(&query, &reason, &self.refused).await,
+        };
+        if let Err(error) = sent {
+            debug!(key = query.key, %error, "a raft answer was not sent");
+        }
+    }
+
+    async fn vote(&self, query: &Query) -> Result<Vec<u8>, String> {
+        let answer = self.raft.vote(read(query)?).await.map_err(in_words)?;
+        if answer.vote_granted {
+            self.ear.note_vote();
+        }
+        written(&Answer::Done(answer))
+    }
+
+    async fn append(&self, query: &Query) -> Result<Vec<u8>, String> {
+        let question: AppendEntriesRequest<Types<S>> = read(query)?;
+        self.note_leader(&question.vote);
+        let answer = self.raft.append_entries(question).await.map_err(in_words)?;
+        written(&Answer::Done(answer))
+    }
+
+    async fn snapshot(&self, query: &Query) -> Result<Vec<u8>, String> {
+        let question: InstallSnapshotRequest<Types<S>> = read(query)?;
+        self.note_leader(&question.vote);
+        match self.raft.install_snapshot(question).await {
+            Ok(answer) => written(&Answer::Done(answer)),
+            Err(RaftError::APIError(InstallSnapshotError::SnapshotMismatch(mismatch))) => {
+                written(&Answer::<()>::Mismatch(mismatch))
+            }
+            Err(RaftError::Fatal(fatal)) => Err(in_words(fatal)),
+        }
+    }
+
+    /// Notes that the leader speaks, unless its reign is over. This comes before openraft is told, so that whoever has
+    /// just looked and is about to stand is told of first, and the leader gets no acknowledgement that would mislead it.
+    fn note_leader(&self, vote: &Vote) {
+        if *vote >= self.raft.server_metrics().borrow().vote {
+            self.ear.note_leader();
+        }
+    }
+
+    fn canvass(&self, query: &Query) -> Result<Vec<u8>, String> {
+        let asker: Canvass = read(query)?;
+        let hears_none = self.ear.hears_none(self.election_min, self.heartbeat) && !self.leadership.borrow().is_me;
+        let knows_enough = asker.last >= self.raft.data_metrics().borrow().last_log;
+        written(&Answer::Done(hears_none && knows_enough))
+    }
+}
+
+async fn refuse(query: &Query, reason: &str, refused: &AtomicU64) -> Result<(), BusError> {
+    let count = refused.fetch_add(1, Ordering::Relaxed) + 1;
+    warn!(key = query.key, bytes = query.payload.len(), count, reason, "refused a raft question");
+    query.replier.refuse(reason).await
+}
+
+fn read<T: DeserializeOwned>(query: &Query) -> Result<T, String> {
+    codec::decode(&query.payload, FRAME_MAX).map_err(in_words)
+}
+
+fn written<T: Serialize>(answer: &T) -> Result<Vec<u8>, String> {
+    codec::encode(answer, FRAME_MAX).map_err(in_words)
+}
+
+fn in_words(error: impl Display) -> String {
+    error.to_string()
+}

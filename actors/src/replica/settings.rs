@@ -1,0 +1,119 @@
+//! How a replica is set up.
+
+use consort_protocol::ids::{FleetId, NodeId};
+use openraft::{Config, SnapshotPolicy};
+use std::sync::Arc;
+use std::time::Duration;
+
+/// How one node takes part in the replicated ledger. All nodes of a fleet use the same times.
+#[derive(Debug, Clone)]
+pub struct ReplicaSettings {
+    /// The fleet: part of every key.
+    pub fleet: FleetId,
+    /// This node.
+    pub node: NodeId,
+    /// How often a leader says that it is there; also the limit of each of its messages, so it exceeds a round trip.
+    /// Lower finds a dead leader sooner and costs messages. Default: openraft's.
+    pub heartbeat: Duration,
+    /// The shortest time without a leader after which a node stands for election, and the time for which a voter
+    /// refuses every candidate after its leader's last word. At least three heartbeats, so that two may be lost.
+    /// Default: that of the Raft paper.
+    pub election_min: Duration,
+    /// The longest; it is drawn anew for each wait. The wider the range, the rarer do two candidates meet. Default:
+    /// that of the Raft paper.
+    pub election_max: Duration,
+    /// A leader that no majority has acknowledged for so long no longer counts itself leader. At most `election_min`:
+    /// until then no other can have been elected. Default: that, less 1/15 for clocks that run unevenly.
+    pub quorum_silence_max: Duration,
+    /// Applied entries after which a snapshot is taken. Higher saves work, lower saves memory and restart time.
+    pub snapshot_every: u64,
+    /// Entries kept although a snapshot holds them, so that a follower that lags a little need not be sent all.
+    pub log_kept: u64,
+}
+
+impl ReplicaSettings {
+    /// The defaults, for `node` of `fleet`.
+    pub fn new(fleet: FleetId, node: NodeId) -> Self {
+        ReplicaSettings {
+            fleet,
+            node,
+            heartbeat: Duration::from_millis(50),
+            election_min: Duration::from_millis(150),
+            election_max: Duration::from_millis(300),
+            quorum_silence_max: Duration::from_millis(140),
+            snapshot_every: 5000,
+            log_kept: 1000,
+        }
+    }
+
+    /// The same with other times; the bound on a leader's silence follows `election_min`.
+    #[must_use]
+    pub fn with_times(mut self, heartbeat: Duration, election_min: Duration, election_max: Duration) -> Self {
+        self.heartbeat = heartbeat;
+        self.election_min = election_min;
+        self.election_max = election_max;
+        self.quorum_silence_max = election_min.mul_f64(14.0 / 15.0);
+        self
+    }
+
+    pub(super) fn to_config(&self) -> Result<Arc<Config>, SettingsError> {
+        if self.quorum_silence_max > self.election_min {
+            return Err(SettingsError::Silence { silence: self.quorum_silence_max, lease: self.election_min });
+        }
+        if self.election_min >= self.election_max {
+            return Err(SettingsError::Elections { min: self.election_min, max: self.election_max });
+        }
+        if self.snapshot_every == 0 {
+            return Err(SettingsError::NoSnapshots);
+        }
+        let config = Config {
+            cluster_name: self.fleet.to_string(),
+            heartbeat_interval: millis(self.heartbeat),
+            // Beats and elections are driven by `canvass`. What is left of these two: the first is the limit of a vote
+            // request, the second the time for which voters refuse candidates.
+            election_timeout_min: millis(self.election_min) * 2 / 3,
+            election_timeout_max: millis(self.election_min),
+            enable_elect: false,
+            enable_heartbeat: false,
+            // One chunk over a link of 1 Mbit/s takes 0.4 s.
+            install_snapshot_timeout: 2000,
+            snapshot_max_chunk_size: super::network::SNAPSHOT_CHUNK as u64,
+            snapshot_policy: SnapshotPolicy::LogsSinceLast(self.snapshot_every),
+            replication_lag_threshold: self.snapshot_every.saturating_mul(2),
+            max_in_snapshot_log_to_keep: self.log_kept,
+            ..Config::default()
+        };
+        Ok(Arc::new(config.validate().map_err(|error| SettingsError::Raft(Box::new(error)))?))
+    }
+}
+
+fn millis(time: Duration) -> u64 {
+    u64::try_from(time.as_millis()).unwrap_or(u64::MAX)
+}
+
+/// Settings that contradict one another. Nothing was started.
+#[derive(Debug, thiserror::Error)]
+pub enum SettingsError {
+    /// A leader would count itself leader while another may already be elected.
+    #[error("a leader's silence bound {silence:?} exceeds the shortest election timeout {lease:?}")]
+    Silence {
+        /// The bound.
+        silence: Duration,
+        /// The time in which voters refuse other candidates.
+        lease: Duration,
+    },
+    /// Nothing to draw from.
+    #[error("the shortest election timeout {min:?} is not below the longest, {max:?}")]
+    Elections {
+        /// The shortest.
+        min: Duration,
+        /// The longest.
+        max: Duration,
+    },
+    /// The log would grow for ever.
+    #[error("a snapshot after every 0 entries")]
+    NoSnapshots,
+    /// What openraft says.
+    #[error("{0}")]
+    Raft(Box<openraft::ConfigError>),
+}

@@ -1,0 +1,320 @@
+//! openraft's storage over a [`Journal`]: the log cached in memory, and the state machine with its snapshots.
+
+use super::codec::{self, RECORD_MAX};
+use super::journal::{Journal, Recorded};
+use super::types::{
+    Epoch, LogId, SnapshotMeta, StateMachine, StorageError, StorageIOError, StoredMembership, Types, Vote, epoch_of,
+};
+use openraft::storage::{LogFlushed, RaftLogStorage, RaftStateMachine};
+use openraft::{AnyError, Entry, EntryPayload, LogState, OptionalSend, RaftLogReader, RaftSnapshotBuilder, Snapshot};
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+use std::fmt::Debug;
+use std::io::Cursor;
+use std::ops::RangeBounds;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use tokio::sync::watch;
+
+/// Takes a lock that no code of ours holds while it can panic.
+fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// Opens what `journal` holds: the log, and the state machine as of the last snapshot. openraft applies the rest.
+pub(super) async fn open<S: StateMachine>(
+    journal: Arc<dyn Journal>,
+) -> Result<(LogStore<S>, MachineStore<S>), std::io::Error> {
+    let Recorded { vote, committed, purged, entries, snapshot } = journal.load().await?;
+    let read = |bytes: Option<Vec<u8>>| bytes.as_deref().map(read_record).transpose();
+    let log = Log {
+        vote: vote.as_deref().map(read_record).transpose()?,
+        committed: read(committed)?,
+        purged: read(purged)?,
+        entries: entries
+            .iter()
+            .map(|(index, bytes)| Ok((*index, read_record(bytes)?)))
+            .collect::<Result<_, std::io::Error>>()?,
+    };
+    let mut machine =
+        Machine { state: S::default(), applied: None, membership: StoredMembership::default(), snapshot: None };
+    if let Some(bytes) = snapshot {
+        let kept: Kept = read_record(&bytes)?;
+        machine.restore(read_record(&kept.state)?, kept);
+    }
+    let applied = watch::Sender::new(machine.applied.as_ref().map(epoch_of).unwrap_or_default());
+    let log = LogStore { journal: Arc::clone(&journal), log: Arc::new(Mutex::new(log)) };
+    let machine = Arc::new(Mutex::new(machine));
+    Ok((log, MachineStore { journal, machine, applied: Arc::new(applied), snapshots: Arc::default() }))
+}
+
+fn read_record<T: serde::de::DeserializeOwned>(bytes: &[u8]) -> std::io::Result<T> {
+    codec::decode(bytes, RECORD_MAX)
+        .map_err(|error| std::io::Error::new(std::io::ErrorKind::InvalidData, error.to_string()))
+}
+
+fn write_record<T: Serialize>(value: &T) -> std::io::Result<Vec<u8>> {
+    codec::encode(value, RECORD_MAX)
+        .map_err(|error| std::io::Error::new(std::io::ErrorKind::InvalidData, error.to_string()))
+}
+
+/// The log as openraft reads it; the journal holds the same, durably.
+struct Log<S: StateMachine> {
+    vote: Option<Vote>,
+    committed: Option<LogId>,
+    purged: Option<LogId>,
+    entries: BTreeMap<u64, Entry<Types<S>>>,
+}
+
+/// The log and the vote.
+pub(super) struct LogStore<S: StateMachine> {
+    journal: Arc<dyn Journal>,
+    log: Arc<Mutex<Log<S>>>,
+}
+
+impl<S: StateMachine> Clone for LogStore<S> {
+    fn clone(&self) -> Self {
+        LogStore { journal: Arc::clone(&self.journal), log: Arc::clone(&self.log) }
+    }
+}
+
+fn writing_logs(error: std::io::Error) -> StorageError {
+    StorageIOError::write_logs(AnyError::new(&error)).into()
+}
+
+fn writing_vote(error: std::io::Error) -> StorageError {
+    StorageIOError::write_vote(AnyError::new(&error)).into()
+}
+
+impl<S: StateMachine> RaftLogReader<Types<S>> for LogStore<S> {
+    async fn try_get_log_entries<R: RangeBounds<u64> + Clone + Debug + OptionalSend>(
+        &mut self,
+        range: R,
+    ) -> Result<Vec<Entry<Types<S>>>, StorageError> {
+        Ok(lock(&self.log).entries.range(range).map(|(_, entry)| entry.clone()).collect())
+    }
+}
+
+impl<S: StateMachine> RaftLogStorage<Types<S>> for LogStore<S> {
+    type LogReader = Self;
+
+    async fn get_log_state(&mut self) -> Result<LogState<Types<S>>, StorageError> {
+        let log = lock(&self.log);
+        let last = log.entries.last_key_value().map(|(_, entry)| entry.log_id);
+        Ok(LogState { last_purged_log_id: log.purged, last_log_id: last.or(log.purged) })
+    }
+
+    async fn get_log_reader(&mut self) -> Self {
+        self.clone()
+    }
+
+    async fn save_vote(&mut self, vote: &Vote) -> Result<(), StorageError> {
+        let bytes = write_record(vote).map_err(writing_vote)?;
+        self.journal.record_vote(bytes).await.map_err(writing_vote)?;
+        lock(&self.log).vote = Some(*vote);
+        Ok(())
+    }
+
+    async fn read_vote(&mut self) -> Result<Option<Vote>, StorageError> {
+        Ok(lock(&self.log).vote)
+    }
+
+    async fn save_committed(&mut self, committed: Option<LogId>) -> Result<(), StorageError> {
+        let bytes = committed.as_ref().map(write_record).transpose().map_err(writing_logs)?;
+        self.journal.record_committed(bytes).await.map_err(writing_logs)?;
+        lock(&self.log).committed = committed;
+        Ok(())
+    }
+
+    async fn read_committed(&mut self) -> Result<Option<LogId>, StorageError> {
+        Ok(lock(&self.log).committed)
+    }
+
+    async fn append<I>(&mut self, entries: I, callback: LogFlushed<Types<S>>) -> Result<(), StorageError>
+    where
+        I: IntoIterator<Item = Entry<Types<S>>> + OptionalSend,
+        I::IntoIter: OptionalSend,
+    {
+        let entries: Vec<_> = entries.into_iter().collect();
+        let records =
+            entries.iter().map(|entry| Ok((entry.log_id.index, write_record(entry)?))).collect::<Result<_, _>>();
+        self.journal.append(records.map_err(writing_logs)?).await.map_err(writing_logs)?;
+        lock(&self.log).entries.extend(entries.into_iter().map(|entry| (entry.log_id.index, entry)));
+        callback.log_io_completed(Ok(()));
+        Ok(())
+    }
+
+    async fn truncate(&mut self, from: LogId) -> Result<(), StorageError> {
+        self.journal.truncate(from.index).await.map_err(writing_logs)?;
+        lock(&self.log).entries.split_off(&from.index);
+        Ok(())
+    }
+
+    async fn purge(&mut self, through: LogId) -> Result<(), StorageError> {
+        let last = write_record(&through).map_err(writing_logs)?;
+        self.journal.purge(through.index, last).await.map_err(writing_logs)?;
+        let mut log = lock(&self.log);
+        log.entries = log.entries.split_off(&(through.index + 1));
+        log.purged = Some(through);
+        Ok(())
+    }
+}
+
+/// A snapshot as the journal keeps it.
+#[derive(Clone, Serialize, Deserialize)]
+struct Kept {
+    meta: SnapshotMeta,
+    state: Vec<u8>,
+}
+
+struct Machine<S> {
+    state: S,
+    applied: Option<LogId>,
+    membership: StoredMembership,
+    snapshot: Option<Kept>,
+}
+
+impl<S: StateMachine> Machine<S> {
+    fn restore(&mut self, state: S, kept: Kept) {
+        self.state = state;
+        self.applied = kept.meta.last_log_id;
+        self.membership = kept.meta.last_membership.clone();
+        self.snapshot = Some(kept);
+    }
+}
+
+/// The state machine, shared by openraft, which applies, and whoever reads.
+pub(super) struct MachineStore<S: StateMachine> {
+    journal: Arc<dyn Journal>,
+    machine: Arc<Mutex<Machine<S>>>,
+    applied: Arc<watch::Sender<Epoch>>,
+    /// Held while a snapshot goes to the journal: openraft builds one while it installs another.
+    snapshots: Arc<tokio::sync::Mutex<()>>,
+}
+
+impl<S: StateMachine> Clone for MachineStore<S> {
+    fn clone(&self) -> Self {
+        MachineStore {
+            journal: Arc::clone(&self.journal),
+            machine: Arc::clone(&self.machine),
+            applied: Arc::clone(&self.applied),
+            snapshots: Arc::clone(&self.snapshots),
+        }
+    }
+}
+
+impl<S: StateMachine> MachineStore<S> {
+    /// What `look` sees in the state as applied so far on this node.
+    pub(super) fn read<R>(&self, look: impl FnOnce(&S) -> R) -> R {
+        look(&lock(&self.machine).state)
+    }
+
+    /// The place of the last applied entry, told anew after each batch.
+    pub(super) fn applied(&self) -> watch::Receiver<Epoch> {
+        self.applied.subscribe()
+    }
+}
+
+fn reading_snapshot(error: std::io::Error) -> StorageError {
+    StorageIOError::read_snapshot(None, AnyError::new(&error)).into()
+}
+
+fn writing_snapshot(error: std::io::Error) -> StorageError {
+    StorageIOError::write_snapshot(None, AnyError::new(&error)).into()
+}
+
+impl<S: StateMachine> RaftStateMachine<Types<S>> for MachineStore<S> {
+    type SnapshotBuilder = SnapshotBuilder<S>;
+
+    async fn applied_state(&mut self) -> Result<(Option<LogId>, StoredMembership), StorageError> {
+        let machine = lock(&self.machine);
+        Ok((machine.applied, machine.membership.clone()))
+    }
+
+    async fn apply<I>(&mut self, entries: I) -> Result<Vec<Option<S::Outcome>>, StorageError>
+    where
+        I: IntoIterator<Item = Entry<Types<S>>> + OptionalSend,
+        I::IntoIter: OptionalSend,
+    {
+        let mut outcomes = Vec::new();
+        let mut machine = lock(&self.machine);
+        for Entry { log_id, payload } in entries {
+            machine.applied = Some(log_id);
+            outcomes.push(match payload {
+                EntryPayload::Blank => None,
+                EntryPayload::Normal(command) => Some(machine.state.apply(epoch_of(&log_id), command)),
+                EntryPayload::Membership(membership) => {
+                    machine.membership = StoredMembership::new(Some(log_id), membership);
+                    None
+                }
+            });
+        }
+        let applied = machine.applied.as_ref().map(epoch_of).unwrap_or_default();
+        drop(machine);
+        self.applied.send_replace(applied);
+        Ok(outcomes)
+    }
+
+    async fn get_snapshot_builder(&mut self) -> SnapshotBuilder<S> {
+        let machine = lock(&self.machine);
+        let last = machine.applied.as_ref().map_or("start".to_owned(), ToString::to_string);
+        SnapshotBuilder {
+            store: self.clone(),
+            state: machine.state.clone(),
+            meta: SnapshotMeta {
+                last_log_id: machine.applied,
+                last_membership: machine.membership.clone(),
+                // Which store made it matters: two nodes' bytes of one state may differ.
+                snapshot_id: format!("{last}@{:032x}", self.journal.identity().0),
+            },
+        }
+    }
+
+    async fn begin_receiving_snapshot(&mut self) -> Result<Box<Cursor<Vec<u8>>>, StorageError> {
+        Ok(Box::default())
+    }
+
+    async fn install_snapshot(
+        &mut self,
+        meta: &SnapshotMeta,
+        snapshot: Box<Cursor<Vec<u8>>>,
+    ) -> Result<(), StorageError> {
+        let kept = Kept { meta: meta.clone(), state: snapshot.into_inner() };
+        let state = read_record(&kept.state).map_err(reading_snapshot)?;
+        let record = write_record(&kept).map_err(writing_snapshot)?;
+        let _alone = self.snapshots.lock().await;
+        self.journal.keep_snapshot(record).await.map_err(writing_snapshot)?;
+        lock(&self.machine).restore(state, kept);
+        self.applied.send_replace(meta.last_log_id.as_ref().map(epoch_of).unwrap_or_default());
+        Ok(())
+    }
+
+    async fn get_current_snapshot(&mut self) -> Result<Option<Snapshot<Types<S>>>, StorageError> {
+        Ok(lock(&self.machine).snapshot.clone().map(to_snapshot))
+    }
+}
+
+fn to_snapshot<S: StateMachine>(kept: Kept) -> Snapshot<Types<S>> {
+    Snapshot { meta: kept.meta, snapshot: Box::new(Cursor::new(kept.state)) }
+}
+
+/// Makes a snapshot of the state as it was when the builder was asked for.
+pub(super) struct SnapshotBuilder<S: StateMachine> {
+    store: MachineStore<S>,
+    state: S,
+    meta: SnapshotMeta,
+}
+
+impl<S: StateMachine> RaftSnapshotBuilder<Types<S>> for SnapshotBuilder<S> {
+    async fn build_snapshot(&mut self) -> Result<Snapshot<Types<S>>, StorageError> {
+        let kept = Kept { meta: self.meta.clone(), state: write_record(&self.state).map_err(writing_snapshot)? };
+        let record = write_record(&kept).map_err(writing_snapshot)?;
+        let _alone = self.store.snapshots.lock().await;
+        let newest = lock(&self.store.machine).snapshot.as_ref().and_then(|kept| kept.meta.last_log_id);
+        // A newer one may have been installed from the leader in the meantime, and the log purged up to it.
+        if newest <= kept.meta.last_log_id {
+            self.store.journal.keep_snapshot(record).await.map_err(writing_snapshot)?;
+            lock(&self.store.machine).snapshot = Some(kept.clone());
+        }
+        Ok(to_snapshot(kept))
+    }
+}

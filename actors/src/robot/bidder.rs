@@ -1,0 +1,98 @@
+//! A robot prices its own work.
+
+use consort_protocol::auction::{Answer, Bid, CallForBids, Refusal, RefusalReason, Tender};
+use consort_protocol::ensemble::Membership;
+use consort_protocol::ids::{RobotId, RoleId, TaskType};
+use consort_protocol::knowledge::{Availability, Worker};
+use consort_protocol::plan::LocalPlan;
+use consort_protocol::units::{MetresPerSecond, Seconds};
+use consort_skills::descriptor::{Context, Estimator};
+use std::collections::BTreeSet;
+use std::sync::Arc;
+
+/// Prices plans for one robot.
+#[derive(Clone)]
+pub struct Bidder {
+    robot: RobotId,
+    estimator: Arc<Estimator>,
+}
+
+/// What the robot knows of itself when it is asked.
+#[derive(Debug, Clone)]
+pub struct Circumstance<'a> {
+    /// Its own account.
+    pub worker: &'a Worker,
+    /// How old that is, in milliseconds.
+    pub age_ms: u64,
+    /// Whether it counts itself a member of the ensemble that was called.
+    pub membership: Membership,
+}
+
+impl Bidder {
+    /// A bidder that prices with this estimator.
+    pub fn new(robot: RobotId, estimator: Arc<Estimator>) -> Bidder {
+        Bidder { robot, estimator }
+    }
+
+    /// Answers every role of a call.
+    pub fn tender(&self, call: &CallForBids, circumstance: &Circumstance<'_>) -> Tender {
+        let answer = |(role, plan)| match self.bid(call, role, plan, circumstance) {
+            Ok(bid) => Answer::Bid(bid),
+            Err(reason) => Answer::Refusal(Refusal { robot: self.robot.clone(), role: role.clone(), reason }),
+        };
+        Tender {
+            robot: self.robot.clone(),
+            auction: call.auction.clone(),
+            answers: call.roles.iter().map(answer).collect(),
+        }
+    }
+
+    fn bid(
+        &self,
+        call: &CallForBids,
+        role: &RoleId,
+        plan: &LocalPlan,
+        circumstance: &Circumstance<'_>,
+    ) -> Result<Bid, RefusalReason> {
+        let Circumstance { worker, age_ms, membership } = circumstance;
+        match &worker.availability {
+            Availability::Free => {}
+            Availability::Holding { mission, role, .. } => {
+                return Err(RefusalReason::Busy { mission: mission.clone(), role: role.clone() });
+            }
+            Availability::OutOfService { problem } => {
+                return Err(RefusalReason::OutOfService { problem: problem.clone() });
+            }
+        }
+        if !membership.member {
+            let why = membership.reason.clone();
+            return Err(RefusalReason::NotMember { ensemble: call.ensemble.clone(), why });
+        }
+        let needed: BTreeSet<&TaskType> = plan.tasks().map(|(_, spec)| &spec.task_type).collect();
+        let missing: Vec<TaskType> =
+            needed.into_iter().filter(|skill| !worker.skills.contains(*skill)).cloned().collect();
+        if !missing.is_empty() {
+            return Err(RefusalReason::MissingSkills { skills: missing });
+        }
+        // A robot that does not drive has no navigation task to price: its speed plays no part.
+        let speed = worker.speed.unwrap_or(MetresPerSecond::new(1.0).expect("1 m/s is a speed"));
+        let context = Context { place: worker.place.clone(), speed, discharge: worker.discharge };
+        let parts = self.estimator.price(plan, &context).map_err(|problem| RefusalReason::NotFeasible {
+            task: problem.task().clone(),
+            problem: problem.to_string(),
+        })?;
+        let time = parts.iter().fold(Seconds::ZERO, |sum, part| sum + part.time);
+        let energy: f64 = parts.iter().map(|part| part.energy).sum();
+        Ok(Bid {
+            robot: self.robot.clone(),
+            role: role.clone(),
+            time,
+            energy,
+            remaining: worker.battery.get() - energy,
+            useful_charge: worker.useful_charge,
+            from: worker.place.clone(),
+            age_ms: *age_ms,
+            parts,
+        })
+    }
+}

@@ -1,0 +1,87 @@
+//! Runs one skill: an actor that ticks its tree until it ends, so that a panic in a skill ends this actor alone.
+
+use crate::body::Body;
+use crate::tasks::Tasks;
+use consort_skills::library::{ActiveSkill, SkillStatus};
+use ractor::{Actor, ActorProcessingErr, ActorRef};
+use std::time::Duration;
+
+/// How a skill ended.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum SkillOutcome {
+    /// As asked.
+    Succeeded,
+    /// For good, and why.
+    Failed(String),
+}
+
+/// To a runner.
+pub(super) enum RunnerMessage {
+    /// Pass control to the tree.
+    Tick,
+    /// Stop the body safely, and end.
+    Halt,
+}
+
+/// What a runner runs.
+pub(super) struct Run {
+    pub(super) skill: ActiveSkill,
+    pub(super) body: Body,
+    /// How often the tree is ticked while nothing is heard from the body (thesis: 100 ms).
+    pub(super) period: Duration,
+    /// Told once, when the skill has ended by itself.
+    pub(super) done: Box<dyn FnOnce(SkillOutcome) + Send + Sync>,
+}
+
+/// The actor.
+pub(super) struct SkillRunner;
+
+/// State of [`SkillRunner`].
+pub(super) struct RunnerState {
+    skill: ActiveSkill,
+    body: Body,
+    done: Option<Box<dyn FnOnce(SkillOutcome) + Send + Sync>>,
+    _tasks: Tasks,
+}
+
+#[ractor::async_trait]
+impl Actor for SkillRunner {
+    type Msg = RunnerMessage;
+    type State = RunnerState;
+    type Arguments = Run;
+
+    async fn pre_start(&self, myself: ActorRef<Self::Msg>, run: Run) -> Result<Self::State, ActorProcessingErr> {
+        let mut tasks = Tasks::default();
+        let (mut changes, to) = (run.body.changes(), myself.clone());
+        tasks.spawn(async move { while changes.changed().await.is_ok() && to.cast(RunnerMessage::Tick).is_ok() {} });
+        tasks.beat(run.period, &myself, || RunnerMessage::Tick);
+        myself.cast(RunnerMessage::Tick)?;
+        Ok(RunnerState { skill: run.skill, body: run.body, done: Some(run.done), _tasks: tasks })
+    }
+
+    async fn handle(
+        &self,
+        myself: ActorRef<Self::Msg>,
+        message: Self::Msg,
+        state: &mut Self::State,
+    ) -> Result<(), ActorProcessingErr> {
+        state.body.refresh();
+        let outcome = match message {
+            RunnerMessage::Tick => match state.skill.tick(&mut state.body) {
+                SkillStatus::Running => return Ok(()),
+                SkillStatus::Succeeded => Some(SkillOutcome::Succeeded),
+                SkillStatus::Failed { cause } => Some(SkillOutcome::Failed(cause)),
+            },
+            RunnerMessage::Halt => {
+                state.skill.halt(&mut state.body);
+                None
+            }
+        };
+        if let (Some(outcome), Some(done)) = (outcome, state.done.take()) {
+            done(outcome);
+        }
+        state.done = None;
+        myself.stop(None);
+        Ok(())
+    }
+}

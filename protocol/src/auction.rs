@@ -1,0 +1,14 @@
+//! Auctions: who is asked, what they answer, and who gets which role.
+//!
+//! All open roles of a mission are auctioned at once (Algorithm 1 of the thesis, with an exact assignment in place of a
+//! greedy pick per role): one robot fills at most one role, and either every open role is filled or none is.
+
+mod bid;
+mod conclude;
+mod record;
+mod select;
+
+pub use bid::{Answer, AuctionId, Bid, BidPart, CallForBids, Limits, Refusal, RefusalReason, Tender, Unviable};
+pub use conclude::{Circumstances, Conclusion, conclude};
+pub use record::{AuctionEntry, AuctionRecord, Verdict};
+pub use select::{NoCoalition, select};

@@ -1,0 +1,189 @@
+//! From answers to a decision.
+
+use super::bid::{Answer, Bid, CallForBids, Limits, RefusalReason, Tender};
+use super::record::{AuctionEntry, AuctionRecord, Verdict};
+use super::select::select;
+use crate::ids::{MissionId, RobotId, RoleId};
+use std::collections::{BTreeMap, BTreeSet};
+
+/// What an auction came to.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Conclusion {
+    /// Who gets which role: every role of the call, or `None`.
+    pub holders: Option<BTreeMap<RoleId, RobotId>>,
+    /// How it came about.
+    pub record: AuctionRecord,
+}
+
+/// What the coordinator knows beside the answers.
+#[derive(Debug, Clone)]
+pub struct Circumstances<'a> {
+    /// Who should have answered.
+    pub expected: &'a BTreeSet<RobotId>,
+    /// Robots that hold a role, or are about to: a robot may have bid before it heard of that.
+    pub taken: &'a BTreeMap<RobotId, (MissionId, RoleId)>,
+    /// What bids must keep to.
+    pub limits: &'a Limits,
+    /// How long was waited for answers, in milliseconds.
+    pub window_ms: u64,
+    /// The time to write into the record.
+    pub at_ms: u64,
+}
+
+/// Judges all answers to a call and chooses. Robots that were expected and said nothing are recorded as silent; so every
+/// robot that could have had a role, and why it did not get it, is in the record.
+pub fn conclude(call: &CallForBids, tenders: &[Tender], circumstances: &Circumstances<'_>) -> Conclusion {
+    let mut answers: BTreeMap<(&RoleId, &RobotId), &Answer> = BTreeMap::new();
+    for tender in tenders.iter().filter(|tender| tender.auction == call.auction) {
+        for answer in &tender.answers {
+            let (role, robot) = match answer {
+                Answer::Bid(bid) => (&bid.role, &bid.robot),
+                Answer::Refusal(refusal) => (&refusal.role, &refusal.robot),
+            };
+            if *robot == tender.robot {
+                answers.entry((role, robot)).or_insert(answer);
+            }
+        }
+    }
+    let robots: BTreeSet<&RobotId> =
+        circumstances.expected.iter().chain(answers.keys().map(|(_, robot)| *robot)).collect();
+
+    let mut viable: Vec<Bid> = vec![];
+    let mut entries = vec![];
+    for role in call.roles.keys() {
+        for &robot in &robots {
+            let verdict = match answers.get(&(role, robot)) {
+                Some(Answer::Bid(bid)) => judge(bid, circumstances, &mut viable),
+                Some(Answer::Refusal(refusal)) => Verdict::Refused { reason: refusal.reason.clone() },
+                None => Verdict::Refused { reason: RefusalReason::Silent { window_ms: circumstances.window_ms } },
+            };
+            entries.push(AuctionEntry { role: role.clone(), robot: robot.clone(), verdict });
+        }
+    }
+
+    let choice = select(&call.roles.keys().cloned().collect(), &viable);
+    let holders = choice.as_ref().ok().map(|picks| {
+        picks.iter().map(|(role, index)| (role.clone(), viable[*index].robot.clone())).collect::<BTreeMap<_, _>>()
+    });
+    let omitted = entries.len().saturating_sub(AuctionRecord::ENTRIES_MAX);
+    if omitted > 0 {
+        // Those who could do the work are the ones people ask about first.
+        entries.sort_by_key(|entry| matches!(entry.verdict, Verdict::Refused { .. }));
+        entries.truncate(AuctionRecord::ENTRIES_MAX);
+    }
+    let record = AuctionRecord {
+        auction: call.auction.clone(),
+        at_ms: circumstances.at_ms,
+        entries,
+        omitted: u32::try_from(omitted).unwrap_or(u32::MAX),
+        chosen: holders.clone().unwrap_or_default(),
+        failure: choice.err().map(|problem| problem.to_string()),
+    };
+    Conclusion { holders, record }
+}
+
+fn judge(bid: &Bid, circumstances: &Circumstances<'_>, viable: &mut Vec<Bid>) -> Verdict {
+    let Bid { time, energy, remaining, .. } = *bid;
+    if let Some((mission, role)) = circumstances.taken.get(&bid.robot) {
+        return Verdict::Refused { reason: RefusalReason::Busy { mission: mission.clone(), role: role.clone() } };
+    }
+    match bid.viable(circumstances.limits) {
+        Ok(()) => {
+            viable.push(bid.clone());
+            Verdict::Viable { time, energy, remaining }
+        }
+        Err(why) => Verdict::Unviable { time, energy, remaining, why },
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::auction::{AuctionId, Refusal};
+    use crate::ids::{EnsembleId, PlaceId};
+    use crate::plan::LocalPlan;
+    use crate::units::{BatteryShare, Seconds};
+
+    fn robot(name: &str) -> RobotId {
+        RobotId::new(name).unwrap()
+    }
+
+    fn role() -> RoleId {
+        RoleId::new("r1").unwrap()
+    }
+
+    fn call() -> CallForBids {
+        CallForBids {
+            auction: AuctionId { mission: MissionId::new("m-1").unwrap(), term: 3, round: 1 },
+            ensemble: EnsembleId::new("all").unwrap(),
+            roles: BTreeMap::from([(role(), LocalPlan { role: role(), steps: vec![] })]),
+        }
+    }
+
+    fn bids(name: &str, time: f64, remaining: f64) -> Tender {
+        let bid = Bid {
+            robot: robot(name),
+            role: role(),
+            time: Seconds::new(time).unwrap(),
+            energy: 0.1,
+            remaining,
+            useful_charge: BatteryShare::new(0.08).unwrap(),
+            from: PlaceId::new("dock").unwrap(),
+            age_ms: 0,
+            parts: vec![],
+        };
+        Tender { robot: robot(name), auction: call().auction, answers: vec![Answer::Bid(bid)] }
+    }
+
+    #[test]
+    fn every_robot_and_why_it_did_not_get_the_role_is_in_the_record() {
+        let expected = ["ada", "bob", "cyd", "dan", "eve", "fay"].map(robot).into_iter().collect();
+        let taken = BTreeMap::from([(robot("bob"), (MissionId::new("m-0").unwrap(), role()))]);
+        let circumstances =
+            Circumstances { expected: &expected, taken: &taken, limits: &Limits::default(), window_ms: 200, at_ms: 0 };
+        let busy = RefusalReason::Busy { mission: MissionId::new("m-7").unwrap(), role: role() };
+        let refusal = Refusal { robot: robot("dan"), role: role(), reason: busy.clone() };
+        let refuses = Tender { robot: robot("dan"), auction: call().auction, answers: vec![Answer::Refusal(refusal)] };
+        let tenders =
+            [bids("ada", 9.0, 0.5), bids("bob", 1.0, 0.5), bids("cyd", 2.0, 0.06), refuses, bids("eve", 8.0, 0.5)];
+        let conclusion = conclude(&call(), &tenders, &circumstances);
+
+        assert_eq!(conclusion.holders, Some(BTreeMap::from([(role(), robot("eve"))])));
+        let said: Vec<String> = conclusion
+            .record
+            .entries
+            .iter()
+            .map(|entry| match &entry.verdict {
+                Verdict::Viable { time, .. } => format!("{}: {time:.0}", entry.robot),
+                Verdict::Unviable { why, .. } => format!("{}: {why}", entry.robot),
+                Verdict::Refused { reason } => format!("{}: {reason}", entry.robot),
+            })
+            .collect();
+        assert_eq!(
+            said,
+            [
+                "ada: 9 s",
+                "bob: busy as r1 of m-0",
+                "cyd: 6.0 % charge left is not above 8.0 %",
+                "dan: busy as r1 of m-7",
+                "eve: 8 s",
+                "fay: no answer within 200 ms",
+            ]
+        );
+    }
+
+    #[test]
+    fn an_answer_to_another_call_or_in_anothers_name_does_not_count() {
+        let expected = BTreeSet::new();
+        let taken = BTreeMap::new();
+        let circumstances =
+            Circumstances { expected: &expected, taken: &taken, limits: &Limits::default(), window_ms: 200, at_ms: 0 };
+        let mut old = bids("ada", 1.0, 0.5);
+        old.auction.round = 9;
+        let mut forged = bids("bob", 1.0, 0.5);
+        forged.robot = robot("mal");
+        let conclusion = conclude(&call(), &[old, forged], &circumstances);
+        assert_eq!(conclusion.holders, None);
+        assert_eq!(conclusion.record.failure.as_deref(), Some("no viable bid for r1"));
+    }
+}

@@ -1,0 +1,200 @@
+//! What happens, as it happens: the stream on `consort/{fleet}/events`, in JSON, for people and programs to follow.
+
+use crate::auction::{AuctionRecord, Bid};
+use crate::ids::{EnsembleId, MissionId, NodeId, RobotId, RoleId, TaskId};
+use crate::lease::{Ending, Epoch};
+use crate::ledger::MissionState;
+use crate::plan::Signal;
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+
+/// One happening.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Event {
+    /// Where it happened.
+    pub node: NodeId,
+    /// Counts the node's events since it started, from 1: a gap is a loss.
+    pub sequence: u64,
+    /// When, in milliseconds of the node's wall clock.
+    pub at_ms: u64,
+    /// What.
+    #[serde(flatten)]
+    pub what: Happening,
+}
+
+/// What can happen.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(tag = "event", rename_all = "snake_case")]
+pub enum Happening {
+    /// A node began to coordinate.
+    Elected {
+        /// Its term.
+        term: u64,
+        /// Who keeps the ledger.
+        voters: Vec<NodeId>,
+    },
+    /// A node no longer coordinates, or can no longer be sure that it does.
+    SteppedDown {
+        /// The term in which it did.
+        term: u64,
+    },
+    /// The coordinator counts a node among an ensemble's members.
+    Joined {
+        /// The ensemble.
+        ensemble: EnsembleId,
+        /// The node.
+        member: NodeId,
+    },
+    /// The coordinator no longer counts a node among an ensemble's members.
+    Left {
+        /// The ensemble.
+        ensemble: EnsembleId,
+        /// The node.
+        member: NodeId,
+        /// Why not.
+        reason: String,
+    },
+    /// A mission was acknowledged.
+    Submitted {
+        /// The mission.
+        mission: MissionId,
+        /// Its parameters.
+        parameters: BTreeMap<String, String>,
+    },
+    /// Members were asked for bids.
+    Called {
+        /// The mission.
+        mission: MissionId,
+        /// Its open roles.
+        roles: Vec<RoleId>,
+        /// Which round.
+        round: u32,
+        /// How many were asked.
+        asked: usize,
+    },
+    /// A robot bid.
+    Bid {
+        /// The mission.
+        mission: MissionId,
+        /// Its bid, with its parts.
+        bid: Bid,
+    },
+    /// An auction was closed; every answer is in the record.
+    Closed {
+        /// The mission.
+        mission: MissionId,
+        /// What was heard and decided.
+        record: AuctionRecord,
+    },
+    /// Roles were given.
+    Awarded {
+        /// The mission.
+        mission: MissionId,
+        /// Who got which.
+        holders: BTreeMap<RoleId, RobotId>,
+        /// The award.
+        epoch: Epoch,
+        /// From the commit of the request to the commit of the award, in milliseconds.
+        after_ms: Option<f64>,
+    },
+    /// A role's holder was given up.
+    Released {
+        /// The mission.
+        mission: MissionId,
+        /// The role.
+        role: RoleId,
+        /// Why.
+        cause: String,
+    },
+    /// A mission's state changed.
+    Mission {
+        /// The mission.
+        mission: MissionId,
+        /// Its state.
+        state: MissionState,
+    },
+    /// A role's steps have ended.
+    Progress {
+        /// The mission.
+        mission: MissionId,
+        /// Steps ended, over all managed roles.
+        done: usize,
+        /// Steps in all.
+        steps: usize,
+    },
+    /// A robot began its plan.
+    Started {
+        /// The mission.
+        mission: MissionId,
+        /// Its role.
+        role: RoleId,
+        /// The award.
+        epoch: Epoch,
+    },
+    /// A task began.
+    TaskBegan {
+        /// The mission.
+        mission: MissionId,
+        /// The role.
+        role: RoleId,
+        /// The task.
+        task: TaskId,
+    },
+    /// A task ended well.
+    TaskEnded {
+        /// The mission.
+        mission: MissionId,
+        /// The role.
+        role: RoleId,
+        /// The task.
+        task: TaskId,
+    },
+    /// A task failed for good.
+    TaskFailed {
+        /// The mission.
+        mission: MissionId,
+        /// The role.
+        role: RoleId,
+        /// The task.
+        task: TaskId,
+        /// Why.
+        cause: String,
+    },
+    /// A role told another.
+    Sent {
+        /// The mission.
+        mission: MissionId,
+        /// What.
+        signal: Signal,
+    },
+    /// A role heard what it waited for.
+    Heard {
+        /// The mission.
+        mission: MissionId,
+        /// What.
+        signal: Signal,
+    },
+    /// A robot stopped safely because its lease ran out.
+    Suspended {
+        /// The mission.
+        mission: MissionId,
+        /// Its role.
+        role: RoleId,
+    },
+    /// A robot whose lease had run out went on.
+    Resumed {
+        /// The mission.
+        mission: MissionId,
+        /// Its role.
+        role: RoleId,
+    },
+    /// A robot put its role down.
+    Halted {
+        /// The mission.
+        mission: MissionId,
+        /// Its role.
+        role: RoleId,
+        /// Why.
+        reason: Ending,
+    },
+}

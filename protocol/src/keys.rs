@@ -1,0 +1,339 @@
+//! Every key there is. All other code calls this module, to write a key and to read one back.
+//!
+//! ```text
+//! consort/{fleet}/wire/**   bincode, between nodes             (see `message` for who says what)
+//! consort/{fleet}/view/**   JSON, for people and any client    get: fleet, robots, coordinator, missions, auctions
+//! consort/{fleet}/api/**    JSON, for people and any client    query: submit, cancel, get, list
+//! consort/{fleet}/alive/**  presence tokens                    robot/{id}, node/{id}, coordinator/{term}/{id}
+//! consort/{fleet}/events    JSON, published                    what happens, as it happens
+//! ```
+
+use crate::ids::{FleetId, MissionId, NodeId, RobotId, RoleId};
+use std::fmt;
+
+/// A key of a fleet, as a value.
+#[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Key {
+    /// `wire/knowledge/{node}`: a node publishes its record.
+    Knowledge(NodeId),
+    /// `wire/gossip/{node}`: asked with a digest, a node answers with what the asker lacks.
+    Gossip(NodeId),
+    /// `wire/swim/{node}`: failure detection packets for a node.
+    Swim(NodeId),
+    /// `wire/raft/{member}/{call}`: consensus calls to a member, by its number.
+    Raft(u64, RaftCall),
+    /// `wire/beacon`: the coordinator publishes that it coordinates.
+    Beacon,
+    /// `wire/bid/{robot}`: the coordinator asks for bids.
+    Bid(RobotId),
+    /// `wire/award/{robot}`: the coordinator tells a robot of an award.
+    Award(RobotId),
+    /// `wire/report/{node}`: a robot reports to the coordinator on that node.
+    Report(NodeId),
+    /// `wire/live/{node}`: anyone asks the coordinator on that node which missions are under way.
+    Live(NodeId),
+    /// `wire/changed`: the coordinator publishes that missions under way have changed.
+    Changed,
+    /// `wire/signal/{mission}/{role}`: a message of the mission's plan, published for the role that awaits it.
+    Signal(MissionId, RoleId),
+    /// `wire/said/{mission}/{role}`: a late waiter asks which messages the role has sent.
+    Said(MissionId, RoleId),
+    /// `wire/body/{robot}/{call}`: a robot's node drives its body.
+    Body(RobotId, BodyCall),
+    /// `wire/people/{call}`: unmanaged roles are asked to act.
+    People(PeopleCall),
+    /// `view/fleet`.
+    ViewFleet,
+    /// `view/robot/{robot}`.
+    ViewRobot(RobotId),
+    /// `view/coordinator`.
+    ViewCoordinator,
+    /// `view/missions`.
+    ViewMissions,
+    /// `view/mission/{mission}`.
+    ViewMission(MissionId),
+    /// `view/auctions`.
+    ViewAuctions,
+    /// `api/{call}`.
+    Api(ApiCall),
+    /// `alive/robot/{robot}`.
+    AliveRobot(RobotId),
+    /// `alive/node/{node}`.
+    AliveNode(NodeId),
+    /// `alive/coordinator/{term}/{node}`.
+    AliveCoordinator(u64, NodeId),
+    /// `events`.
+    Events,
+}
+
+macro_rules! words {
+    ($($(#[$doc:meta])* $name:ident { $($(#[$vdoc:meta])* $variant:ident = $word:literal),* $(,)? })*) => {$(
+        $(#[$doc])*
+        #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+        pub enum $name { $($(#[$vdoc])* $variant),* }
+
+        impl $name {
+            /// All of them.
+            pub const ALL: &'static [$name] = &[$($name::$variant),*];
+
+            /// The word that stands for it in a key.
+            pub fn word(self) -> &'static str {
+                match self { $($name::$variant => $word),* }
+            }
+
+            fn read(word: &str) -> Option<$name> {
+                $name::ALL.iter().copied().find(|call| call.word() == word)
+            }
+        }
+    )*};
+}
+
+words! {
+    /// A consensus call.
+    RaftCall {
+        /// A candidate asks for a vote.
+        Vote = "vote",
+        /// The leader appends entries, or says that it leads.
+        Append = "append",
+        /// The leader hands over a snapshot, piece by piece.
+        Snapshot = "snapshot",
+    }
+    /// A call between a robot's node and the host of its body.
+    BodyCall {
+        /// Query to the host: begin or end a goal, or just say how things stand.
+        Command = "command",
+        /// Publication by the host: telemetry and the state of goals.
+        State = "state",
+    }
+    /// A call between unmanaged roles' attendants and the host of people.
+    PeopleCall {
+        /// Query to the host: ask or dismiss a person.
+        Ask = "ask",
+        /// Publication by the host: what a person has done.
+        Done = "done",
+    }
+    /// A request that clients in any language make, in JSON.
+    ApiCall {
+        /// Ask for a mission.
+        Submit = "submit",
+        /// Withdraw a mission.
+        Cancel = "cancel",
+        /// Look at one mission.
+        Get = "get",
+        /// Look at all missions.
+        List = "list",
+    }
+}
+
+/// Writes and reads the keys of one fleet.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Keys {
+    prefix: String,
+}
+
+impl Keys {
+    /// The keys of a fleet.
+    pub fn new(fleet: &FleetId) -> Keys {
+        Keys { prefix: format!("consort/{fleet}") }
+    }
+
+    /// The key as text.
+    pub fn write(&self, key: &Key) -> String {
+        format!("{}/{key}", self.prefix)
+    }
+
+    /// The key that a text is, if it is one of this fleet's.
+    pub fn read(&self, text: &str) -> Option<Key> {
+        read(text.strip_prefix(&self.prefix)?.strip_prefix('/')?)
+    }
+
+    /// Key expression for all records of knowledge.
+    pub fn any_knowledge(&self) -> String {
+        format!("{}/wire/knowledge/*", self.prefix)
+    }
+
+    /// Key expression that asks all robots for bids.
+    pub fn any_bid(&self) -> String {
+        format!("{}/wire/bid/*", self.prefix)
+    }
+
+    /// Key expression for the messages of a mission to one of its roles, whichever mission it is.
+    pub fn any_signal(&self) -> String {
+        format!("{}/wire/signal/*/*", self.prefix)
+    }
+
+    /// Key expression for all bodies' commands: what a host of bodies serves.
+    pub fn any_body_command(&self) -> String {
+        format!("{}/wire/body/*/{}", self.prefix, BodyCall::Command.word())
+    }
+
+    /// Key expression for a member's consensus calls.
+    pub fn any_raft(&self, member: u64) -> String {
+        format!("{}/wire/raft/{member:016x}/*", self.prefix)
+    }
+
+    /// Key expression for all views.
+    pub fn any_view(&self) -> String {
+        format!("{}/view/**", self.prefix)
+    }
+
+    /// Key expression for all requests.
+    pub fn any_api(&self) -> String {
+        format!("{}/api/*", self.prefix)
+    }
+
+    /// Key expression for all presence tokens.
+    pub fn any_alive(&self) -> String {
+        format!("{}/alive/**", self.prefix)
+    }
+
+    /// Key expression for the presence tokens of nodes.
+    pub fn any_alive_node(&self) -> String {
+        format!("{}/alive/node/*", self.prefix)
+    }
+
+    /// Key expression for the presence tokens of coordinators.
+    pub fn any_alive_coordinator(&self) -> String {
+        format!("{}/alive/coordinator/*/*", self.prefix)
+    }
+}
+
+impl fmt::Display for Key {
+    /// The key without the fleet's prefix.
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Key::Knowledge(node) => write!(f, "wire/knowledge/{node}"),
+            Key::Gossip(node) => write!(f, "wire/gossip/{node}"),
+            Key::Swim(node) => write!(f, "wire/swim/{node}"),
+            Key::Raft(member, call) => write!(f, "wire/raft/{member:016x}/{}", call.word()),
+            Key::Beacon => f.write_str("wire/beacon"),
+            Key::Bid(robot) => write!(f, "wire/bid/{robot}"),
+            Key::Award(robot) => write!(f, "wire/award/{robot}"),
+            Key::Report(node) => write!(f, "wire/report/{node}"),
+            Key::Live(node) => write!(f, "wire/live/{node}"),
+            Key::Changed => f.write_str("wire/changed"),
+            Key::Signal(mission, role) => write!(f, "wire/signal/{mission}/{role}"),
+            Key::Said(mission, role) => write!(f, "wire/said/{mission}/{role}"),
+            Key::Body(robot, call) => write!(f, "wire/body/{robot}/{}", call.word()),
+            Key::People(call) => write!(f, "wire/people/{}", call.word()),
+            Key::ViewFleet => f.write_str("view/fleet"),
+            Key::ViewRobot(robot) => write!(f, "view/robot/{robot}"),
+            Key::ViewCoordinator => f.write_str("view/coordinator"),
+            Key::ViewMissions => f.write_str("view/missions"),
+            Key::ViewMission(mission) => write!(f, "view/mission/{mission}"),
+            Key::ViewAuctions => f.write_str("view/auctions"),
+            Key::Api(call) => write!(f, "api/{}", call.word()),
+            Key::AliveRobot(robot) => write!(f, "alive/robot/{robot}"),
+            Key::AliveNode(node) => write!(f, "alive/node/{node}"),
+            Key::AliveCoordinator(term, node) => write!(f, "alive/coordinator/{term}/{node}"),
+            Key::Events => f.write_str("events"),
+        }
+    }
+}
+
+fn read(text: &str) -> Option<Key> {
+    let segments: Vec<&str> = text.split('/').collect();
+    Some(match segments[..] {
+        ["wire", "knowledge", node] => Key::Knowledge(node.parse().ok()?),
+        ["wire", "gossip", node] => Key::Gossip(node.parse().ok()?),
+        ["wire", "swim", node] => Key::Swim(node.parse().ok()?),
+        ["wire", "raft", member, call] if member.len() == 16 => {
+            Key::Raft(u64::from_str_radix(member, 16).ok()?, RaftCall::read(call)?)
+        }
+        ["wire", "beacon"] => Key::Beacon,
+        ["wire", "bid", robot] => Key::Bid(robot.parse().ok()?),
+        ["wire", "award", robot] => Key::Award(robot.parse().ok()?),
+        ["wire", "report", node] => Key::Report(node.parse().ok()?),
+        ["wire", "live", node] => Key::Live(node.parse().ok()?),
+        ["wire", "changed"] => Key::Changed,
+        ["wire", "signal", mission, role] => Key::Signal(mission.parse().ok()?, role.parse().ok()?),
+        ["wire", "said", mission, role] => Key::Said(mission.parse().ok()?, role.parse().ok()?),
+        ["wire", "body", robot, call] => Key::Body(robot.parse().ok()?, BodyCall::read(call)?),
+        ["wire", "people", call] => Key::People(PeopleCall::read(call)?),
+        ["view", "fleet"] => Key::ViewFleet,
+        ["view", "robot", robot] => Key::ViewRobot(robot.parse().ok()?),
+        ["view", "coordinator"] => Key::ViewCoordinator,
+        ["view", "missions"] => Key::ViewMissions,
+        ["view", "mission", mission] => Key::ViewMission(mission.parse().ok()?),
+        ["view", "auctions"] => Key::ViewAuctions,
+        ["api", call] => Key::Api(ApiCall::read(call)?),
+        ["alive", "robot", robot] => Key::AliveRobot(robot.parse().ok()?),
+        ["alive", "node", node] => Key::AliveNode(node.parse().ok()?),
+        ["alive", "coordinator", term, node] => Key::AliveCoordinator(term.parse().ok()?, node.parse().ok()?),
+        ["events"] => Key::Events,
+        _ => return None,
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn all() -> Vec<Key> {
+        let node = NodeId::new("lab-1").unwrap();
+        let robot = RobotId::new("ada").unwrap();
+        let mission = MissionId::new("lab-samples-3").unwrap();
+        let role = RoleId::new("r1").unwrap();
+        let mut keys = vec![
+            Key::Knowledge(node.clone()),
+            Key::Gossip(node.clone()),
+            Key::Swim(node.clone()),
+            Key::Beacon,
+            Key::Bid(robot.clone()),
+            Key::Award(robot.clone()),
+            Key::Report(node.clone()),
+            Key::Live(node.clone()),
+            Key::Changed,
+            Key::Signal(mission.clone(), role.clone()),
+            Key::Said(mission.clone(), role),
+            Key::ViewFleet,
+            Key::ViewRobot(robot.clone()),
+            Key::ViewCoordinator,
+            Key::ViewMissions,
+            Key::ViewMission(mission),
+            Key::ViewAuctions,
+            Key::AliveRobot(robot.clone()),
+            Key::AliveNode(node.clone()),
+            Key::AliveCoordinator(7, node),
+            Key::Events,
+        ];
+        keys.extend(RaftCall::ALL.iter().map(|call| Key::Raft(0x00ab_cdef, *call)));
+        keys.extend(BodyCall::ALL.iter().map(|call| Key::Body(robot.clone(), *call)));
+        keys.extend(PeopleCall::ALL.iter().map(|call| Key::People(*call)));
+        keys.extend(ApiCall::ALL.iter().map(|call| Key::Api(*call)));
+        keys
+    }
+
+    #[test]
+    fn every_key_reads_back_as_what_was_written() {
+        let keys = Keys::new(&FleetId::new("ward").unwrap());
+        for key in all() {
+            let text = keys.write(&key);
+            assert!(text.starts_with("consort/ward/"), "{text}");
+            assert_eq!(keys.read(&text).as_ref(), Some(&key), "{text}");
+        }
+    }
+
+    #[test]
+    fn no_two_keys_are_written_alike() {
+        let keys = Keys::new(&FleetId::new("ward").unwrap());
+        let texts: std::collections::BTreeSet<String> = all().iter().map(|key| keys.write(key)).collect();
+        assert_eq!(texts.len(), all().len());
+    }
+
+    #[test]
+    fn what_is_not_a_key_of_this_fleet_is_none() {
+        let keys = Keys::new(&FleetId::new("ward").unwrap());
+        for text in [
+            "consort/warden/wire/beacon",
+            "consort/ward",
+            "consort/ward/",
+            "consort/ward/wire/bid",
+            "consort/ward/wire/bid/a*",
+            "consort/ward/wire/raft/12/vote",
+            "consort/ward/api/reboot",
+        ] {
+            assert_eq!(keys.read(text), None, "{text}");
+        }
+    }
+}

@@ -1,0 +1,453 @@
+//! Awards as leases with an epoch (after Gray and Cheriton 1989; the epoch is a fencing token).
+//!
+//! An award names a mission, a role, a robot and an [`Epoch`], which only grows. The robot renews it by reporting. Time
+//! is counted from when the *request* for renewal was sent on the robot's side, and from when the *answer* was given on
+//! the coordinator's, so that whatever the network delays, the robot stops before the role is given to another:
+//!
+//! ```text
+//! robot        sends report ──────────────────────────── lease ───────────────▶ suspends
+//! coordinator          answers ──────────────────────────────── lease + grace ─────────▶ may release
+//! ```
+//!
+//! [`Tenure`] is the robot's side. The coordinator's is [`Watch`].
+
+use crate::ids::{MissionId, RobotId, RoleId};
+use crate::plan::{LocalPlan, StepIndex};
+use crate::units::NodeTime;
+use serde::{Deserialize, Serialize};
+use std::collections::{BTreeMap, BTreeSet};
+use std::fmt;
+use std::time::Duration;
+
+/// Position of an award in the history of the fleet: term and index of its entry in the ledger.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Default, Serialize, Deserialize)]
+pub struct Epoch {
+    /// The coordinator's term.
+    pub term: u64,
+    /// Place in the ledger's log.
+    pub index: u64,
+}
+
+impl fmt::Display for Epoch {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}.{}", self.term, self.index)
+    }
+}
+
+/// A role given to a robot, with all that it needs in order to begin.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Award {
+    /// The mission.
+    pub mission: MissionId,
+    /// The role in it.
+    pub role: RoleId,
+    /// Who gets it.
+    pub robot: RobotId,
+    /// Which award this is.
+    pub epoch: Epoch,
+    /// What to do.
+    pub plan: LocalPlan,
+    /// Who holds the mission's managed roles.
+    pub holders: BTreeMap<RoleId, RobotId>,
+}
+
+/// How long an award lasts without contact. Fleet-wide: all nodes must agree.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+pub struct LeaseTerms {
+    /// The robot suspends this long after it sent the last report that was answered. Raised: longer blackouts are
+    /// survived in motion, lost robots are replaced later. Default 4 s: several takeovers long.
+    pub lease: Duration,
+    /// The coordinator waits this much longer. It covers clock drift and the age to which a coordinator may still
+    /// believe in its own leadership. Default 2 s.
+    pub grace: Duration,
+}
+
+impl Default for LeaseTerms {
+    fn default() -> Self {
+        LeaseTerms { lease: Duration::from_secs(4), grace: Duration::from_secs(2) }
+    }
+}
+
+impl LeaseTerms {
+    /// How old a coordinator's last contact with a quorum may be for it to renew leases: half the grace. The other half
+    /// is for drift.
+    pub fn leadership_age_max(&self) -> Duration {
+        self.grace / 2
+    }
+}
+
+/// Something the holder has learned.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum Event {
+    /// An award for this robot was heard. It is not begun before the coordinator has confirmed it.
+    Heard(Box<Award>),
+    /// The coordinator answered a report that was sent at `sent`.
+    Renewed {
+        /// The award it is about.
+        epoch: Epoch,
+        /// When the report had been sent.
+        sent: NodeTime,
+        /// Steps that the ledger knows as ended.
+        ended: BTreeSet<StepIndex>,
+    },
+    /// The coordinator said that the role is no longer this robot's.
+    Revoked {
+        /// The award it is about.
+        epoch: Epoch,
+        /// Why.
+        reason: Ending,
+    },
+    /// The plan was carried out to its end, or a task of it failed, and the ledger knows.
+    Settled {
+        /// The award it is about.
+        epoch: Epoch,
+    },
+    /// Time has passed.
+    Tick,
+}
+
+/// Why a role ended otherwise than by being carried out.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Ending {
+    /// The mission was canceled.
+    Canceled,
+    /// The mission failed elsewhere.
+    Failed,
+    /// The mission is over.
+    Over,
+    /// Another award has replaced this one.
+    Replaced,
+}
+
+/// Something for the holder to carry out, in the order given.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum Action {
+    /// Ask the coordinator to confirm the award: send a report now.
+    Report,
+    /// Begin the plan; the steps named have ended already.
+    Start(Box<Award>, BTreeSet<StepIndex>),
+    /// Stop safely and keep the place in the plan: the lease has run out.
+    Suspend,
+    /// Go on.
+    Resume,
+    /// Stop safely and forget the plan.
+    Halt(Ending),
+}
+
+/// Why a robot does not take an award that it was told of.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, thiserror::Error)]
+pub enum Declined {
+    /// It holds another role. One robot, one role.
+    #[error("holds {role} of {mission}")]
+    Busy {
+        /// The mission it is at work for.
+        mission: MissionId,
+        /// Its role there.
+        role: RoleId,
+    },
+    /// It has heard of a later award of the same role; ordinary when messages overtake one another.
+    #[error("has heard of epoch {known}")]
+    Stale {
+        /// The later epoch.
+        known: Epoch,
+    },
+    /// The award is for somebody else.
+    #[error("is not {robot}")]
+    NotMine {
+        /// For whom it is.
+        robot: RobotId,
+    },
+}
+
+/// The robot's side of an award: at most one at a time.
+#[derive(Debug, Clone)]
+pub struct Tenure {
+    robot: RobotId,
+    terms: LeaseTerms,
+    held: Option<Held>,
+    /// The latest epoch heard of each role, so that an overtaken award is not begun.
+    latest: BTreeMap<(MissionId, RoleId), Epoch>,
+}
+
+#[derive(Debug, Clone)]
+struct Held {
+    award: Award,
+    phase: Phase,
+    /// The end of the lease; before the first confirmation, when to forget about the award.
+    until: NodeTime,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Phase {
+    /// Heard, not confirmed.
+    Heard,
+    Active,
+    Suspended,
+}
+
+impl Tenure {
+    /// No award yet.
+    pub fn new(robot: RobotId, terms: LeaseTerms) -> Self {
+        Tenure { robot, terms, held: None, latest: BTreeMap::new() }
+    }
+
+    /// The award held or about to be, if any.
+    pub fn award(&self) -> Option<&Award> {
+        self.held.as_ref().map(|held| &held.award)
+    }
+
+    /// Whether the plan may be acted on at this instant: confirmed, and the lease has not run out.
+    pub fn may_act(&self, now: NodeTime) -> bool {
+        self.held.as_ref().is_some_and(|held| held.phase == Phase::Active && now < held.until)
+    }
+
+    /// Whether the lease has run out and the plan is held up.
+    pub fn is_suspended(&self) -> bool {
+        self.held.as_ref().is_some_and(|held| held.phase == Phase::Suspended)
+    }
+
+    /// When the lease ends; `None` without an award.
+    pub fn until(&self) -> Option<NodeTime> {
+        self.held.as_ref().map(|held| held.until)
+    }
+
+    /// Whether an award could be taken, and if not, why.
+    ///
+    /// # Errors
+    /// [`Declined`], for the coordinator to hear.
+    pub fn consider(&self, award: &Award) -> Result<(), Declined> {
+        if award.robot != self.robot {
+            return Err(Declined::NotMine { robot: award.robot.clone() });
+        }
+        let key = (award.mission.clone(), award.role.clone());
+        if let Some(&known) = self.latest.get(&key).filter(|&&known| known > award.epoch) {
+            return Err(Declined::Stale { known });
+        }
+        match &self.held {
+            Some(held) if held.award.mission != award.mission || held.award.role != award.role => {
+                Err(Declined::Busy { mission: held.award.mission.clone(), role: held.award.role.clone() })
+            }
+            _ => Ok(()),
+        }
+    }
+
+    /// What follows from an event at an instant.
+    pub fn handle(&mut self, event: Event, now: NodeTime) -> Vec<Action> {
+        match event {
+            Event::Heard(award) => self.hear(*award, now),
+            Event::Renewed { epoch, sent, ended } => self.renew(epoch, sent, ended, now),
+            Event::Revoked { epoch, reason } => self.revoke(epoch, reason),
+            Event::Settled { epoch } => self.settle(epoch),
+            Event::Tick => self.lapse(now),
+        }
+    }
+
+    fn hear(&mut self, award: Award, now: NodeTime) -> Vec<Action> {
+        if self.consider(&award).is_err() {
+            return vec![];
+        }
+        let known = self.latest.insert((award.mission.clone(), award.role.clone()), award.epoch);
+        let mut actions = vec![];
+        match &self.held {
+            Some(held) if held.award.epoch == award.epoch => return vec![Action::Report],
+            Some(held) if held.phase != Phase::Heard => actions.push(Action::Halt(Ending::Replaced)),
+            Some(_) => {}
+            None if known == Some(award.epoch) => return vec![], // an echo of an award that has ended
+            None => {}
+        }
+        self.held = Some(Held { award, phase: Phase::Heard, until: now + self.terms.lease });
+        actions.push(Action::Report);
+        actions
+    }
+
+    fn renew(&mut self, epoch: Epoch, sent: NodeTime, ended: BTreeSet<StepIndex>, now: NodeTime) -> Vec<Action> {
+        let Some(held) = self.held.as_mut().filter(|held| held.award.epoch == epoch) else {
+            return vec![]; // an award that has ended since the report was sent
+        };
+        let until = sent + self.terms.lease;
+        if until <= now {
+            return vec![]; // the answer took longer than the lease
+        }
+        match held.phase {
+            Phase::Heard => {
+                held.phase = Phase::Active;
+                held.until = until;
+                vec![Action::Start(Box::new(held.award.clone()), ended)]
+            }
+            Phase::Active => {
+                held.until = held.until.max(until);
+                vec![]
+            }
+            Phase::Suspended => {
+                held.phase = Phase::Active;
+                held.until = until;
+                vec![Action::Resume]
+            }
+        }
+    }
+
+    fn revoke(&mut self, epoch: Epoch, reason: Ending) -> Vec<Action> {
+        match self.held.take_if(|held| held.award.epoch == epoch) {
+            Some(held) if held.phase == Phase::Heard => vec![],
+            Some(_) => vec![Action::Halt(reason)],
+            None => vec![],
+        }
+    }
+
+    fn settle(&mut self, epoch: Epoch) -> Vec<Action> {
+        self.held.take_if(|held| held.award.epoch == epoch);
+        vec![]
+    }
+
+    fn lapse(&mut self, now: NodeTime) -> Vec<Action> {
+        let Some(held) = self.held.as_mut().filter(|held| held.until <= now) else { return vec![] };
+        match held.phase {
+            Phase::Heard => {
+                self.held = None;
+                vec![]
+            }
+            Phase::Active => {
+                held.phase = Phase::Suspended;
+                vec![Action::Suspend]
+            }
+            Phase::Suspended => vec![],
+        }
+    }
+}
+
+/// The coordinator's side: when each award was last in contact.
+#[derive(Debug, Clone)]
+pub struct Watch {
+    terms: LeaseTerms,
+    /// When this coordinator took over: an award it has not heard from since may have been renewed just before.
+    since: NodeTime,
+    contacts: BTreeMap<Epoch, BTreeMap<RobotId, NodeTime>>,
+}
+
+impl Watch {
+    /// Begins with the coordinator's leadership.
+    pub fn new(terms: LeaseTerms, since: NodeTime) -> Self {
+        Watch { terms, since, contacts: BTreeMap::new() }
+    }
+
+    /// A report of this award was answered with a renewal, or the award was committed, at `now`.
+    pub fn contact(&mut self, epoch: Epoch, robot: &RobotId, now: NodeTime) {
+        self.contacts.entry(epoch).or_default().insert(robot.clone(), now);
+    }
+
+    /// How long the holder has been out of contact, as far as this coordinator can know.
+    pub fn silence(&self, epoch: Epoch, robot: &RobotId, now: NodeTime) -> Duration {
+        let last = self.contacts.get(&epoch).and_then(|robots| robots.get(robot)).copied().unwrap_or(self.since);
+        now.since(last.max(self.since))
+    }
+
+    /// Whether the holder has certainly suspended by now, so that its role may go to another.
+    pub fn is_over(&self, epoch: Epoch, robot: &RobotId, now: NodeTime) -> bool {
+        self.silence(epoch, robot, now) > self.terms.lease + self.terms.grace
+    }
+
+    /// Forgets awards that are none of `live`.
+    pub fn retain(&mut self, live: &BTreeSet<Epoch>) {
+        self.contacts.retain(|epoch, _| live.contains(epoch));
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn at(ms: u64) -> NodeTime {
+        NodeTime::at(Duration::from_millis(ms))
+    }
+
+    fn award(index: u64) -> Award {
+        let role = RoleId::new("r1").unwrap();
+        Award {
+            mission: MissionId::new("m1").unwrap(),
+            role: role.clone(),
+            robot: RobotId::new("ada").unwrap(),
+            epoch: Epoch { term: 1, index },
+            plan: LocalPlan { role, steps: vec![] },
+            holders: BTreeMap::new(),
+        }
+    }
+
+    fn tenure() -> Tenure {
+        Tenure::new(RobotId::new("ada").unwrap(), LeaseTerms::default())
+    }
+
+    fn renewed(index: u64, sent: u64) -> Event {
+        Event::Renewed { epoch: Epoch { term: 1, index }, sent: at(sent), ended: BTreeSet::new() }
+    }
+
+    #[test]
+    fn an_award_begins_only_once_the_coordinator_has_confirmed_it() {
+        let mut ada = tenure();
+        assert_eq!(ada.handle(Event::Heard(Box::new(award(5))), at(0)), [Action::Report]);
+        assert!(!ada.may_act(at(1)));
+        assert_eq!(ada.handle(renewed(5, 10), at(20)), [Action::Start(Box::new(award(5)), BTreeSet::new())]);
+        assert!(ada.may_act(at(20)));
+    }
+
+    #[test]
+    fn the_lease_counts_from_when_the_report_was_sent() {
+        let mut ada = tenure();
+        ada.handle(Event::Heard(Box::new(award(5))), at(0));
+        ada.handle(renewed(5, 10), at(3000));
+        assert!(ada.may_act(at(4009)));
+        assert!(!ada.may_act(at(4010)));
+        assert_eq!(ada.handle(Event::Tick, at(4010)), [Action::Suspend]);
+        assert_eq!(ada.handle(Event::Tick, at(5000)), []);
+        assert_eq!(ada.handle(renewed(5, 4900), at(5000)), [Action::Resume]);
+    }
+
+    #[test]
+    fn an_answer_that_took_longer_than_the_lease_renews_nothing() {
+        let mut ada = tenure();
+        ada.handle(Event::Heard(Box::new(award(5))), at(0));
+        assert_eq!(ada.handle(renewed(5, 10), at(4010)), []);
+        assert!(!ada.may_act(at(4010)));
+    }
+
+    #[test]
+    fn an_older_epoch_is_somebody_elses_role_by_now() {
+        let mut ada = tenure();
+        ada.handle(Event::Heard(Box::new(award(5))), at(0));
+        assert_eq!(ada.consider(&award(4)), Err(Declined::Stale { known: Epoch { term: 1, index: 5 } }));
+        assert_eq!(ada.handle(Event::Heard(Box::new(award(4))), at(1)), []);
+        assert_eq!(ada.handle(renewed(4, 0), at(1)), []);
+    }
+
+    #[test]
+    fn a_newer_award_of_the_same_role_replaces_the_old_one() {
+        let mut ada = tenure();
+        ada.handle(Event::Heard(Box::new(award(5))), at(0));
+        ada.handle(renewed(5, 0), at(1));
+        let actions = ada.handle(Event::Heard(Box::new(award(6))), at(2));
+        assert_eq!(actions, [Action::Halt(Ending::Replaced), Action::Report]);
+        assert!(!ada.may_act(at(2)));
+    }
+
+    #[test]
+    fn an_echo_of_a_settled_award_is_not_begun_again() {
+        let mut ada = tenure();
+        ada.handle(Event::Heard(Box::new(award(5))), at(0));
+        ada.handle(renewed(5, 0), at(1));
+        ada.handle(Event::Settled { epoch: Epoch { term: 1, index: 5 } }, at(2));
+        assert_eq!(ada.handle(Event::Heard(Box::new(award(5))), at(3)), []);
+        assert_eq!(ada.award(), None);
+    }
+
+    #[test]
+    fn the_role_goes_to_another_only_after_the_holder_has_suspended() {
+        let epoch = Epoch { term: 1, index: 5 };
+        let robot = RobotId::new("ada").unwrap();
+        let mut watch = Watch::new(LeaseTerms::default(), at(0));
+        assert!(!watch.is_over(epoch, &robot, at(6000)), "it may have been renewed just before the takeover");
+        assert!(watch.is_over(epoch, &robot, at(6001)));
+        watch.contact(epoch, &robot, at(6000));
+        assert!(!watch.is_over(epoch, &robot, at(12_000)));
+        assert!(watch.is_over(epoch, &robot, at(12_001)));
+    }
+}

@@ -1,0 +1,222 @@
+use super::*;
+use crate::auction::AuctionId;
+use crate::ids::{TaskId, TaskType};
+use crate::mission::{Body, Method, Mission, Order, Role, TaskNode, TaskSpec};
+use crate::plan::{Division, LocalPlan, Signal, SignalKind, Step, StepAction};
+
+fn role(name: &str) -> RoleId {
+    RoleId::new(name).unwrap()
+}
+
+fn robot(name: &str) -> RobotId {
+    RobotId::new(name).unwrap()
+}
+
+/// `lab_arm` does one task, after which it tells `r1`, who waits for it.
+fn submission(request: &str) -> Box<Submission> {
+    let task = TaskId::new("pick_up_sample").unwrap();
+    let spec = TaskSpec {
+        task_type: TaskType::new("pick_up").unwrap(),
+        roles: vec![role("lab_arm")],
+        parameters: BTreeMap::new(),
+        reaches: BTreeMap::new(),
+    };
+    let signal = Signal { kind: SignalKind::Done, task: task.clone(), from: role("lab_arm"), to: role("r1") };
+    let managed = Role { kind: RoleKind::Managed };
+    let method = Method { order: Order::Sequential, children: vec![1] };
+    let mission = Mission {
+        name: TaskId::new("unload").unwrap(),
+        roles: BTreeMap::from([(role("lab_arm"), managed.clone()), (role("r1"), managed)]),
+        tasks: vec![
+            TaskNode { id: TaskId::new("root").unwrap(), body: Body::Abstract(method) },
+            TaskNode { id: task.clone(), body: Body::Elementary(spec.clone()) },
+        ],
+    };
+    let arm = vec![
+        Step { action: StepAction::Task { id: task, spec }, after: vec![] },
+        Step { action: StepAction::Send(signal.clone()), after: vec![0] },
+    ];
+    let cart = vec![Step { action: StepAction::Wait(signal), after: vec![] }];
+    let plan = |name: &str, steps| (role(name), LocalPlan { role: role(name), steps });
+    Box::new(Submission {
+        request: RequestId::new(request).unwrap(),
+        mission,
+        division: Division { plans: BTreeMap::from([plan("lab_arm", arm), plan("r1", cart)]) },
+        parameters: BTreeMap::new(),
+        at_ms: 0,
+    })
+}
+
+fn record() -> AuctionRecord {
+    let mission = MissionId::new("unload-1").unwrap();
+    let auction = AuctionId { mission, term: 1, round: 1 };
+    AuctionRecord { auction, at_ms: 0, entries: vec![], omitted: 0, chosen: BTreeMap::new(), failure: None }
+}
+
+/// A ledger and the index of its next entry.
+struct Log(Ledger, u64);
+
+impl Log {
+    fn new() -> Log {
+        Log(Ledger::default(), 1)
+    }
+
+    fn apply(&mut self, command: Command) -> Outcome {
+        let at = Epoch { term: 1, index: self.1 };
+        self.1 += 1;
+        self.0.apply(at, command)
+    }
+
+    fn submit(&mut self, request: &str) -> MissionId {
+        match self.apply(Command::Submit(submission(request))) {
+            Outcome::Submitted { mission, .. } => mission,
+            other => panic!("{other:?}"),
+        }
+    }
+
+    fn award(&mut self, mission: &MissionId, arm: &str, r1: &str) -> Outcome {
+        let holders = BTreeMap::from([(role("lab_arm"), robot(arm)), (role("r1"), robot(r1))]);
+        self.apply(Command::Award { mission: mission.clone(), holders, auction: record() })
+    }
+
+    fn ended(&mut self, mission: &MissionId, who: &str, epoch: Epoch, ended: &[StepIndex]) -> Outcome {
+        let ended = ended.iter().copied().collect();
+        self.apply(Command::Progress { mission: mission.clone(), role: role(who), epoch, ended })
+    }
+
+    fn release(&mut self, mission: &MissionId, who: &str, epoch: Epoch) -> Outcome {
+        let cause = "silent for 7 s".to_owned();
+        self.apply(Command::Release { mission: mission.clone(), role: role(who), epoch, cause })
+    }
+
+    fn state(&self, mission: &MissionId) -> &MissionState {
+        &self.0.mission(mission).unwrap().state
+    }
+}
+
+fn epoch(index: u64) -> Epoch {
+    Epoch { term: 1, index }
+}
+
+#[test]
+fn a_request_sent_twice_is_answered_twice_and_done_once() {
+    let mut log = Log::new();
+    let first = log.submit("a");
+    assert_eq!(first.as_str(), "unload-1");
+    let again = Outcome::Submitted { mission: first, again: true };
+    assert_eq!(log.apply(Command::Submit(submission("a"))), again);
+    assert_eq!(log.submit("b").as_str(), "unload-2");
+}
+
+#[test]
+fn a_mission_ends_when_all_its_managed_roles_have() {
+    let mut log = Log::new();
+    let mission = log.submit("a");
+    assert_eq!(log.award(&mission, "arm", "ada"), Outcome::Awarded { epoch: epoch(2) });
+    assert_eq!(log.ended(&mission, "lab_arm", epoch(2), &[0, 1]), Outcome::Done);
+    assert_eq!(log.state(&mission), &MissionState::Running);
+    assert_eq!(log.ended(&mission, "r1", epoch(2), &[0, 99]), Outcome::Done);
+    assert_eq!(log.state(&mission), &MissionState::Completed);
+    assert!(log.0.held_by(&robot("ada")).is_none());
+}
+
+#[test]
+fn no_robot_holds_two_roles() {
+    let mut log = Log::new();
+    let (first, second) = (log.submit("a"), log.submit("b"));
+    let two = |mission: &MissionId, held| {
+        Outcome::Refused(Refused::TwoRoles { robot: robot("ada"), mission: mission.clone(), role: role(held) })
+    };
+    assert_eq!(log.award(&first, "ada", "ada"), two(&first, "lab_arm"));
+    log.award(&first, "arm", "ada");
+    assert_eq!(log.award(&second, "bob", "ada"), two(&first, "r1"));
+    assert_eq!(log.state(&second), &MissionState::Pending);
+}
+
+#[test]
+fn all_open_roles_are_filled_or_none() {
+    let mut log = Log::new();
+    let mission = log.submit("a");
+    let holders = BTreeMap::from([(role("r1"), robot("ada"))]);
+    let outcome = log.apply(Command::Award { mission: mission.clone(), holders, auction: record() });
+    let open = BTreeSet::from([role("lab_arm"), role("r1")]);
+    assert_eq!(outcome, Outcome::Refused(Refused::NotOpen { mission: mission.clone(), open }));
+    log.award(&mission, "arm", "ada");
+    assert!(matches!(log.award(&mission, "bob", "cyd"), Outcome::Refused(Refused::NotOpen { .. })));
+}
+
+#[test]
+fn a_released_role_is_given_anew_under_a_later_epoch_and_the_former_holder_is_not_heard() {
+    let mut log = Log::new();
+    let mission = log.submit("a");
+    log.award(&mission, "arm", "ada");
+    log.ended(&mission, "lab_arm", epoch(2), &[0]);
+    assert_eq!(log.release(&mission, "lab_arm", epoch(2)), Outcome::Done);
+    assert_eq!(log.state(&mission), &MissionState::Pending);
+    assert_eq!(log.0.mission(&mission).unwrap().open_roles(), BTreeSet::from([role("lab_arm")]));
+
+    let holders = BTreeMap::from([(role("lab_arm"), robot("bob"))]);
+    let award = Command::Award { mission: mission.clone(), holders, auction: record() };
+    assert_eq!(log.apply(award), Outcome::Awarded { epoch: epoch(5) });
+    let held = Some(epoch(5));
+    let stale = Outcome::Refused(Refused::Epoch { mission: mission.clone(), role: role("lab_arm"), held });
+    assert_eq!(log.ended(&mission, "lab_arm", epoch(2), &[0, 1]), stale);
+    assert_eq!(log.release(&mission, "lab_arm", epoch(2)), stale);
+    assert!(log.0.mission(&mission).unwrap().roles[&role("lab_arm")].ended.is_empty());
+}
+
+#[test]
+fn a_role_whose_work_others_have_acted_on_is_not_begun_anew() {
+    let mut log = Log::new();
+    let mission = log.submit("a");
+    log.award(&mission, "arm", "ada");
+    log.ended(&mission, "lab_arm", epoch(2), &[1]);
+    log.release(&mission, "lab_arm", epoch(2));
+    let cause = "arm was lost as lab_arm after others had acted on its work: silent for 7 s".to_owned();
+    assert_eq!(log.state(&mission), &MissionState::Failed { cause });
+}
+
+#[test]
+fn what_a_waiter_has_heard_counts_as_told_even_if_the_teller_never_reported_it() {
+    let mut log = Log::new();
+    let mission = log.submit("a");
+    log.award(&mission, "arm", "ada");
+    log.ended(&mission, "r1", epoch(2), &[0]); // the wait for the arm
+    log.release(&mission, "lab_arm", epoch(2));
+    assert!(matches!(log.state(&mission), MissionState::Failed { .. }));
+}
+
+#[test]
+fn a_robot_that_started_anew_does_not_go_on_with_what_it_has_forgotten() {
+    let mut log = Log::new();
+    let mission = log.submit("a");
+    log.award(&mission, "arm", "ada");
+    let accept =
+        |incarnation| Command::Accept { mission: mission.clone(), role: role("r1"), epoch: epoch(2), incarnation };
+    assert_eq!(log.apply(accept(1)), Outcome::Done);
+    assert_eq!(log.apply(accept(1)), Outcome::Done);
+    assert!(matches!(log.apply(accept(2)), Outcome::Refused(Refused::Restarted { .. })));
+}
+
+#[test]
+fn a_canceled_mission_frees_its_robots_and_takes_no_more() {
+    let mut log = Log::new();
+    let mission = log.submit("a");
+    log.award(&mission, "arm", "ada");
+    assert_eq!(log.apply(Command::Cancel { mission: mission.clone(), by: "a nurse".to_owned() }), Outcome::Done);
+    assert!(log.0.held_by(&robot("ada")).is_none());
+    assert!(matches!(log.ended(&mission, "r1", epoch(2), &[0]), Outcome::Refused(Refused::Over { .. })));
+    assert!(log.0.live().is_empty());
+}
+
+#[test]
+fn only_so_many_ended_missions_are_kept() {
+    let mut log = Log::new();
+    for number in 0..HISTORY_MAX + 3 {
+        let mission = log.submit(&format!("request{number}"));
+        log.apply(Command::Fail { mission, cause: "test".to_owned() });
+    }
+    assert_eq!(log.0.missions().count(), HISTORY_MAX);
+    assert!(log.0.requested(&RequestId::new("request0").unwrap()).is_none());
+    assert!(log.0.requested(&RequestId::new("request3").unwrap()).is_some());
+}

@@ -1,0 +1,19 @@
+//! The ledger: what the fleet has promised and what came of it, as a state machine that consensus replicates.
+//!
+//! A mission that is in the ledger has been acknowledged; a role that it gives to a robot is that robot's until it is
+//! released, whoever coordinates. [`Ledger::apply`] is a pure function of the ledger and a [`Command`] at its position
+//! ([`Epoch`](crate::lease::Epoch)) in the log, so that all copies agree. Commands say what the coordinator saw; a command that no longer
+//! fits the ledger is [refused](Refused) and changes nothing, so that a late or repeated one does no harm.
+//!
+//! ```text
+//!                 award (all open roles)         all managed roles ended
+//! submit ─▶ pending ───────────────────▶ running ───────────────────────▶ completed
+//!             ▲  │ defer (why not yet)     │ │
+//!             └──┘◀────── release ─────────┘ └── fail (cause) ─▶ failed      cancel: from pending and running
+//! ```
+
+mod apply;
+mod entry;
+
+pub use apply::{Command, HISTORY_MAX, Ledger, Outcome, Refused};
+pub use entry::{Holder, MissionEntry, MissionState, RoleEntry, RolePhase, Submission};

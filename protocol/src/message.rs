@@ -1,0 +1,155 @@
+//! What nodes say to one another in bincode, and on which key.
+//!
+//! | key | how | who → whom | says | answer |
+//! |---|---|---|---|---|
+//! | `wire/knowledge/{node}` | publish | node → all | [`Record`](crate::knowledge::Record) | – |
+//! | `wire/gossip/{node}` | query | node → node | [`Exchange`] | [`Exchange`] |
+//! | `wire/beacon` | publish | coordinator → all | [`Beacon`] | – |
+//! | `wire/bid/*` | query | coordinator → robots | [`CallForBids`](crate::auction::CallForBids) | [`Tender`](crate::auction::Tender) |
+//! | `wire/award/{robot}` | query | coordinator → robot | [`AwardNotice`] | [`AwardAnswer`] |
+//! | `wire/report/{node}` | query | robot → coordinator | [`Report`] | [`ReportAnswer`] |
+//! | `wire/live/{node}` | query | anyone → coordinator | nothing | [`LivePlan`] each |
+//! | `wire/changed` | publish | coordinator → all | [`Changed`] | – |
+//! | `wire/signal/{mission}/{role}` | publish | role → role | [`Said`] | – |
+//! | `wire/said/{mission}/{role}` | query | late waiter → role | nothing | [`Said`] |
+
+use crate::ids::{MissionId, NodeId, RobotId, RoleId, TaskId};
+use crate::knowledge::{Digest, Record};
+use crate::lease::{Award, Declined, Ending, Epoch};
+use crate::plan::{LocalPlan, Signal, StepIndex};
+use serde::{Deserialize, Serialize};
+use std::collections::{BTreeMap, BTreeSet};
+
+/// One side of an anti-entropy round.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Exchange {
+    /// What the sender has.
+    pub digest: Digest,
+    /// What the sender thinks the other lacks, as much as fits a message.
+    pub records: Vec<Record>,
+}
+
+/// The coordinator's sign of life.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Beacon {
+    /// Its node.
+    pub node: NodeId,
+    /// Its term: a beacon of an older term is a coordinator that does not know that it no longer is.
+    pub term: u64,
+    /// Who keeps the ledger.
+    pub voters: BTreeSet<NodeId>,
+    /// How long it has coordinated, in milliseconds.
+    pub since_ms: u64,
+}
+
+/// The coordinator tells a robot what the ledger says of it.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub enum AwardNotice {
+    /// It has a role.
+    Awarded(Box<Award>),
+    /// It no longer has one.
+    Revoked {
+        /// By which award it had it.
+        epoch: Epoch,
+        /// Why it ended.
+        reason: Ending,
+    },
+}
+
+/// What a robot says to a notice.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub enum AwardAnswer {
+    /// It will report, or has stopped.
+    Heard,
+    /// It will not take the role.
+    Declined(Declined),
+}
+
+/// A robot's account of a role it holds; also its request to go on holding it.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Report {
+    /// Who reports.
+    pub robot: RobotId,
+    /// In which life of its node.
+    pub incarnation: u64,
+    /// The mission.
+    pub mission: MissionId,
+    /// The role.
+    pub role: RoleId,
+    /// By which award; the default for an unmanaged role.
+    pub epoch: Epoch,
+    /// All steps that have ended so far.
+    pub ended: BTreeSet<StepIndex>,
+    /// What it is at, to show.
+    pub at: Option<TaskId>,
+    /// The task that failed for good, if one did.
+    pub failure: Option<TaskFailure>,
+}
+
+/// A task that failed for good.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct TaskFailure {
+    /// Which.
+    pub task: TaskId,
+    /// Why, in words.
+    pub cause: String,
+}
+
+/// What the coordinator says to a report. What was reported is in the ledger before anything but `NotCoordinator` is said.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub enum ReportAnswer {
+    /// The lease goes on, from when the report was sent.
+    Renewed {
+        /// The award.
+        epoch: Epoch,
+        /// Steps that the ledger knows as ended.
+        ended: BTreeSet<StepIndex>,
+        /// Who holds the mission's managed roles now.
+        holders: BTreeMap<RoleId, RobotId>,
+    },
+    /// The role is no longer the reporter's, or has been carried out.
+    Ended {
+        /// The award it reported under.
+        epoch: Epoch,
+        /// Why.
+        reason: Ending,
+    },
+    /// This node does not coordinate, or cannot be sure that it still does.
+    NotCoordinator {
+        /// Who does, as far as it knows.
+        coordinator: Option<NodeId>,
+    },
+}
+
+/// A mission under way, for those who act in unmanaged roles.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct LivePlan {
+    /// The mission.
+    pub mission: MissionId,
+    /// The plan of one unmanaged role.
+    pub plan: LocalPlan,
+    /// Steps that the ledger knows as ended.
+    pub ended: BTreeSet<StepIndex>,
+    /// Who holds the managed roles.
+    pub holders: BTreeMap<RoleId, RobotId>,
+}
+
+/// Missions under way have changed: somebody who follows them should ask again.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Changed {
+    /// The coordinator's node.
+    pub node: NodeId,
+    /// Its term.
+    pub term: u64,
+}
+
+/// What a role has said so far to one other, or to all: idempotent, since signals are only ever added.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Said {
+    /// The mission.
+    pub mission: MissionId,
+    /// By which award the sender holds its role; the default for an unmanaged role.
+    pub epoch: Epoch,
+    /// What was said.
+    pub signals: BTreeSet<Signal>,
+}

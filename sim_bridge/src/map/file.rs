@@ -1,0 +1,155 @@
+//! The file a map is read from.
+
+use super::check::{MapProblem, check};
+use super::{Map, PlaceKind};
+use serde::{Deserialize, Serialize};
+use std::path::Path;
+
+/// The most that a map file may hold. Ample for a hospital; they keep a wrong file from filling the memory.
+pub mod limits {
+    /// Bytes in a file.
+    pub const FILE_BYTES: usize = 4 << 20;
+    /// Places on a map.
+    pub const PLACES: usize = 10_000;
+    /// Lanes on a map.
+    pub const LANES: usize = 40_000;
+    /// Corners of all walls together.
+    pub const WALL_CORNERS: usize = 100_000;
+    /// Coordinates and lengths, in metres either way.
+    pub const EXTENT_M: f64 = 100_000.0;
+}
+
+/// A map as written, not yet checked. A program that makes maps of its own fills this and calls [`MapFile::check`].
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct MapFile {
+    /// The map's name.
+    pub name: String,
+    /// Walls as polylines of (x, y) in metres.
+    #[serde(default)]
+    pub walls: Vec<Vec<(f64, f64)>>,
+    /// The places.
+    pub places: Vec<PlaceEntry>,
+    /// The lanes between them.
+    #[serde(default)]
+    pub lanes: Vec<LaneEntry>,
+}
+
+/// A place as written.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct PlaceEntry {
+    /// Its name.
+    pub name: String,
+    /// What it is for.
+    pub kind: PlaceKind,
+    /// Metres to the east.
+    pub x_m: f64,
+    /// Metres to the north.
+    pub y_m: f64,
+    /// The heading a robot takes there, in radians.
+    #[serde(default)]
+    pub yaw_rad: f64,
+}
+
+/// A lane as written.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct LaneEntry {
+    /// Its two ends.
+    pub between: (String, String),
+    /// How far it is to drive; the straight line if not given.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub length_m: Option<f64>,
+    /// Whether it may only be driven from the first end to the second.
+    #[serde(default)]
+    pub one_way: bool,
+}
+
+/// Why there is no map. Ordinary with hand-written files.
+#[derive(Debug, thiserror::Error)]
+pub enum MapError {
+    /// The file cannot be read.
+    #[error("map {file}: {source}")]
+    Unreadable {
+        /// The file as named.
+        file: String,
+        /// What the system says.
+        source: std::io::Error,
+    },
+    /// The file is larger than [`limits::FILE_BYTES`].
+    #[error("map {file}: {bytes} bytes are more than the {max} allowed", max = limits::FILE_BYTES)]
+    TooLarge {
+        /// The file as named.
+        file: String,
+        /// Its size.
+        bytes: u64,
+    },
+    /// The text is not of the map format.
+    #[error("map {file}: {message}")]
+    Syntax {
+        /// The file as named.
+        file: String,
+        /// What the parser says, with line and column.
+        message: String,
+    },
+    /// The text is of the format, and describes no sound map.
+    #[error("{}", join(file, problems))]
+    Unsound {
+        /// The file as named.
+        file: String,
+        /// All that is wrong, in the order of the file.
+        problems: Vec<MapProblem>,
+    },
+    /// There is no map of this name in the program.
+    #[error("no map {name:?} is shipped; there are: {known}", known = super::SHIPPED.join(", "))]
+    NotShipped {
+        /// The name as given.
+        name: String,
+    },
+}
+
+fn join(file: &str, problems: &[MapProblem]) -> String {
+    problems.iter().map(|problem| format!("map {file}: {problem}")).collect::<Vec<_>>().join("\n")
+}
+
+/// Reads a map from the text of a file; `file` names it in errors, and as JSON where it ends in `.json`.
+///
+/// # Errors
+/// [`MapError`] with all that is wrong.
+pub fn read(text: &str, file: &str) -> Result<Map, MapError> {
+    if text.len() > limits::FILE_BYTES {
+        return Err(MapError::TooLarge { file: file.to_owned(), bytes: text.len() as u64 });
+    }
+    let syntax = |message: String| MapError::Syntax { file: file.to_owned(), message };
+    let written: MapFile = if file.ends_with(".json") {
+        serde_json::from_str(text).map_err(|error| syntax(error.to_string()))?
+    } else {
+        serde_saphyr::from_str(text).map_err(|error| syntax(error.to_string()))?
+    };
+    written.check(file)
+}
+
+/// Reads a map file.
+///
+/// # Errors
+/// [`MapError`] with all that is wrong.
+pub fn load(path: &Path) -> Result<Map, MapError> {
+    let file = path.display().to_string();
+    let unreadable = |source| MapError::Unreadable { file: file.clone(), source };
+    let bytes = std::fs::metadata(path).map_err(unreadable)?.len();
+    if bytes > limits::FILE_BYTES as u64 {
+        return Err(MapError::TooLarge { file, bytes });
+    }
+    read(&std::fs::read_to_string(path).map_err(unreadable)?, &file)
+}
+
+impl MapFile {
+    /// Checks what was written and makes a map of it; `file` names it in errors.
+    ///
+    /// # Errors
+    /// [`MapError::Unsound`] with all that is wrong.
+    pub fn check(&self, file: &str) -> Result<Map, MapError> {
+        check(self).map_err(|problems| MapError::Unsound { file: file.to_owned(), problems })
+    }
+}

@@ -1,0 +1,150 @@
+//! The floor: places, the lanes between them, and walls to draw.
+//!
+//! A map file is YAML, or JSON where its name ends in `.json`; unknown fields are refused.
+//!
+//! ```yaml
+//! name: ward                    # 1 to 64 characters of A-Z a-z 0-9 _ . -
+//! walls:                        # optional, only drawn: open polylines of [x, y] in metres
+//!   - [[0, 0], [12, 0], [12, 6]]
+//! places:                       # x east, y north, in metres; yaw counter-clockwise from east
+//!   - { name: Ward Corridor, kind: corridor, x_m: 2.0, y_m: 3.0 }
+//!   - { name: Room 1, kind: room, x_m: 2.0, y_m: 5.0, yaw_rad: 1.57 }
+//! lanes:                        # where one may drive; two-way and as long as the straight line unless told otherwise
+//!   - { between: [Ward Corridor, Room 1] }
+//!   # - { between: [A, B], length_m: 3.5, one_way: true }   (only from A to B)
+//! ```
+//!
+//! Kinds of place are `room`, `lab`, `corridor`, `dock` and `other`. Reading a file reports *all* that is wrong with it,
+//! with the file and the place; a [`Map`] that exists is sound: every place can be reached from every other.
+
+mod check;
+mod file;
+mod shipped;
+#[cfg(test)]
+mod tests;
+
+pub use check::{LaneName, MapProblem, Seclusion};
+pub use file::{LaneEntry, MapError, MapFile, PlaceEntry, limits, load, read};
+pub use shipped::{SHIPPED, shipped};
+
+use consort_protocol::ids::PlaceId;
+use consort_protocol::pose::Pose;
+use consort_protocol::units::Metres;
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+
+/// What a place is for.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum PlaceKind {
+    /// Where patients and nurses are.
+    Room,
+    /// Where samples are brought.
+    Lab,
+    /// On the way.
+    Corridor,
+    /// Where robots rest.
+    Dock,
+    /// Anything else.
+    Other,
+}
+
+/// A named pose on the floor.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Place {
+    /// Its name, unique on the map.
+    pub id: PlaceId,
+    /// What it is for.
+    pub kind: PlaceKind,
+    /// Where it is, and the heading a robot takes there.
+    pub pose: Pose,
+}
+
+/// A stretch of floor between two places that robots drive in a straight line.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Lane {
+    /// One end.
+    pub from: PlaceId,
+    /// The other end.
+    pub to: PlaceId,
+    /// How far it is to drive; never zero, never less than the straight line.
+    pub length: Metres,
+    /// Whether it may also be driven from `to` to `from`.
+    pub two_way: bool,
+}
+
+/// Position of a place in [`Map::places`].
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub(crate) struct PlaceIndex(pub(crate) usize);
+
+/// A sound map. Made by [`read`], [`load`], [`shipped`] or [`MapFile::check`].
+#[derive(Debug, Clone, PartialEq)]
+pub struct Map {
+    name: String,
+    places: Vec<Place>,
+    lanes: Vec<Lane>,
+    walls: Vec<Vec<(f64, f64)>>,
+    by_name: BTreeMap<PlaceId, PlaceIndex>,
+    /// By start and end, each two-way lane twice.
+    by_ends: BTreeMap<(PlaceIndex, PlaceIndex), usize>,
+}
+
+impl Map {
+    /// The map's name.
+    pub fn name(&self) -> &str {
+        &self.name
+    }
+
+    /// All places, in the order of the file. Never empty.
+    pub fn places(&self) -> &[Place] {
+        &self.places
+    }
+
+    /// All lanes, in the order of the file.
+    pub fn lanes(&self) -> &[Lane] {
+        &self.lanes
+    }
+
+    /// Walls as polylines of (x, y) in metres.
+    pub fn walls(&self) -> &[Vec<(f64, f64)>] {
+        &self.walls
+    }
+
+    /// The place of this name.
+    pub fn place(&self, id: &PlaceId) -> Option<&Place> {
+        self.by_name.get(id).map(|index| &self.places[index.0])
+    }
+
+    /// The lane that may be driven from one place to the other.
+    pub fn lane(&self, from: &PlaceId, to: &PlaceId) -> Option<&Lane> {
+        let ends = (self.index(from)?, self.index(to)?);
+        self.by_ends.get(&ends).map(|lane| &self.lanes[*lane])
+    }
+
+    /// The smallest rectangle that holds places and walls: (least x, least y) and (greatest x, greatest y) in metres.
+    pub fn bounds(&self) -> ((f64, f64), (f64, f64)) {
+        let places = self.places.iter().map(|place| (place.pose.x, place.pose.y));
+        let corners = self.walls.iter().flatten().copied();
+        places.chain(corners).fold(
+            ((f64::INFINITY, f64::INFINITY), (f64::NEG_INFINITY, f64::NEG_INFINITY)),
+            |((x0, y0), (x1, y1)), (x, y)| ((x0.min(x), y0.min(y)), (x1.max(x), y1.max(y))),
+        )
+    }
+
+    pub(crate) fn index(&self, id: &PlaceId) -> Option<PlaceIndex> {
+        self.by_name.get(id).copied()
+    }
+
+    pub(crate) fn at(&self, index: PlaceIndex) -> &Place {
+        &self.places[index.0]
+    }
+
+    pub(crate) fn drivable(&self, from: PlaceIndex, to: PlaceIndex) -> Option<&Lane> {
+        self.by_ends.get(&(from, to)).map(|lane| &self.lanes[*lane])
+    }
+
+    /// `; did you mean "…"?` for a place that is not here.
+    pub(crate) fn suggest(&self, id: &PlaceId) -> String {
+        crate::suggest::did_you_mean(id.as_str(), self.places.iter().map(|place| place.id.as_str()))
+    }
+}

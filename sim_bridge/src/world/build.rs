@@ -1,0 +1,169 @@
+//! From a setup to a world.
+
+use super::battery::Battery;
+use super::components::{Beside, Body, Departures, DrawerOpen, HandsBusy, Label, Pace, Who};
+use super::goals::GoalBook;
+use super::journal::Journal;
+use super::motion::{Spot, Whereabouts};
+use super::people::Asks;
+use super::queue::Queue;
+use super::samples::{Custody, Holder};
+use super::setup::{Durations, SetupError, SetupErrors, WorldLimits, WorldSetup};
+use super::{Person, RobotBody, World};
+use consort_protocol::ids::PlaceId;
+use hecs::Entity;
+use rand_chacha::ChaCha8Rng;
+use rand_chacha::rand_core::SeedableRng;
+use std::collections::{BTreeMap, BTreeSet};
+
+const SPEED_MPS: std::ops::RangeInclusive<f64> = 0.001..=100.0;
+const DURATION_S: std::ops::RangeInclusive<f64> = 0.0..=86_400.0;
+
+impl World {
+    /// Sets up a world at time zero.
+    ///
+    /// # Errors
+    /// [`SetupErrors`] with all that is wrong with the setup.
+    pub fn new(setup: WorldSetup) -> Result<World, SetupErrors> {
+        let problems = check(&setup);
+        if !problems.is_empty() {
+            return Err(SetupErrors(problems));
+        }
+        let mut world = World {
+            map: setup.map,
+            now: 0.0,
+            store: hecs::World::new(),
+            robots: BTreeMap::new(),
+            people: BTreeMap::new(),
+            samples: BTreeMap::new(),
+            asks: Asks::default(),
+            queue: Queue::new(),
+            handovers: 0,
+            durations: setup.durations,
+            limits: setup.limits,
+            journal: Journal::default(),
+        };
+        for body in setup.robots {
+            world.spawn_robot(body);
+        }
+        for (index, person) in setup.people.into_iter().enumerate() {
+            let mut pace = ChaCha8Rng::seed_from_u64(setup.seed);
+            pace.set_stream(index as u64);
+            world.spawn_person(person, pace);
+        }
+        Ok(world)
+    }
+
+    fn spawn_robot(&mut self, body: RobotBody) {
+        let place = self.map.index(&body.place).expect("checked: the place is on the map");
+        let standing = Whereabouts::Standing { spot: Spot::Place(place), pose: self.map.at(place).pose };
+        let (id, battery) = (body.id.clone(), Battery::new(body.battery));
+        let (beside, book) = (Beside::Nobody, GoalBook::default());
+        let robot = self.store.spawn((Body(body), standing, battery, beside, Departures(0), DrawerOpen(false), book));
+        self.robots.insert(id, robot);
+        self.set_working(robot, false);
+    }
+
+    fn spawn_person(&mut self, person: Person, pace: ChaCha8Rng) {
+        let place = self.map.index(&person.place).expect("checked: the place is on the map");
+        let who = Who { name: person.name.clone(), role: person.role, place };
+        let hands = self.store.spawn((who, HandsBusy(false), Pace(pace)));
+        self.people.insert(person.name, hands);
+        for sample in person.samples {
+            let entity = self.spawn_sample(hands, &sample);
+            self.samples.insert(sample, entity);
+        }
+    }
+
+    fn spawn_sample(&mut self, hands: Entity, sample: &super::SampleId) -> Entity {
+        self.handovers += 1;
+        self.store.spawn((Label(sample.clone()), Custody::new(Holder::Hands(hands), self.handovers)))
+    }
+}
+
+fn check(setup: &WorldSetup) -> Vec<SetupError> {
+    let mut problems = Vec::new();
+    let samples: Vec<_> = setup.people.iter().flat_map(|person| &person.samples).collect();
+    let counts = [("robots", setup.robots.len()), ("people", setup.people.len()), ("samples", samples.len())];
+    let max = setup.limits.entities_max;
+    for (what, count) in counts.into_iter().filter(|(_, count)| *count > max) {
+        problems.push(SetupError::TooMany { what, count, max });
+    }
+    check_numbers(&setup.durations, &setup.limits, &mut problems);
+    let mut seen = BTreeSet::new();
+    for body in &setup.robots {
+        let who = format!("robot {}", body.id);
+        check_place(setup, &who, &body.place, &mut problems);
+        check_body(body, &who, &mut problems);
+        check_twice(who, &mut seen, &mut problems);
+    }
+    for person in &setup.people {
+        let who = format!("person {}", person.name);
+        check_name("person", person.name.as_str(), person.name.is_sound(), &mut problems);
+        check_place(setup, &who, &person.place, &mut problems);
+        check_twice(who, &mut seen, &mut problems);
+    }
+    for sample in samples {
+        check_name("sample", sample.as_str(), sample.is_sound(), &mut problems);
+        check_twice(format!("sample {sample}"), &mut seen, &mut problems);
+    }
+    problems
+}
+
+fn check_place(setup: &WorldSetup, who: &str, place: &PlaceId, problems: &mut Vec<SetupError>) {
+    if setup.map.place(place).is_none() {
+        let (map, hint) = (setup.map.name().to_owned(), setup.map.suggest(place));
+        problems.push(SetupError::UnknownPlace { who: who.to_owned(), place: place.clone(), map, hint });
+    }
+}
+
+fn check_twice(who: String, seen: &mut BTreeSet<String>, problems: &mut Vec<SetupError>) {
+    if !seen.insert(who.clone()) {
+        problems.push(SetupError::Duplicate { who });
+    }
+}
+
+fn check_name(what: &'static str, name: &str, sound: bool, problems: &mut Vec<SetupError>) {
+    if !sound {
+        problems.push(SetupError::Name { what, name: name.to_owned() });
+    }
+}
+
+fn check_body(body: &RobotBody, who: &str, problems: &mut Vec<SetupError>) {
+    if !(0.0..=1.0).contains(&body.idle_factor) {
+        let (field, allowed) = ("idle_factor", "a number from 0 to 1");
+        problems.push(SetupError::Number { who: who.to_owned(), field, value: body.idle_factor, allowed });
+    }
+    if !SPEED_MPS.contains(&body.speed.get()) {
+        let (field, allowed) = ("speed_mps", "a number from 0.001 to 100");
+        problems.push(SetupError::Number { who: who.to_owned(), field, value: body.speed.get(), allowed });
+    }
+}
+
+fn check_numbers(durations: &Durations, limits: &WorldLimits, problems: &mut Vec<SetupError>) {
+    let allowed = "a number of seconds from 0 to 86400";
+    for (field, value) in [
+        ("approach_person_s", durations.approach_person_s),
+        ("authenticate_person_s", durations.authenticate_person_s),
+        ("operate_drawer_s", durations.operate_drawer_s),
+        ("approach_robot_s", durations.approach_robot_s),
+        ("pick_up_s", durations.pick_up_s),
+        ("deposit_s", durations.deposit_s),
+        ("person_min_s", durations.person_min_s),
+        ("person_max_s", durations.person_max_s),
+    ] {
+        if !DURATION_S.contains(&value) {
+            problems.push(SetupError::Number { who: "durations".to_owned(), field, value, allowed });
+        }
+    }
+    if durations.person_max_s < durations.person_min_s {
+        let (value, allowed) = (durations.person_max_s, "no less than person_min_s");
+        problems.push(SetupError::Number { who: "durations".to_owned(), field: "person_max_s", value, allowed });
+    }
+    for (field, value) in [("drawer_slots", limits.drawer_slots), ("ended_kept", limits.ended_kept)] {
+        if value == 0 {
+            let allowed = "1 or more";
+            problems.push(SetupError::Number { who: "limits".to_owned(), field, value: 0.0, allowed });
+        }
+    }
+}

@@ -1,0 +1,88 @@
+//! What happened, for displays and reports. Nobody has to read it: it is bounded, and the oldest entries go first.
+
+use super::World;
+use super::names::{PersonName, SampleId};
+use super::samples::Keeper;
+use consort_protocol::ids::RobotId;
+use consort_protocol::units::WorldTime;
+use consort_skills::actions::{Goal, GoalId, GoalStatus};
+use serde::{Deserialize, Serialize};
+use std::collections::VecDeque;
+
+/// Something that happened, and when.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct JournalEntry {
+    /// When.
+    pub time: WorldTime,
+    /// What.
+    pub what: Happening,
+}
+
+/// Something that happened.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Happening {
+    /// A robot began a goal.
+    GoalBegan {
+        /// Which robot.
+        robot: RobotId,
+        /// Its number.
+        id: GoalId,
+        /// What is to be done.
+        goal: Goal,
+    },
+    /// A goal ended, or was refused.
+    GoalEnded {
+        /// Whose.
+        robot: RobotId,
+        /// Its number.
+        id: GoalId,
+        /// How.
+        status: GoalStatus,
+    },
+    /// A robot's drawer was opened or closed.
+    Drawer {
+        /// Whose.
+        robot: RobotId,
+        /// Whether it stands open now.
+        open: bool,
+    },
+    /// A person began to hand a sample over.
+    HandsOut {
+        /// Who.
+        person: PersonName,
+        /// To which robot.
+        robot: RobotId,
+    },
+    /// A sample changed hands.
+    SampleMoved {
+        /// Which.
+        sample: SampleId,
+        /// Who had it.
+        from: Keeper,
+        /// Who has it.
+        to: Keeper,
+    },
+    /// A robot's battery fell to the stopping share.
+    Stranded {
+        /// Which robot.
+        robot: RobotId,
+    },
+}
+
+#[derive(Default)]
+pub(super) struct Journal(VecDeque<JournalEntry>);
+
+impl World {
+    /// What happened since this was last asked for, oldest first.
+    pub fn drain_journal(&mut self) -> Vec<JournalEntry> {
+        std::mem::take(&mut self.journal.0).into()
+    }
+
+    pub(super) fn note(&mut self, what: Happening) {
+        self.journal.0.push_back(JournalEntry { time: WorldTime::from_secs(self.now), what });
+        if self.journal.0.len() > self.limits.history_kept {
+            self.journal.0.pop_front();
+        }
+    }
+}

@@ -1,0 +1,141 @@
+//! Who has what.
+//!
+//! Each sample knows its holder, and that is the only record: what is in a drawer, in a hand or on a table is asked of
+//! the samples, so nothing can be in two places.
+
+use super::World;
+use super::components::{Body, Label, Who};
+use super::journal::Happening;
+use super::motion::Whereabouts;
+use super::names::{PersonName, SampleId};
+use crate::map::PlaceIndex;
+use consort_protocol::ids::{PlaceId, RobotId};
+use consort_protocol::units::WorldTime;
+use hecs::Entity;
+use serde::{Deserialize, Serialize};
+use std::collections::VecDeque;
+
+/// Who or what has a sample.
+#[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Keeper {
+    /// It lies on the table of a place.
+    Table(PlaceId),
+    /// It lies in a robot's drawer.
+    Drawer(RobotId),
+    /// A robot's arm holds it.
+    Arm(RobotId),
+    /// A person holds it.
+    Person(PersonName),
+}
+
+/// Where a sample is, and where it was.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct SampleReport {
+    /// Which sample.
+    pub id: SampleId,
+    /// Who or what has it.
+    pub keeper: Keeper,
+    /// The place it is at, or the last one passed by the robot that carries it.
+    pub place: PlaceId,
+    /// Each change of hands: when, and who had it before. Oldest first.
+    pub history: Vec<(WorldTime, Keeper)>,
+}
+
+/// Who or what has a sample, as entities.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Holder {
+    Table(PlaceIndex),
+    Drawer(Entity),
+    Arm(Entity),
+    Hands(Entity),
+}
+
+/// A sample's holder, now and before.
+pub(super) struct Custody {
+    holder: Holder,
+    /// Running number of the latest change of hands: what came first goes first.
+    since: u64,
+    before: VecDeque<(f64, Holder)>,
+}
+
+impl Custody {
+    pub(super) fn new(holder: Holder, since: u64) -> Self {
+        Self { holder, since, before: VecDeque::new() }
+    }
+}
+
+impl World {
+    /// Where each sample is.
+    pub fn samples(&self) -> Vec<SampleReport> {
+        self.samples.iter().map(|(id, sample)| self.sample_report(id, *sample)).collect()
+    }
+
+    /// Where one sample is; `None` if there is none of this name.
+    pub fn sample(&self, id: &SampleId) -> Option<SampleReport> {
+        self.samples.get(id).map(|sample| self.sample_report(id, *sample))
+    }
+
+    fn sample_report(&self, id: &SampleId, sample: Entity) -> SampleReport {
+        let custody = self.get::<Custody>(sample);
+        let before = custody.before.iter();
+        SampleReport {
+            id: id.clone(),
+            keeper: self.keeper(custody.holder),
+            place: self.map.at(self.place_of(custody.holder)).id.clone(),
+            history: before.map(|(time, holder)| (WorldTime::from_secs(*time), self.keeper(*holder))).collect(),
+        }
+    }
+
+    fn keeper(&self, holder: Holder) -> Keeper {
+        match holder {
+            Holder::Table(place) => Keeper::Table(self.map.at(place).id.clone()),
+            Holder::Drawer(robot) => Keeper::Drawer(self.get::<Body>(robot).0.id.clone()),
+            Holder::Arm(robot) => Keeper::Arm(self.get::<Body>(robot).0.id.clone()),
+            Holder::Hands(person) => Keeper::Person(self.get::<Who>(person).name.clone()),
+        }
+    }
+
+    fn place_of(&self, holder: Holder) -> PlaceIndex {
+        match holder {
+            Holder::Table(place) => place,
+            Holder::Drawer(robot) | Holder::Arm(robot) => self.get::<Whereabouts>(robot).spot(self.now).last_place(),
+            Holder::Hands(person) => self.get::<Who>(person).place,
+        }
+    }
+
+    /// What a holder has, what it got first standing first.
+    pub(super) fn held(&self, holder: Holder) -> Vec<Entity> {
+        let mut held: Vec<(u64, Entity)> = Vec::new();
+        for sample in self.samples.values() {
+            let custody = self.get::<Custody>(*sample);
+            if custody.holder == holder {
+                held.push((custody.since, *sample));
+            }
+        }
+        held.sort_by_key(|(since, _)| *since);
+        held.into_iter().map(|(_, sample)| sample).collect()
+    }
+
+    /// The names of what a holder has.
+    pub(super) fn held_labels(&self, holder: Holder) -> Vec<SampleId> {
+        self.held(holder).into_iter().map(|sample| self.get::<Label>(sample).0.clone()).collect()
+    }
+
+    pub(super) fn hand_over(&mut self, sample: Entity, to: Holder) {
+        self.handovers += 1;
+        let from = {
+            let mut custody = self.get_mut::<Custody>(sample);
+            let from = custody.holder;
+            (custody.holder, custody.since) = (to, self.handovers);
+            custody.before.push_back((self.now, from));
+            if custody.before.len() > self.limits.history_kept {
+                custody.before.pop_front();
+            }
+            from
+        };
+        let id = self.get::<Label>(sample).0.clone();
+        let (from, to) = (self.keeper(from), self.keeper(to));
+        self.note(Happening::SampleMoved { sample: id, from, to });
+    }
+}

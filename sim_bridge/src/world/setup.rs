@@ -1,0 +1,252 @@
+//! How a world is set up.
+
+use super::battery::default_idle_factor;
+use super::names::{PersonName, SampleId};
+use crate::map::Map;
+use consort_protocol::ids::{PlaceId, RobotId, RoleId};
+use consort_protocol::units::{BatteryShare, MetresPerSecond, SharePerSecond};
+use serde::{Deserialize, Serialize};
+
+/// All that a world begins with. Equal setups run alike.
+#[derive(Debug, Clone, PartialEq)]
+pub struct WorldSetup {
+    /// The floor.
+    pub map: Map,
+    /// The robots on it.
+    pub robots: Vec<RobotBody>,
+    /// The people on it.
+    pub people: Vec<Person>,
+    /// What chance comes from.
+    pub seed: u64,
+    /// How long things take.
+    pub durations: Durations,
+    /// How much the world remembers and holds.
+    pub limits: WorldLimits,
+}
+
+impl WorldSetup {
+    /// An empty floor with default durations and limits.
+    pub fn new(map: Map, seed: u64) -> Self {
+        let (durations, limits) = (Durations::default(), WorldLimits::default());
+        Self { map, robots: Vec::new(), people: Vec::new(), seed, durations, limits }
+    }
+
+    /// The same with one more robot.
+    #[must_use]
+    pub fn robot(mut self, robot: RobotBody) -> Self {
+        self.robots.push(robot);
+        self
+    }
+
+    /// The same with one more person.
+    #[must_use]
+    pub fn person(mut self, person: Person) -> Self {
+        self.people.push(person);
+        self
+    }
+}
+
+/// A robot's body.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct RobotBody {
+    /// Its name.
+    pub id: RobotId,
+    /// Where it stands at first.
+    pub place: PlaceId,
+    /// How fast it drives.
+    #[serde(rename = "speed_mps")]
+    pub speed: MetresPerSecond,
+    /// Charge it has at first.
+    pub battery: BatteryShare,
+    /// What it loses while a goal is under way: the rate that its estimator is to reckon with too.
+    #[serde(rename = "discharge_share_per_s")]
+    pub discharge: SharePerSecond,
+    /// What it loses otherwise, as a part of `discharge`: 0 to 1, by default 0.1 as in the published rig.
+    #[serde(default = "default_idle_factor")]
+    pub idle_factor: f64,
+    /// Whether it can drive.
+    #[serde(default = "yes")]
+    pub mobile: bool,
+    /// Whether it has a drawer that people and arms reach into.
+    #[serde(default)]
+    pub has_drawer: bool,
+    /// Whether it has an arm that holds one sample at a time.
+    #[serde(default)]
+    pub has_arm: bool,
+}
+
+fn yes() -> bool {
+    true
+}
+
+impl RobotBody {
+    /// A mobile robot with a drawer.
+    pub fn carrier(
+        id: RobotId,
+        place: PlaceId,
+        speed: MetresPerSecond,
+        battery: BatteryShare,
+        discharge: SharePerSecond,
+    ) -> Self {
+        let idle_factor = default_idle_factor();
+        Self { id, place, speed, battery, discharge, idle_factor, mobile: true, has_drawer: true, has_arm: false }
+    }
+
+    /// An arm that stays where it is, on mains power.
+    pub fn arm(id: RobotId, place: PlaceId) -> Self {
+        let speed = MetresPerSecond::new(1.0).expect("1 m/s is a speed");
+        let discharge = SharePerSecond::new(0.0).expect("0 /s is a rate");
+        let carrier = Self::carrier(id, place, speed, BatteryShare::FULL, discharge);
+        Self { mobile: false, has_drawer: false, has_arm: true, ..carrier }
+    }
+
+    /// What its battery loses, at work or idle.
+    pub fn rate(&self, working: bool) -> SharePerSecond {
+        if working {
+            return self.discharge;
+        }
+        SharePerSecond::new(self.discharge.get() * self.idle_factor).unwrap_or(self.discharge)
+    }
+}
+
+/// A person, who waits at her place for a robot.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Person {
+    /// Her name.
+    pub name: PersonName,
+    /// The role she plays in missions.
+    pub role: RoleId,
+    /// Where she stays.
+    pub place: PlaceId,
+    /// What she has to hand over, in this order.
+    #[serde(default)]
+    pub samples: Vec<SampleId>,
+}
+
+/// How long things take, in seconds of world time. The defaults are those of the published estimates: 2 s for each
+/// step that is not driving. People take from 2 to 4 s (a guess).
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Durations {
+    /// Coming within reach of a person.
+    pub approach_person_s: f64,
+    /// Having a person prove who they are.
+    pub authenticate_person_s: f64,
+    /// Opening or closing a drawer.
+    pub operate_drawer_s: f64,
+    /// Coming within reach of a robot.
+    pub approach_robot_s: f64,
+    /// Taking from a drawer.
+    pub pick_up_s: f64,
+    /// Putting down.
+    pub deposit_s: f64,
+    /// The quickest a person hands something over.
+    pub person_min_s: f64,
+    /// The slowest a person hands something over.
+    pub person_max_s: f64,
+}
+
+impl Default for Durations {
+    fn default() -> Self {
+        Self {
+            approach_person_s: 2.0,
+            authenticate_person_s: 2.0,
+            operate_drawer_s: 2.0,
+            approach_robot_s: 2.0,
+            pick_up_s: 2.0,
+            deposit_s: 2.0,
+            person_min_s: 2.0,
+            person_max_s: 4.0,
+        }
+    }
+}
+
+/// How much a world holds and remembers. More costs memory, nothing else.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct WorldLimits {
+    /// Robots, and people, and samples.
+    pub entities_max: usize,
+    /// Asks of people that have not ended. As many that have ended are told from new ones.
+    pub asks_max: usize,
+    /// Samples in one drawer.
+    pub drawer_slots: usize,
+    /// Ended goals of one robot whose status can still be asked for.
+    pub ended_kept: usize,
+    /// Changes of hands remembered of one sample, and entries of the journal until it is drained; the oldest go first.
+    pub history_kept: usize,
+}
+
+impl Default for WorldLimits {
+    fn default() -> Self {
+        Self { entities_max: 10_000, asks_max: 10_000, drawer_slots: 1, ended_kept: 64, history_kept: 4_096 }
+    }
+}
+
+/// One thing that is wrong with a setup.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+pub enum SetupError {
+    /// A robot or person at a place that is not on the map.
+    #[error("{who}: there is no place {place:?} on map {map}{hint}", place = place.as_str())]
+    UnknownPlace {
+        /// `robot r1`, `person Nia`.
+        who: String,
+        /// The place as given.
+        place: PlaceId,
+        /// The map.
+        map: String,
+        /// The place probably meant, in words; may be empty.
+        hint: String,
+    },
+    /// Two of one name.
+    #[error("{who} stands more than once")]
+    Duplicate {
+        /// `robot r1`, `person Nia`, `sample s1`.
+        who: String,
+    },
+    /// A person or sample whose name is not one.
+    #[error("{what} {name:?}: a name has 1 to 64 characters, none of them a control character")]
+    Name {
+        /// `person` or `sample`.
+        what: &'static str,
+        /// The name as given.
+        name: String,
+    },
+    /// A number that makes no sense.
+    #[error("{who}: {field} is {value}, allowed is {allowed}")]
+    Number {
+        /// `robot r1`, `durations`, `limits`.
+        who: String,
+        /// The field.
+        field: &'static str,
+        /// The number.
+        value: f64,
+        /// The range, in words.
+        allowed: &'static str,
+    },
+    /// More than [`WorldLimits::entities_max`].
+    #[error("{count} {what} are more than the {max} allowed")]
+    TooMany {
+        /// `robots`, `people`, `samples`.
+        what: &'static str,
+        /// How many there are.
+        count: usize,
+        /// How many there may be.
+        max: usize,
+    },
+}
+
+/// All that is wrong with a setup, in its order. Ordinary with hand-written ones; there is no world.
+#[derive(Debug, Clone, PartialEq)]
+pub struct SetupErrors(pub Vec<SetupError>);
+
+impl std::fmt::Display for SetupErrors {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let lines: Vec<String> = self.0.iter().map(ToString::to_string).collect();
+        f.write_str(&lines.join("\n"))
+    }
+}
+
+impl std::error::Error for SetupErrors {}

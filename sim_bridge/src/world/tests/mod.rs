@@ -1,0 +1,101 @@
+//! Stories of the world, each file one theme.
+
+mod asks;
+mod driving;
+mod lab_samples;
+mod power;
+mod preconditions;
+mod properties;
+mod setups;
+
+use super::*;
+use crate::map;
+use consort_protocol::ids::{PlaceId, RoleId, TaskType};
+use consort_protocol::mission::TaskSpec;
+use consort_protocol::units::{BatteryShare, MetresPerSecond, Seconds, SharePerSecond, WorldTime};
+use consort_skills::actions::{ActionError, BodyHost, ErrorCode, Goal, GoalId, GoalStatus, PersonAsk};
+
+fn place(name: &str) -> PlaceId {
+    PlaceId::new(name).unwrap()
+}
+
+fn robot(name: &str) -> RobotId {
+    RobotId::new(name).unwrap()
+}
+
+fn role(name: &str) -> RoleId {
+    RoleId::new(name).unwrap()
+}
+
+fn at(seconds: f64) -> WorldTime {
+    WorldTime::from_secs(seconds)
+}
+
+/// A carrier of 0.5 m/s with a full battery that loses 0.1 % a second at work.
+fn carrier(name: &str, at: &str) -> RobotBody {
+    let (speed, discharge) = (MetresPerSecond::new(0.5).unwrap(), SharePerSecond::new(0.001).unwrap());
+    RobotBody::carrier(robot(name), place(at), speed, BatteryShare::FULL, discharge)
+}
+
+fn nurse(name: &str, at: &str, sample: &str) -> Person {
+    Person { name: name.into(), role: role("nurse"), place: place(at), samples: vec![sample.into()] }
+}
+
+fn hospital(seed: u64) -> WorldSetup {
+    WorldSetup::new(map::shipped("hospital").unwrap(), seed)
+}
+
+fn go(world: &World, to: &str) -> Goal {
+    Goal::NavigateToPose { pose: world.map().place(&place(to)).unwrap().pose, place: Some(place(to)) }
+}
+
+fn ended(name: &str, goal: u64, status: GoalStatus) -> BodyEvent {
+    BodyEvent::GoalEnded { robot: robot(name), goal: GoalId(goal), status }
+}
+
+fn aborted(code: ErrorCode, message: &str) -> GoalStatus {
+    GoalStatus::Aborted(ActionError { code, message: message.to_owned() })
+}
+
+/// Asks a nurse to deposit into the drawer of whoever holds `r1`.
+fn deposit(holder: &str) -> PersonAsk {
+    let task = TaskSpec {
+        task_type: TaskType::new("deposit").unwrap(),
+        roles: vec![role("nurse")],
+        parameters: [("into_role".to_owned(), "r1".to_owned())].into(),
+        reaches: Default::default(),
+    };
+    PersonAsk { role: role("nurse"), task, holders: [(role("r1"), robot(holder))].into() }
+}
+
+/// Begins a goal and lets time pass until it ends: how, and what else happened.
+fn run(world: &mut World, name: &str, id: u64, goal: Goal) -> (GoalStatus, Vec<BodyEvent>) {
+    world.start(&robot(name), GoalId(id), goal);
+    let mut others = Vec::new();
+    for _ in 0..100 {
+        let due = world.next_due().expect("the goal has not ended");
+        for event in world.advance(due) {
+            match event {
+                BodyEvent::GoalEnded { robot, goal, status } if robot.as_str() == name && goal == GoalId(id) => {
+                    return (status, others);
+                }
+                other => others.push(other),
+            }
+        }
+    }
+    panic!("goal {id} of {name} did not end");
+}
+
+/// The same for a goal that is to succeed while nothing else happens.
+fn does(world: &mut World, name: &str, id: u64, goal: Goal) {
+    assert_eq!(run(world, name, id, goal), (GoalStatus::Succeeded, vec![]), "{name}, goal {id}");
+}
+
+fn refusal(world: &mut World, name: &str, id: u64, goal: Goal) -> GoalStatus {
+    world.start(&robot(name), GoalId(id), goal);
+    let now = world.now();
+    match world.advance(now).as_slice() {
+        [BodyEvent::GoalEnded { status, .. }] => status.clone(),
+        other => panic!("one refusal at once, not {other:?}"),
+    }
+}

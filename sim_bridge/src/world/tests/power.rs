@@ -1,0 +1,78 @@
+//! Batteries: one rate for the world and for estimates, straight lines, and a dead stop at 5 %.
+
+use super::*;
+use crate::map::{MapFile, PlaceEntry, PlaceKind};
+
+fn weak(charge: f64) -> RobotBody {
+    RobotBody { battery: BatteryShare::new(charge).unwrap(), ..carrier("r1", "Laboratory") }
+}
+
+fn charge(world: &World, name: &str) -> f64 {
+    world.telemetry(&robot(name)).unwrap().battery.get()
+}
+
+#[test]
+fn a_goal_costs_its_time_at_the_rate_that_estimates_use() {
+    let mut world = World::new(hospital(1).robot(carrier("r1", "Laboratory"))).unwrap();
+    let rate = world.setup_of(&robot("r1")).unwrap().discharge;
+    let goal = go(&world, "Laboratory Corridor");
+    does(&mut world, "r1", 1, goal);
+    assert!((charge(&world, "r1") - (1.0 - rate.over(Seconds::new(8.0).unwrap()))).abs() < 1e-12);
+    world.advance(at(108.0));
+    assert!((charge(&world, "r1") - (1.0 - 0.008 - 100.0 * 0.0001)).abs() < 1e-12, "a tenth when idle");
+}
+
+#[test]
+fn under_five_percent_it_stops_dead_where_it_is() {
+    let mut world = World::new(hospital(1).robot(weak(0.054))).unwrap();
+    let goal = go(&world, "Laboratory Corridor");
+    world.start(&robot("r1"), GoalId(1), goal);
+    let due = world.next_due().unwrap();
+    assert!((due.as_secs() - 4.0).abs() < 1e-9, "0.4 % at 0.1 %/s, {due:?}");
+    let low = aborted(ErrorCode::BatteryLow, "the battery of r1 is down to 5.0 %");
+    assert_eq!(world.advance(at(100.0)), [ended("r1", 1, low.clone()), BodyEvent::Stranded { robot: robot("r1") }]);
+    let telemetry = world.telemetry(&robot("r1")).unwrap();
+    assert!(!telemetry.able);
+    assert!((telemetry.pose.y - 9.0).abs() < 1e-9, "2 m of 4 m down the lane: {:?}", telemetry.pose);
+    assert!((telemetry.battery.get() - (0.05 - 96.0 * 0.0001)).abs() < 1e-9);
+    let status = refusal(&mut world, "r1", 2, Goal::Wait { time: Seconds::ZERO });
+    assert_eq!(status, aborted(ErrorCode::BatteryLow, "the battery of r1 is down to 4.0 %"));
+    assert_eq!(world.advance(at(1e7)), [], "stranded once");
+    assert_eq!(charge(&world, "r1"), 0.0, "and never below empty");
+}
+
+#[test]
+fn an_idle_robot_runs_down_too_and_one_that_starts_low_never_moves() {
+    let mut world = World::new(hospital(1).robot(weak(0.06))).unwrap();
+    assert!((world.next_due().unwrap().as_secs() - 100.0).abs() < 1e-9);
+    let mut low = World::new(hospital(1).robot(weak(0.03))).unwrap();
+    assert_eq!(low.next_due(), Some(at(0.0)));
+    for world in [&mut world, &mut low] {
+        assert_eq!(world.advance(at(200.0)), [BodyEvent::Stranded { robot: robot("r1") }]);
+        assert_eq!(world.next_due(), None);
+    }
+}
+
+#[test]
+fn on_mains_power_nothing_is_lost() {
+    let mut world = World::new(hospital(1).robot(RobotBody::arm(robot("lab_arm"), place("Laboratory")))).unwrap();
+    does(&mut world, "lab_arm", 1, Goal::Wait { time: Seconds::new(1e6).unwrap() });
+    assert_eq!(charge(&world, "lab_arm"), 1.0);
+    assert_eq!(world.next_due(), None, "nothing will ever happen here by itself");
+}
+
+#[test]
+fn an_hour_of_two_hundred_idle_robots_is_nothing_to_do() {
+    let file = MapFile {
+        name: "yard".into(),
+        walls: vec![],
+        places: vec![PlaceEntry { name: "Yard".into(), kind: PlaceKind::Other, x_m: 0.0, y_m: 0.0, yaw_rad: 0.0 }],
+        lanes: vec![],
+    };
+    let mut setup = WorldSetup::new(file.check("yard").unwrap(), 1);
+    setup.robots = (0..200).map(|n| carrier(&format!("d{n}"), "Yard")).collect();
+    let mut world = World::new(setup).unwrap();
+    assert!(world.next_due().unwrap() > at(3600.0));
+    assert_eq!(world.advance(at(3600.0)), []);
+    assert!(world.drain_journal().is_empty());
+}

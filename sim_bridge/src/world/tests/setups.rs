@@ -1,0 +1,52 @@
+//! Setups: all that is wrong is said at once.
+
+use super::*;
+
+#[test]
+fn all_that_is_wrong_is_said() {
+    let mut lame = carrier("r2", "Dock");
+    lame.idle_factor = 1.5;
+    let mut setup = hospital(1)
+        .robot(carrier("r1", "PC Rom 3"))
+        .robot(carrier("r1", "Dock"))
+        .robot(lame)
+        .person(nurse("Ana", "Kitchen", "s1"))
+        .person(nurse("Ana", "PC Room 1", "s1"))
+        .person(nurse("", "PC Room 1", "s2"));
+    setup.durations.pick_up_s = f64::NAN;
+    setup.limits.drawer_slots = 0;
+    let errors = World::new(setup).unwrap_err().to_string();
+    assert_eq!(
+        errors.lines().collect::<Vec<_>>(),
+        [
+            "durations: pick_up_s is NaN, allowed is a number of seconds from 0 to 86400",
+            "limits: drawer_slots is 0, allowed is 1 or more",
+            "robot r1: there is no place \"PC Rom 3\" on map hospital; did you mean \"PC Room 3\"?",
+            "robot r1 stands more than once",
+            "robot r2: idle_factor is 1.5, allowed is a number from 0 to 1",
+            "person Ana: there is no place \"Kitchen\" on map hospital",
+            "person Ana stands more than once",
+            "person \"\": a name has 1 to 64 characters, none of them a control character",
+            "sample s1 stands more than once",
+        ]
+    );
+}
+
+#[test]
+fn a_setup_that_is_too_large_is_refused() {
+    let mut setup = hospital(1).robot(carrier("r1", "Dock")).robot(carrier("r2", "Dock"));
+    setup.limits.entities_max = 1;
+    assert_eq!(World::new(setup).unwrap_err().to_string(), "2 robots are more than the 1 allowed");
+}
+
+#[test]
+fn bodies_and_people_are_read_from_files() {
+    let text = "{id: r1, place: Dock, speed_mps: 0.15, battery: 0.6, discharge_share_per_s: 0.0004, has_drawer: true}";
+    let body: RobotBody = serde_saphyr::from_str(text).unwrap();
+    let (speed, discharge) = (MetresPerSecond::new(0.15).unwrap(), SharePerSecond::new(0.0004).unwrap());
+    let battery = BatteryShare::new(0.6).unwrap();
+    assert_eq!(body, RobotBody::carrier(robot("r1"), place("Dock"), speed, battery, discharge));
+    let person: Person = serde_saphyr::from_str("{name: Ana, role: nurse, place: PC Room 1, samples: [s1]}").unwrap();
+    assert_eq!(person, nurse("Ana", "PC Room 1", "s1"));
+    assert!(serde_saphyr::from_str::<Person>("{name: Ana, role: nurse, place: PC Room 1, mood: shy}").is_err());
+}

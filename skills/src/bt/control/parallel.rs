@@ -1,0 +1,66 @@
+//! `Parallel`: children side by side, until enough of them have ended.
+
+use crate::bt::node::{Node, Slot, halt_all};
+use crate::bt::ports::{PortError, Ports};
+use crate::bt::status::Status;
+use crate::bt::tick::{Cause, Tick};
+
+/// Ticks every child that has not ended. Succeeds once `success_count` of them did; fails once `failure_count` of them
+/// failed, or so many that `success_count` is out of reach. A negative count is taken from the number of children: -1
+/// is all of them. Children that are still running at the end are halted.
+pub(crate) struct Parallel {
+    ports: Ports,
+    children: Vec<Slot>,
+    ended: Vec<Option<Status>>,
+}
+
+impl Parallel {
+    pub(crate) fn new(ports: Ports, children: Vec<Slot>) -> Parallel {
+        let ended = vec![None; children.len()];
+        Parallel { ports, children, ended }
+    }
+
+    fn count(&self, tick: &Tick<'_>, port: &str) -> Result<usize, PortError> {
+        let count: i64 = self.ports.read(tick.blackboard, port)?;
+        let all = self.children.len() as i64;
+        Ok(if count < 0 { (all + count + 1).max(0) } else { count } as usize)
+    }
+
+    fn end(&mut self, tick: &mut Tick<'_>, status: Status) -> Status {
+        self.halt(tick);
+        status
+    }
+}
+
+impl Node for Parallel {
+    fn tick(&mut self, tick: &mut Tick<'_>) -> Status {
+        let counts = self.count(tick, "success_count").and_then(|m| Ok((m, self.count(tick, "failure_count")?)));
+        let (successes, failures) = match counts {
+            Ok(counts) => counts,
+            Err(error) => {
+                tick.fail("Parallel", Cause::from(error));
+                return self.end(tick, Status::Failure);
+            }
+        };
+        for index in 0..self.children.len() {
+            if self.ended[index].is_none() {
+                let status = self.children[index].tick(tick);
+                self.ended[index] = status.is_final().then_some(status);
+            }
+            let ended = |wanted| self.ended.iter().filter(|status| **status == Some(wanted)).count();
+            let failed = ended(Status::Failure);
+            if ended(Status::Success) >= successes {
+                return self.end(tick, Status::Success);
+            }
+            if self.children.len() - failed < successes || (failed > 0 && failed >= failures) {
+                return self.end(tick, Status::Failure);
+            }
+        }
+        Status::Running
+    }
+
+    fn halt(&mut self, tick: &mut Tick<'_>) {
+        halt_all(&mut self.children, tick);
+        self.ended.fill(None);
+    }
+}

@@ -1,0 +1,277 @@
+//! Checking a description node by node, and putting sub-trees in their places.
+
+use super::blackboard::{Blackboard, EntryId};
+use super::blueprint::{Input, MAX_DEPTH, MAX_NODES, Plan, What};
+use super::builtin::Builtin;
+use super::error::{Problem, TreeError};
+use super::ports::{Binding, Direction, Manifest, NodeKind, PortSpec, Ports, Presence, listed};
+use super::registry::Registry;
+use super::spec::{NodeSpec, TreeSpec};
+use super::value::Value;
+use std::collections::{BTreeMap, BTreeSet};
+
+/// The check under way.
+pub(crate) struct Expansion<'a, C> {
+    spec: &'a TreeSpec,
+    registry: &'a Registry<C>,
+    blackboard: Blackboard,
+    /// By entry.
+    uses: Vec<Use>,
+    /// From the main tree down to the one at hand.
+    scopes: Vec<Scope>,
+    nodes: usize,
+}
+
+/// How an entry is used.
+#[derive(Default)]
+struct Use {
+    /// Some node or fixed value fills it.
+    filled: bool,
+    /// Where it is read by a port that cannot do without, for the message if nothing fills it.
+    needed: Option<TreeError>,
+    read: bool,
+}
+
+/// The keys of one tree in one place.
+struct Scope {
+    tree: String,
+    autoremap: bool,
+    keys: BTreeMap<String, EntryId>,
+    used: BTreeSet<String>,
+}
+
+/// What [`Expansion::finish`] leaves: the blackboard, the main tree's keys and its inputs.
+pub(crate) type Layout = (Blackboard, BTreeMap<String, EntryId>, Vec<Input>);
+
+impl<'a, C> Expansion<'a, C> {
+    pub(crate) fn new(spec: &'a TreeSpec, registry: &'a Registry<C>) -> Self {
+        let main = Scope::new(&spec.main, false);
+        let blackboard = Blackboard::default();
+        Expansion { spec, registry, blackboard, uses: Vec::new(), scopes: vec![main], nodes: 0 }
+    }
+
+    pub(crate) fn main(&mut self, root: &NodeSpec) -> Result<Plan<C>, TreeError> {
+        self.node(root, 1)
+    }
+
+    /// Settles what only the whole tree shows.
+    pub(crate) fn finish(mut self) -> Result<Layout, TreeError> {
+        for index in 0..self.uses.len() {
+            self.blackboard.settle(EntryId(index)).map_err(|error| TreeError {
+                source: self.spec.source.clone(),
+                line: None,
+                node: None,
+                problem: Problem::KeyValue(error),
+            })?;
+        }
+        let keys = self.scopes.swap_remove(0).keys;
+        let given: BTreeSet<EntryId> = keys.values().copied().collect();
+        for (index, entry) in self.uses.iter_mut().enumerate() {
+            if !entry.filled
+                && !given.contains(&EntryId(index))
+                && let Some(error) = entry.needed.take()
+            {
+                return Err(error);
+            }
+        }
+        let inputs = keys.iter().filter(|(_, id)| self.uses[id.0].read && !self.uses[id.0].filled).map(|(key, id)| {
+            let required = self.uses[id.0].needed.is_some();
+            Input { key: key.clone(), port_type: self.blackboard.port_type(*id), required }
+        });
+        let inputs = inputs.collect();
+        Ok((self.blackboard, keys, inputs))
+    }
+
+    fn node(&mut self, node: &NodeSpec, depth: usize) -> Result<Plan<C>, TreeError> {
+        self.nodes += 1;
+        if depth > MAX_DEPTH {
+            return Err(self.error(node, Problem::TooDeep { limit: MAX_DEPTH }));
+        }
+        if self.nodes > MAX_NODES {
+            return Err(self.error(node, Problem::TooLarge { limit: MAX_NODES }));
+        }
+        if node.kind == Some(NodeKind::SubTree) {
+            return self.subtree(node, depth);
+        }
+        let builtin = Builtin::named(&node.id);
+        let (manifest, what) = match (builtin, self.registry.leaf(&node.id)) {
+            (Some(builtin), _) => (builtin.manifest(), What::Builtin(builtin)),
+            (None, Some(leaf)) => (leaf.manifest.clone(), What::Leaf(leaf.make.clone())),
+            (None, None) => {
+                let problem = Problem::UnknownNode { id: node.id.clone(), known: self.registry.known() };
+                return Err(self.error(node, problem));
+            }
+        };
+        if let Some(kind) = node.kind
+            && kind != manifest.kind
+        {
+            let (written, is) = (kind.tag(), manifest.kind.tag());
+            return Err(self.error(node, Problem::WrongKind { id: node.id.clone(), written, is }));
+        }
+        let ports = self.ports(node, &manifest)?;
+        self.count_children(node, manifest.kind)?;
+        if builtin == Some(Builtin::Parallel) {
+            self.check_counts(node, &ports)?;
+        }
+        let children = node.children.iter().map(|child| self.node(child, depth + 1)).collect::<Result<_, _>>()?;
+        Ok(Plan { name: node.label().to_owned(), what, ports, children })
+    }
+
+    fn subtree(&mut self, node: &NodeSpec, depth: usize) -> Result<Plan<C>, TreeError> {
+        let Some(root) = self.spec.trees.get(&node.id) else {
+            let known = listed(self.spec.trees.keys().map(String::as_str));
+            return Err(self.error(node, Problem::UnknownTree { tree: node.id.clone(), known }));
+        };
+        let path: Vec<&str> = self.scopes.iter().map(|scope| scope.tree.as_str()).chain([node.id.as_str()]).collect();
+        if path[..path.len() - 1].contains(&node.id.as_str()) {
+            return Err(self.error(node, Problem::Recursion { path: path.join(" → ") }));
+        }
+        self.count_children(node, NodeKind::SubTree)?;
+        let mut scope = Scope::new(&node.id, node.autoremap);
+        for (port, text) in &node.ports {
+            let id = match key_of(port, text) {
+                Some(key) => self.entry(self.scopes.len() - 1, key),
+                None => {
+                    let id = self.add_entry(format!("{}/{port}", node.id));
+                    self.uses[id.0].filled = true;
+                    let written = self.blackboard.write(id, Value::Text(text.clone()));
+                    written.map_err(|error| self.error(node, Problem::KeyValue(error)))?;
+                    id
+                }
+            };
+            scope.keys.insert(port.clone(), id);
+        }
+        self.scopes.push(scope);
+        let plan = self.node(root, depth + 1);
+        let scope = self.scopes.pop().expect("the scope pushed above is still there");
+        let plan = plan?;
+        match node.ports.keys().find(|port| !scope.used.contains(*port)) {
+            None => Ok(plan),
+            Some(port) => {
+                let allowed = listed(scope.used.iter().map(String::as_str));
+                Err(self.error(node, Problem::UnknownPort { port: port.clone(), allowed }))
+            }
+        }
+    }
+
+    fn count_children(&self, node: &NodeSpec, kind: NodeKind) -> Result<(), TreeError> {
+        let found = node.children.len();
+        let allowed = match kind {
+            NodeKind::Action | NodeKind::Condition | NodeKind::SubTree if found != 0 => "none",
+            NodeKind::Decorator if found != 1 => "exactly 1",
+            NodeKind::Control if found == 0 => "1 or more",
+            _ => return Ok(()),
+        };
+        Err(self.error(node, Problem::Children { found, allowed: allowed.to_owned() }))
+    }
+
+    /// A `Parallel` cannot wait for more children than it has.
+    fn check_counts(&self, node: &NodeSpec, ports: &Ports) -> Result<(), TreeError> {
+        let found = node.children.len();
+        for port in ["success_count", "failure_count"] {
+            if let Some(Binding::Literal(Value::Integer(count))) = ports.bound.get(port)
+                && count.unsigned_abs() > found as u64
+            {
+                let allowed = format!("{} or more, as `{port}` is {count}", count.unsigned_abs());
+                return Err(self.error(node, Problem::Children { found, allowed }));
+            }
+        }
+        Ok(())
+    }
+
+    fn ports(&mut self, node: &NodeSpec, manifest: &Manifest) -> Result<Ports, TreeError> {
+        if let Some(port) = node.ports.keys().find(|port| manifest.port(port).is_none()) {
+            let problem = Problem::UnknownPort { port: port.clone(), allowed: manifest.port_names() };
+            return Err(self.error(node, problem));
+        }
+        let mut ports = Ports::default();
+        for port in &manifest.ports {
+            let text = match (node.ports.get(&port.name), &port.presence) {
+                (Some(text), _) | (None, Presence::Default(text)) => text,
+                (None, Presence::Optional) => continue,
+                (None, Presence::Required) => {
+                    let problem = Problem::MissingPort { port: port.name.clone(), wanted: port.port_type };
+                    return Err(self.error(node, problem));
+                }
+            };
+            let binding = match (key_of(&port.name, text), port.direction) {
+                (Some(key), _) => Binding::Entry(self.bind(node, port, key)?),
+                (None, Direction::Input) => Binding::Literal(
+                    port.parse(text)
+                        .map_err(|source| self.error(node, Problem::PortValue { port: port.name.clone(), source }))?,
+                ),
+                (None, Direction::Output) => {
+                    let problem = Problem::FixedOutput { port: port.name.clone(), value: text.clone() };
+                    return Err(self.error(node, problem));
+                }
+            };
+            ports.bound.insert(port.name.clone(), binding);
+        }
+        Ok(ports)
+    }
+
+    /// Binds a port to a key of the tree at hand.
+    fn bind(&mut self, node: &NodeSpec, port: &PortSpec, key: &str) -> Result<EntryId, TreeError> {
+        let id = self.entry(self.scopes.len() - 1, key);
+        if let Err(is) = self.blackboard.narrow(id, port.port_type, &port.constraint) {
+            let (port, wanted) = (port.name.clone(), port.port_type);
+            let key = self.blackboard.key(id).to_owned();
+            return Err(self.error(node, Problem::KeyType { port, wanted, key, is }));
+        }
+        let needed = || self.error(node, Problem::NeverWritten { port: port.name.clone(), key: key.to_owned() });
+        let needed = (port.direction == Direction::Input && port.presence != Presence::Optional).then(needed);
+        let entry = &mut self.uses[id.0];
+        match port.direction {
+            Direction::Input => entry.read = true,
+            Direction::Output => entry.filled = true,
+        }
+        if entry.needed.is_none() {
+            entry.needed = needed;
+        }
+        Ok(id)
+    }
+
+    /// The entry behind a key as the tree at `depth` names it.
+    fn entry(&mut self, depth: usize, key: &str) -> EntryId {
+        let scope = &mut self.scopes[depth];
+        scope.used.insert(key.to_owned());
+        if let Some(id) = scope.keys.get(key) {
+            return *id;
+        }
+        // Keys that begin with `_` are private to their tree, as in BehaviorTree.CPP.
+        let shared = scope.autoremap && !key.starts_with('_');
+        let name = if depth == 0 { key.to_owned() } else { format!("{}/{key}", scope.tree) };
+        let id = if shared { self.entry(depth - 1, key) } else { self.add_entry(name) };
+        self.scopes[depth].keys.insert(key.to_owned(), id);
+        id
+    }
+
+    fn add_entry(&mut self, key: String) -> EntryId {
+        self.uses.push(Use::default());
+        self.blackboard.add(key)
+    }
+
+    fn error(&self, node: &NodeSpec, problem: Problem) -> TreeError {
+        let tree = self.scopes.last().map_or("", |scope| &scope.tree);
+        let what = match &node.name {
+            Some(name) => format!("{tree}/{} ({name})", node.id),
+            None => format!("{tree}/{}", node.id),
+        };
+        TreeError { source: self.spec.source.clone(), line: node.line, node: Some(what), problem }
+    }
+}
+
+impl Scope {
+    fn new(tree: &str, autoremap: bool) -> Scope {
+        Scope { tree: tree.to_owned(), autoremap, keys: BTreeMap::new(), used: BTreeSet::new() }
+    }
+}
+
+/// The key that a binding names: `{key}`, or `{=}` for the port's own name. `None` for a fixed value.
+fn key_of<'t>(port: &'t str, text: &'t str) -> Option<&'t str> {
+    match text.trim().strip_prefix('{')?.strip_suffix('}')? {
+        "=" => Some(port),
+        "" => None,
+        key => Some(key),
+    }
+}

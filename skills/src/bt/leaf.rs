@@ -1,0 +1,96 @@
+//! Leaves: where a tree meets the body. The trait that users implement, and the few leaves that every tree has.
+
+use super::node::Node;
+use super::ports::Ports;
+use super::status::Status;
+use super::tick::{Cause, LeafContext, Tick};
+use consort_protocol::units::{Seconds, WorldTime};
+
+/// A leaf of a user's making. It starts afresh at the first tick after it ended or was halted.
+pub trait Leaf: Send {
+    /// Goes on, and says how far it came. Never waits: what takes time answers [`Status::Running`].
+    ///
+    /// # Errors
+    /// `Err` is a failure too, with its cause.
+    fn tick(&mut self, context: &mut LeafContext<'_, '_>) -> Result<Status, Cause>;
+
+    /// Stops what is under way. Called only while the leaf is running.
+    fn halt(&mut self, context: &mut LeafContext<'_, '_>);
+}
+
+/// A leaf made of a function that answers at once, and so has nothing to halt.
+pub struct Instant<F>(pub F);
+
+impl<F> Leaf for Instant<F>
+where
+    F: FnMut(&mut LeafContext<'_, '_>) -> Result<bool, Cause> + Send,
+{
+    fn tick(&mut self, context: &mut LeafContext<'_, '_>) -> Result<Status, Cause> {
+        Ok(if (self.0)(context)? { Status::Success } else { Status::Failure })
+    }
+
+    fn halt(&mut self, _: &mut LeafContext<'_, '_>) {}
+}
+
+/// A leaf in its tree, with the ports it is bound to there.
+pub(crate) struct Bound {
+    pub(crate) name: String,
+    pub(crate) leaf: Box<dyn Leaf>,
+    pub(crate) ports: Ports,
+}
+
+impl Node for Bound {
+    fn tick(&mut self, tick: &mut Tick<'_>) -> Status {
+        let answer = self.leaf.tick(&mut LeafContext { tick, ports: &self.ports });
+        match answer {
+            Ok(Status::Failure) => tick.fail(&self.name, Cause::new("it failed")),
+            Ok(status) => return status,
+            Err(cause) => tick.fail(&self.name, cause),
+        }
+        Status::Failure
+    }
+
+    fn halt(&mut self, tick: &mut Tick<'_>) {
+        self.leaf.halt(&mut LeafContext { tick, ports: &self.ports });
+    }
+}
+
+/// `AlwaysSuccess` and `AlwaysFailure`. The latter names no cause of its own: what failed before it still counts.
+pub(crate) struct Always(pub(crate) Status);
+
+impl Node for Always {
+    fn tick(&mut self, _: &mut Tick<'_>) -> Status {
+        self.0
+    }
+
+    fn halt(&mut self, _: &mut Tick<'_>) {}
+}
+
+/// `Sleep`: runs for `msec` milliseconds of world time.
+#[derive(Default)]
+pub(crate) struct Sleep {
+    until: Option<WorldTime>,
+}
+
+impl Leaf for Sleep {
+    fn tick(&mut self, context: &mut LeafContext<'_, '_>) -> Result<Status, Cause> {
+        let until = match self.until {
+            Some(until) => until,
+            None => {
+                let msec: i64 = context.read("msec")?;
+                let time = Seconds::new(msec as f64 / 1000.0).map_err(|error| Cause::new(error.to_string()))?;
+                *self.until.insert(context.now() + time)
+            }
+        };
+        if context.now() >= until {
+            self.until = None;
+            return Ok(Status::Success);
+        }
+        context.wake_at(until);
+        Ok(Status::Running)
+    }
+
+    fn halt(&mut self, _: &mut LeafContext<'_, '_>) {
+        self.until = None;
+    }
+}

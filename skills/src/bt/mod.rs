@@ -1,0 +1,49 @@
+//! Behavior trees: a small engine of our own.
+//!
+//! ```text
+//!  XML ──read_xml──▶ TreeSpec ──Registry::check──▶ Blueprint ──start──▶ Tree ──tick──▶ Status
+//!  Rust builder ────────▲                             │                   │
+//!                                    every mistake shows here          RobotActions
+//! ```
+//!
+//! Names and rules are those of BehaviorTree.CPP 4, so that trees can be drawn in Groot2; scripts (`_skipIf` and the
+//! like) are not supported and are refused. Where we differ: loops that can turn within one tick stop after
+//! [`MAX_TURNS`] and go on at the next, and times are world time. See Colledanchise & Ögren, *Behavior Trees in Robotics
+//! and AI* (2018), for the theory.
+
+mod blackboard;
+mod blueprint;
+mod builtin;
+mod control;
+mod decorator;
+mod error;
+mod expand;
+mod leaf;
+mod node;
+mod ports;
+mod registry;
+mod spec;
+mod status;
+mod tick;
+mod tree;
+mod value;
+pub mod xml;
+
+#[cfg(test)]
+mod tests;
+
+pub use blackboard::{Blackboard, BlackboardError};
+pub use blueprint::{Blueprint, Input, MAX_DEPTH, MAX_NODES};
+pub use error::{Problem, TreeError};
+pub use leaf::{Instant, Leaf};
+pub(crate) use ports::listed;
+pub use ports::{Constraint, Direction, Manifest, NodeKind, PortError, PortSpec, Ports, Presence};
+pub use registry::{Registry, RegistryError};
+pub use spec::{
+    NodeSpec, TreeSpec, fallback, inverter, parallel, reactive_fallback, reactive_sequence, repeat, retry, sequence,
+    timeout,
+};
+pub use status::Status;
+pub use tick::{Cause, LeafContext, MAX_TURNS, Tick};
+pub use tree::Tree;
+pub use value::{PortType, PortValue, Value, ValueError};

@@ -1,0 +1,112 @@
+//! The leaves that trees may be made of.
+
+use super::blueprint::Blueprint;
+use super::builtin::Builtin;
+use super::error::TreeError;
+use super::leaf::{Instant, Leaf};
+use super::ports::{Manifest, NodeKind, PortSpec, listed};
+use super::spec::TreeSpec;
+use super::tick::{Cause, LeafContext};
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+pub(crate) type MakeLeaf<C> = Arc<dyn Fn(&C) -> Box<dyn Leaf> + Send + Sync>;
+
+/// Kinds of leaf by name, each with a factory. `C` is what factories may look at when a tree is put to work.
+pub struct Registry<C = ()> {
+    leaves: BTreeMap<String, Registered<C>>,
+}
+
+pub(crate) struct Registered<C> {
+    pub(crate) manifest: Manifest,
+    pub(crate) make: MakeLeaf<C>,
+}
+
+/// Why a kind of leaf was not taken. The registry is unchanged.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+pub enum RegistryError {
+    /// Two kinds of node cannot share a name.
+    #[error("a node `{id}` is there already")]
+    Taken {
+        /// The name.
+        id: String,
+    },
+    /// Only actions and conditions can be registered.
+    #[error("`{id}` is of kind <{kind}>; allowed are <Action> and <Condition>")]
+    NotALeaf {
+        /// The name.
+        id: String,
+        /// What its manifest says.
+        kind: &'static str,
+    },
+}
+
+impl<C> Default for Registry<C> {
+    fn default() -> Self {
+        Registry { leaves: BTreeMap::new() }
+    }
+}
+
+impl<C> Registry<C> {
+    /// A registry with the engine's own nodes alone.
+    pub fn new() -> Registry<C> {
+        Registry::default()
+    }
+
+    /// Adds a kind of leaf.
+    ///
+    /// # Errors
+    /// [`RegistryError`] where the name is taken or the manifest is not a leaf's.
+    pub fn register(
+        &mut self,
+        manifest: Manifest,
+        make: impl Fn(&C) -> Box<dyn Leaf> + Send + Sync + 'static,
+    ) -> Result<(), RegistryError> {
+        let id = manifest.id.clone();
+        if self.leaves.contains_key(&id) || Builtin::named(&id).is_some() {
+            return Err(RegistryError::Taken { id });
+        }
+        if !matches!(manifest.kind, NodeKind::Action | NodeKind::Condition) {
+            return Err(RegistryError::NotALeaf { id, kind: manifest.kind.tag() });
+        }
+        self.leaves.insert(id, Registered { manifest, make: Arc::new(make) });
+        Ok(())
+    }
+
+    /// Adds a condition made of a function.
+    ///
+    /// # Errors
+    /// [`RegistryError`] where the name is taken.
+    pub fn condition(
+        &mut self,
+        id: &str,
+        ports: impl IntoIterator<Item = PortSpec>,
+        check: impl Fn(&mut LeafContext<'_, '_>) -> Result<bool, Cause> + Send + Sync + Clone + 'static,
+    ) -> Result<(), RegistryError> {
+        let manifest = Manifest::new(id, NodeKind::Condition, ports);
+        self.register(manifest, move |_| Box::new(Instant(check.clone())))
+    }
+
+    /// Checks a description against the nodes there are.
+    ///
+    /// # Errors
+    /// [`TreeError`] names the first mistake, its place and what is allowed.
+    pub fn check(&self, spec: &TreeSpec) -> Result<Blueprint<C>, TreeError> {
+        Blueprint::of(spec, self)
+    }
+
+    /// What the leaves are called and pass, the engine's own nodes aside.
+    pub fn manifests(&self) -> impl Iterator<Item = &Manifest> {
+        self.leaves.values().map(|leaf| &leaf.manifest)
+    }
+
+    pub(crate) fn leaf(&self, id: &str) -> Option<&Registered<C>> {
+        self.leaves.get(id)
+    }
+
+    /// Every name there is, in words.
+    pub(crate) fn known(&self) -> String {
+        let builtin: Vec<String> = Builtin::ALL.iter().map(|builtin| builtin.manifest().id).collect();
+        listed(builtin.iter().map(String::as_str).chain(self.leaves.keys().map(String::as_str)))
+    }
+}

@@ -1,0 +1,318 @@
+//! Values on the blackboard, their types, and how text becomes one.
+
+use consort_protocol::ids::{PlaceId, RobotId, RoleId};
+use consort_protocol::pose::Pose;
+use consort_protocol::units::Seconds;
+use std::fmt;
+
+/// A value that passes through a port.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Value {
+    /// Any text.
+    Text(String),
+    /// A finite number without a unit.
+    Number(f64),
+    /// A whole number.
+    Integer(i64),
+    /// Yes or no.
+    Bool(bool),
+    /// A place on the map.
+    Place(PlaceId),
+    /// A robot.
+    Robot(RobotId),
+    /// A role of the mission.
+    Role(RoleId),
+    /// A pose on the floor; as text `x;y;yaw` in metres and radians.
+    Pose(Pose),
+    /// A duration of world time; as text the bare number of seconds.
+    Seconds(Seconds),
+    /// Several values in order; as text separated by `;`.
+    List(Vec<Value>),
+}
+
+/// The type of a port or of a blackboard entry.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub enum PortType {
+    /// Whatever it is.
+    Any,
+    /// [`Value::Text`].
+    Text,
+    /// [`Value::Number`].
+    Number,
+    /// [`Value::Integer`].
+    Integer,
+    /// [`Value::Bool`].
+    Bool,
+    /// [`Value::Place`].
+    Place,
+    /// [`Value::Robot`].
+    Robot,
+    /// [`Value::Role`].
+    Role,
+    /// [`Value::Pose`].
+    Pose,
+    /// [`Value::Seconds`].
+    Seconds,
+    /// [`Value::List`].
+    List,
+}
+
+/// Why a value is not of the type asked for. Nothing was changed.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error("{value:?} is not {wanted}: {problem}")]
+pub struct ValueError {
+    /// The value, as text.
+    pub value: String,
+    /// The type asked for.
+    pub wanted: PortType,
+    /// What is wrong, or what is allowed.
+    pub problem: String,
+}
+
+impl PortType {
+    /// The name as in a written model (`type="place"`).
+    pub const fn name(self) -> &'static str {
+        match self {
+            PortType::Any => "any",
+            PortType::Text => "text",
+            PortType::Number => "number",
+            PortType::Integer => "integer",
+            PortType::Bool => "bool",
+            PortType::Place => "place",
+            PortType::Robot => "robot",
+            PortType::Role => "role",
+            PortType::Pose => "pose",
+            PortType::Seconds => "seconds",
+            PortType::List => "list",
+        }
+    }
+
+    /// Takes `text` as a value of this type; [`PortType::Any`] keeps it as text.
+    ///
+    /// # Errors
+    /// [`ValueError`] names the text and what is allowed.
+    pub fn parse(self, text: &str) -> Result<Value, ValueError> {
+        let refuse = |problem: String| ValueError { value: text.to_owned(), wanted: self, problem };
+        let number = |text: &str| match text.trim().parse::<f64>() {
+            Ok(number) if number.is_finite() => Ok(number),
+            _ => Err(refuse("allowed is a finite number such as 2.5".to_owned())),
+        };
+        Ok(match self {
+            PortType::Any | PortType::Text => Value::Text(text.to_owned()),
+            PortType::Number => Value::Number(number(text)?),
+            PortType::Integer => {
+                let parsed = text.trim().parse();
+                Value::Integer(parsed.map_err(|_| refuse("allowed is a whole number such as 3".to_owned()))?)
+            }
+            PortType::Bool => match text.trim() {
+                "true" | "1" => Value::Bool(true),
+                "false" | "0" => Value::Bool(false),
+                _ => return Err(refuse("allowed are true and false".to_owned())),
+            },
+            PortType::Place => Value::Place(PlaceId::new(text).map_err(|e| refuse(e.to_string()))?),
+            PortType::Robot => Value::Robot(RobotId::new(text).map_err(|e| refuse(e.to_string()))?),
+            PortType::Role => Value::Role(RoleId::new(text).map_err(|e| refuse(e.to_string()))?),
+            PortType::Pose => {
+                let parts: Vec<f64> = text.split(';').map(number).collect::<Result<_, _>>()?;
+                let [x, y, yaw] = parts[..] else {
+                    return Err(refuse("allowed is `x;y;yaw` in metres and radians".to_owned()));
+                };
+                Value::Pose(Pose::new(x, y, yaw))
+            }
+            PortType::Seconds => Value::Seconds(Seconds::new(number(text)?).map_err(|e| refuse(e.to_string()))?),
+            PortType::List if text.is_empty() => Value::List(Vec::new()),
+            PortType::List => Value::List(text.split(';').map(|part| Value::Text(part.to_owned())).collect()),
+        })
+    }
+
+    /// The type of an entry that ports of both types share: text joins with anything (it is parsed or printed on the
+    /// way), and so does [`PortType::Any`]. `None` where the two do not go together.
+    pub(crate) fn join(self, other: PortType) -> Option<PortType> {
+        match (self, other) {
+            (PortType::Any, ty) | (ty, PortType::Any) | (PortType::Text, ty) | (ty, PortType::Text) => Some(ty),
+            (a, b) if a == b => Some(a),
+            _ => None,
+        }
+    }
+}
+
+impl fmt::Display for PortType {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            PortType::Any => "any value",
+            PortType::Text => "a text",
+            PortType::Number => "a number",
+            PortType::Integer => "a whole number",
+            PortType::Bool => "true or false",
+            PortType::Place => "a place",
+            PortType::Robot => "a robot",
+            PortType::Role => "a role",
+            PortType::Pose => "a pose",
+            PortType::Seconds => "a duration in seconds",
+            PortType::List => "a list",
+        })
+    }
+}
+
+impl Value {
+    /// Its type.
+    pub fn port_type(&self) -> PortType {
+        match self {
+            Value::Text(_) => PortType::Text,
+            Value::Number(_) => PortType::Number,
+            Value::Integer(_) => PortType::Integer,
+            Value::Bool(_) => PortType::Bool,
+            Value::Place(_) => PortType::Place,
+            Value::Robot(_) => PortType::Robot,
+            Value::Role(_) => PortType::Role,
+            Value::Pose(_) => PortType::Pose,
+            Value::Seconds(_) => PortType::Seconds,
+            Value::List(_) => PortType::List,
+        }
+    }
+
+    /// This value as `wanted`: text is parsed, anything can be printed as text, a whole number is a number too.
+    ///
+    /// # Errors
+    /// [`ValueError`] where the value is of another type or its text does not parse.
+    pub fn convert(self, wanted: PortType) -> Result<Value, ValueError> {
+        match (self, wanted) {
+            (value, PortType::Any) => Ok(value),
+            (value, wanted) if value.port_type() == wanted => Ok(value),
+            (Value::Text(text), wanted) => wanted.parse(&text),
+            (value, PortType::Text) => Ok(Value::Text(value.to_string())),
+            // Exact up to 2^53, far above any count a tree holds.
+            (Value::Integer(n), PortType::Number) => Ok(Value::Number(n as f64)),
+            (value, wanted) => {
+                let problem = format!("it is {}", value.port_type());
+                Err(ValueError { value: value.to_string(), wanted, problem })
+            }
+        }
+    }
+}
+
+impl fmt::Display for Value {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Value::Text(text) => f.write_str(text),
+            Value::Number(number) => write!(f, "{number}"),
+            Value::Integer(number) => write!(f, "{number}"),
+            Value::Bool(yes) => write!(f, "{yes}"),
+            Value::Place(place) => write!(f, "{place}"),
+            Value::Robot(robot) => write!(f, "{robot}"),
+            Value::Role(role) => write!(f, "{role}"),
+            Value::Pose(pose) => write!(f, "{};{};{}", pose.x, pose.y, pose.yaw),
+            Value::Seconds(time) => write!(f, "{}", time.get()),
+            Value::List(values) => {
+                for (i, value) in values.iter().enumerate() {
+                    write!(f, "{}{value}", if i == 0 { "" } else { ";" })?;
+                }
+                Ok(())
+            }
+        }
+    }
+}
+
+/// A Rust type that a port can be read as.
+pub trait PortValue: Sized {
+    /// The port type it stands for.
+    const TYPE: PortType;
+
+    /// Takes a value that is of [`Self::TYPE`]; `None` for any other.
+    fn from_value(value: Value) -> Option<Self>;
+}
+
+macro_rules! port_values {
+    ($($rust:ty, $variant:ident;)*) => {$(
+        impl PortValue for $rust {
+            const TYPE: PortType = PortType::$variant;
+            fn from_value(value: Value) -> Option<Self> {
+                match value {
+                    Value::$variant(inner) => Some(inner),
+                    _ => None,
+                }
+            }
+        }
+
+        impl From<$rust> for Value {
+            fn from(inner: $rust) -> Value {
+                Value::$variant(inner)
+            }
+        }
+    )*};
+}
+
+port_values! {
+    String, Text;
+    f64, Number;
+    i64, Integer;
+    bool, Bool;
+    PlaceId, Place;
+    RobotId, Robot;
+    RoleId, Role;
+    Pose, Pose;
+    Seconds, Seconds;
+    Vec<Value>, List;
+}
+
+impl PortValue for Value {
+    const TYPE: PortType = PortType::Any;
+    fn from_value(value: Value) -> Option<Value> {
+        Some(value)
+    }
+}
+
+impl From<&str> for Value {
+    fn from(text: &str) -> Value {
+        Value::Text(text.to_owned())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_type_reads_back_what_it_writes() {
+        let values = [
+            Value::from("a b"),
+            Value::Number(-2.5),
+            Value::Integer(-7),
+            Value::Bool(true),
+            Value::Place(PlaceId::new("IC Room 6").unwrap()),
+            Value::Robot(RobotId::new("r1").unwrap()),
+            Value::Role(RoleId::new("nurse").unwrap()),
+            Value::Pose(Pose::new(1.0, -2.5, 3.14)),
+            Value::Seconds(Seconds::new(2.0).unwrap()),
+            Value::List(vec![Value::from("a"), Value::from("b")]),
+            Value::List(Vec::new()),
+        ];
+        for value in values {
+            assert_eq!(value.port_type().parse(&value.to_string()).unwrap(), value);
+        }
+    }
+
+    #[test]
+    fn text_that_is_not_of_the_type_says_what_is_allowed() {
+        let error = PortType::Pose.parse("1;2").unwrap_err().to_string();
+        assert_eq!(error, "\"1;2\" is not a pose: allowed is `x;y;yaw` in metres and radians");
+        for (ty, text) in [
+            (PortType::Number, "NaN"),
+            (PortType::Number, "inf"),
+            (PortType::Integer, "1.5"),
+            (PortType::Bool, "yes"),
+            (PortType::Robot, "a/b"),
+            (PortType::Place, ""),
+            (PortType::Seconds, "-1"),
+        ] {
+            assert!(ty.parse(text).is_err(), "{ty} {text}");
+        }
+    }
+
+    #[test]
+    fn a_value_of_another_type_is_refused_but_prints_as_text() {
+        let pose = Value::Pose(Pose::new(1.0, 2.0, 0.0));
+        assert_eq!(pose.clone().convert(PortType::Text).unwrap(), Value::from("1;2;0"));
+        assert_eq!(pose.convert(PortType::Place).unwrap_err().to_string(), "\"1;2;0\" is not a place: it is a pose");
+    }
+}

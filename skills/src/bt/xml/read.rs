@@ -1,0 +1,161 @@
+//! Reading. What is not a tree is refused with its line; whether the tree makes sense is for [`Registry::check`].
+//!
+//! [`Registry::check`]: crate::bt::Registry::check
+
+use crate::bt::blueprint::{MAX_DEPTH, MAX_NODES};
+use crate::bt::error::{Problem, TreeError};
+use crate::bt::ports::{NodeKind, listed};
+use crate::bt::spec::{NodeSpec, TreeSpec};
+use roxmltree::{Document, Node, ParsingOptions};
+use std::collections::BTreeMap;
+
+/// Largest file read, in bytes.
+pub const MAX_BYTES: usize = 1 << 20;
+
+/// Attributes by which editors remember things; they change nothing.
+const EDITORS_OWN: [&str; 4] = ["_uid", "_fullpath", "_collapsed", "_description"];
+
+/// Reads a description; `source` names the file in messages.
+///
+/// Accepted is `<root BTCPP_format="4">` with `<BehaviorTree ID="…">` elements, nodes in compact (`<Wait …/>`) or
+/// explicit form (`<Action ID="Wait" …/>`). `main_tree_to_execute` may be left out where there is one tree only.
+/// `<TreeNodesModel>` is for editors and is skipped. Refused are includes, scripts, DTDs and files above
+/// [`MAX_BYTES`].
+///
+/// # Errors
+/// [`TreeError`] with the line.
+pub fn read_xml(source: &str, text: &str) -> Result<TreeSpec, TreeError> {
+    let refuse = |line, problem: String| TreeError {
+        source: source.to_owned(),
+        line,
+        node: None,
+        problem: Problem::Syntax(problem),
+    };
+    if text.len() > MAX_BYTES {
+        return Err(refuse(None, format!("the file has {} bytes; allowed are {MAX_BYTES}", text.len())));
+    }
+    // Attributes count as no nodes; texts and comments between elements do.
+    let options = ParsingOptions { allow_dtd: false, nodes_limit: (4 * MAX_NODES) as u32, ..ParsingOptions::default() };
+    let document = Document::parse_with_options(text, options)
+        .map_err(|error| refuse(Some(error.pos().row), format!("this is not XML as read here: {error}")))?;
+    Reader { source, document: &document }.root()
+}
+
+struct Reader<'a, 'x> {
+    source: &'a str,
+    document: &'a Document<'x>,
+}
+
+impl Reader<'_, '_> {
+    fn root(&self) -> Result<TreeSpec, TreeError> {
+        let root = self.document.root_element();
+        if root.tag_name().name() != "root" {
+            return Err(self.refuse(root, format!("the file begins with <{}>, not <root>", root.tag_name().name())));
+        }
+        match root.attribute("BTCPP_format") {
+            Some("4") => {}
+            Some(other) => return Err(self.refuse(root, format!("BTCPP_format is {other:?}; read here is \"4\""))),
+            None => return Err(self.refuse(root, "BTCPP_format is missing; read here is \"4\"".to_owned())),
+        }
+        let mut trees = BTreeMap::new();
+        for element in root.children().filter(Node::is_element) {
+            match element.tag_name().name() {
+                "BehaviorTree" => {
+                    let (id, tree) = self.tree(element)?;
+                    if trees.insert(id.clone(), tree).is_some() {
+                        return Err(self.refuse(element, format!("there are two trees `{id}`")));
+                    }
+                }
+                "TreeNodesModel" => {}
+                other => {
+                    let text = format!("<{other}> stands in <root>; allowed are <BehaviorTree> and <TreeNodesModel>");
+                    return Err(self.refuse(element, text));
+                }
+            }
+        }
+        let main = match (root.attribute("main_tree_to_execute"), trees.len()) {
+            (Some(main), _) => main.to_owned(),
+            (None, 1) => trees.keys().next().cloned().unwrap_or_default(),
+            (None, 0) => return Err(self.refuse(root, "there is no <BehaviorTree>".to_owned())),
+            (None, _) => {
+                let known = listed(trees.keys().map(String::as_str));
+                let text = format!("main_tree_to_execute is missing; the trees are {known}");
+                return Err(self.refuse(root, text));
+            }
+        };
+        Ok(TreeSpec { source: self.source.to_owned(), main, trees })
+    }
+
+    fn tree(&self, element: Node<'_, '_>) -> Result<(String, NodeSpec), TreeError> {
+        let Some(id) = element.attribute("ID").filter(|id| !id.is_empty()) else {
+            return Err(self.refuse(element, "a <BehaviorTree> needs an ID".to_owned()));
+        };
+        let roots: Vec<_> = element.children().filter(Node::is_element).collect();
+        match roots[..] {
+            [root] => Ok((id.to_owned(), self.node(root, 1)?)),
+            _ => Err(self.refuse(element, format!("tree `{id}` has {} root nodes; allowed is 1", roots.len()))),
+        }
+    }
+
+    fn node(&self, element: Node<'_, '_>, depth: usize) -> Result<NodeSpec, TreeError> {
+        if depth > MAX_DEPTH {
+            return Err(self.error(element, Problem::TooDeep { limit: MAX_DEPTH }));
+        }
+        let tag = element.tag_name().name();
+        let kinds = [NodeKind::Action, NodeKind::Condition, NodeKind::Control, NodeKind::Decorator, NodeKind::SubTree];
+        let kind = kinds.into_iter().find(|kind| kind.tag() == tag);
+        let id = match (kind, element.attribute("ID")) {
+            (None, None) => tag,
+            (None, Some(_)) => {
+                return Err(self.refuse(element, format!("<{tag}> takes no ID: its kind is its tag")));
+            }
+            (Some(_), Some(id)) if !id.is_empty() => id,
+            (Some(_), _) => return Err(self.refuse(element, format!("<{tag}> needs an ID"))),
+        };
+        let mut node = NodeSpec { kind, line: Some(self.line(element)), ..NodeSpec::new(id) };
+        for attribute in element.attributes() {
+            let (name, value) = (attribute.name(), attribute.value());
+            match name {
+                "ID" => {}
+                "name" => node.name = Some(value.to_owned()),
+                "_autoremap" if kind == Some(NodeKind::SubTree) => node.autoremap = self.yes_or_no(element, value)?,
+                _ if EDITORS_OWN.contains(&name) => {}
+                _ if name.starts_with('_') => {
+                    let text = format!("<{tag}> has `{name}`: scripts and conditions in attributes are not supported");
+                    return Err(self.refuse(element, text));
+                }
+                _ => {
+                    node.ports.insert(name.to_owned(), value.to_owned());
+                }
+            }
+        }
+        let text = element.children().filter(Node::is_text).find_map(|text| text.text().map(str::trim));
+        if let Some(text) = text.filter(|text| !text.is_empty()) {
+            return Err(self.refuse(element, format!("<{tag}> holds the text {text:?}; allowed are nodes only")));
+        }
+        for child in element.children().filter(Node::is_element) {
+            node.children.push(self.node(child, depth + 1)?);
+        }
+        Ok(node)
+    }
+
+    fn yes_or_no(&self, element: Node<'_, '_>, text: &str) -> Result<bool, TreeError> {
+        match text {
+            "true" | "1" => Ok(true),
+            "false" | "0" => Ok(false),
+            _ => Err(self.refuse(element, format!("_autoremap is {text:?}; allowed are true and false"))),
+        }
+    }
+
+    fn line(&self, element: Node<'_, '_>) -> u32 {
+        self.document.text_pos_at(element.range().start).row
+    }
+
+    fn refuse(&self, element: Node<'_, '_>, problem: String) -> TreeError {
+        self.error(element, Problem::Syntax(problem))
+    }
+
+    fn error(&self, element: Node<'_, '_>, problem: Problem) -> TreeError {
+        TreeError { source: self.source.to_owned(), line: Some(self.line(element)), node: None, problem }
+    }
+}

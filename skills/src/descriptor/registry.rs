@@ -1,0 +1,176 @@
+//! The descriptors that a robot has, and pricing a whole local plan with them.
+
+use super::{Context, EstimateError, FixedTime, Navigation, STEP_TIME_S, SkillDescriptor, StatedTime};
+use crate::environment::Environment;
+use consort_protocol::auction::BidPart;
+use consort_protocol::ids::{TaskId, TaskType};
+use consort_protocol::mission::TaskSpec;
+use consort_protocol::plan::{LocalPlan, Signal, StepAction, StepIndex};
+use consort_protocol::units::Seconds;
+use std::collections::BTreeMap;
+
+/// Skill descriptors by task type, not yet put into a place.
+#[derive(Default)]
+pub struct DescriptorRegistry {
+    descriptors: BTreeMap<TaskType, Box<dyn SkillDescriptor>>,
+}
+
+/// Prices local plans, in a place it knows.
+pub struct Estimator {
+    descriptors: BTreeMap<TaskType, Box<dyn SkillDescriptor>>,
+    environment: Environment,
+    send: TaskType,
+    wait: TaskType,
+}
+
+/// What one skill's descriptor lacks.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct MissingNeed {
+    /// The skill.
+    pub skill: TaskType,
+    /// The kind of environment descriptor.
+    pub needs: &'static str,
+}
+
+/// The environment lacks what descriptors need. The node cannot start like this.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct ResolveError {
+    /// Every lack, in the order of the skills' names.
+    pub missing: Vec<MissingNeed>,
+    /// What the environment has, in words.
+    pub known: String,
+}
+
+impl std::fmt::Display for ResolveError {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        let lacks = self.missing.iter().map(|lack| format!("{} needs `{}`", lack.skill, lack.needs));
+        let lacks: Vec<String> = lacks.collect();
+        write!(f, "the environment lacks descriptors: {}; it has {}", lacks.join(", "), self.known)
+    }
+}
+
+impl std::error::Error for ResolveError {}
+
+/// Why a plan cannot be priced.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[error("step {step} ({task}): {source}")]
+pub struct PriceError {
+    /// Which step of the plan.
+    pub step: StepIndex,
+    /// Its task, or the task that its message is about.
+    pub task: TaskId,
+    /// What is wrong.
+    pub source: EstimateError,
+}
+
+const SEND: &str = "send_message";
+const WAIT: &str = "wait_message";
+
+/// The skills of the standard set that take [`STEP_TIME_S`].
+const FIXED: [&str; 8] =
+    ["approach_person", "authenticate_person", "operate_drawer", "approach_robot", "pick_up", "deposit", SEND, WAIT];
+
+fn own(name: &str) -> TaskType {
+    TaskType::new(name).expect("the names of our own skills are slugs")
+}
+
+impl DescriptorRegistry {
+    /// No descriptors.
+    pub fn new() -> DescriptorRegistry {
+        DescriptorRegistry::default()
+    }
+
+    /// The descriptors of the skills that come with the library, and of the two messages.
+    pub fn standard() -> DescriptorRegistry {
+        let time = Seconds::new(STEP_TIME_S).expect("two seconds are a duration");
+        let registry =
+            DescriptorRegistry::new().with(Navigation::new(own("navigation"))).with(StatedTime::new(own("wait")));
+        FIXED.into_iter().fold(registry, |registry, name| registry.with(FixedTime::new(own(name), time)))
+    }
+
+    /// The same descriptors with one more, in place of any for the same task type.
+    pub fn with(mut self, descriptor: impl SkillDescriptor + 'static) -> DescriptorRegistry {
+        self.descriptors.insert(descriptor.task_type().clone(), Box::new(descriptor));
+        self
+    }
+
+    /// Puts the descriptors into a place, when the node starts.
+    ///
+    /// # Errors
+    /// [`ResolveError`] names every skill and every kind of environment descriptor that it lacks.
+    pub fn resolve(self, environment: Environment) -> Result<Estimator, ResolveError> {
+        let lacks = self.descriptors.iter().flat_map(|(skill, descriptor)| {
+            let lacking = descriptor.needs().into_iter().filter(|kind| !environment.has(kind));
+            lacking.map(|needs| MissingNeed { skill: skill.clone(), needs }).collect::<Vec<_>>()
+        });
+        let missing: Vec<MissingNeed> = lacks.collect();
+        if missing.is_empty() {
+            Ok(Estimator { descriptors: self.descriptors, environment, send: own(SEND), wait: own(WAIT) })
+        } else {
+            Err(ResolveError { missing, known: crate::bt::listed(environment.kinds()) })
+        }
+    }
+}
+
+impl Estimator {
+    /// Prices every step of a plan, messages included, in the order of the plan: a robot does one thing at a time.
+    ///
+    /// # Errors
+    /// [`PriceError`] names the first step that cannot be done, and why.
+    pub fn price(&self, plan: &LocalPlan, context: &Context) -> Result<Vec<BidPart>, PriceError> {
+        let mut context = context.clone();
+        let mut parts = Vec::with_capacity(plan.steps.len());
+        for (step, each) in (0..).zip(&plan.steps) {
+            let (task, estimate, skill, label) = match &each.action {
+                StepAction::Task { id, spec } => {
+                    (id, self.estimate(spec, &context), spec.task_type.clone(), id.to_string())
+                }
+                StepAction::Send(signal) => self.message(&self.send, signal, &context),
+                StepAction::Wait(signal) => self.message(&self.wait, signal, &context),
+            };
+            let estimate = estimate.map_err(|source| PriceError { step, task: task.clone(), source })?;
+            parts.push(BidPart { step, label, skill, time: estimate.time, energy: estimate.energy });
+            context.place = estimate.ends_at;
+        }
+        Ok(parts)
+    }
+
+    /// Estimates one task.
+    ///
+    /// # Errors
+    /// [`EstimateError`] when it cannot be done or told, or has no descriptor.
+    pub fn estimate(&self, task: &TaskSpec, context: &Context) -> Result<super::Estimate, EstimateError> {
+        match self.descriptors.get(&task.task_type) {
+            Some(descriptor) => descriptor.estimate(task, context, &self.environment),
+            None => Err(EstimateError::NoDescriptor {
+                task_type: task.task_type.clone(),
+                known: crate::bt::listed(self.skills().map(TaskType::as_str)),
+            }),
+        }
+    }
+
+    /// What it can price, in the order of names.
+    pub fn skills(&self) -> impl Iterator<Item = &TaskType> {
+        self.descriptors.keys()
+    }
+
+    /// The place it knows.
+    pub fn environment(&self) -> &Environment {
+        &self.environment
+    }
+
+    fn message<'s>(
+        &self,
+        skill: &TaskType,
+        signal: &'s Signal,
+        context: &Context,
+    ) -> (&'s TaskId, Result<super::Estimate, EstimateError>, TaskType, String) {
+        let spec = TaskSpec {
+            task_type: skill.clone(),
+            roles: vec![signal.from.clone()],
+            parameters: BTreeMap::new(),
+            reaches: BTreeMap::new(),
+        };
+        (&signal.task, self.estimate(&spec, context), skill.clone(), signal.to_string())
+    }
+}

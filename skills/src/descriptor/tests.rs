@@ -1,0 +1,116 @@
+//! Pricing on a small map of our own; the published evaluation is repeated in `tests/published_bids.rs`.
+
+use super::*;
+use crate::environment::{Edge, Routes, TopologicalMap};
+use consort_protocol::ids::{RoleId, TaskId};
+use consort_protocol::plan::{LocalPlan, Signal, SignalKind, Step, StepAction};
+use consort_protocol::pose::Pose;
+
+fn place(name: &str) -> PlaceId {
+    PlaceId::new(name).unwrap()
+}
+
+fn task(name: &str, parameters: &[(&str, &str)]) -> TaskSpec {
+    TaskSpec {
+        task_type: TaskType::new(name).unwrap(),
+        roles: vec![RoleId::new("r1").unwrap()],
+        parameters: parameters.iter().map(|(name, value)| (name.to_string(), value.to_string())).collect(),
+        reaches: [].into(),
+    }
+}
+
+fn plan(actions: Vec<StepAction>) -> LocalPlan {
+    let steps = actions.into_iter().map(|action| Step { action, after: vec![] }).collect();
+    LocalPlan { role: RoleId::new("r1").unwrap(), steps }
+}
+
+fn doing(id: &str, spec: TaskSpec) -> StepAction {
+    StepAction::Task { id: TaskId::new(id).unwrap(), spec }
+}
+
+fn signal() -> Signal {
+    let role = |name| RoleId::new(name).unwrap();
+    Signal { kind: SignalKind::Done, task: TaskId::new("open").unwrap(), from: role("r1"), to: role("nurse") }
+}
+
+/// A – B – C in a line, 10 m and 30 m long, and D apart.
+fn environment() -> Environment {
+    let names = ["A", "B", "C", "D"];
+    let edge = |a, b, length_m| Edge { a: place(a), b: place(b), length_m, one_way: false };
+    let map = TopologicalMap {
+        places: names.map(|name| (place(name), Pose::default())).into(),
+        edges: vec![edge("A", "B", 10.0), edge("B", "C", 30.0)],
+    };
+    Environment::new().with(Routes::new(&map).unwrap())
+}
+
+fn estimator() -> Estimator {
+    DescriptorRegistry::standard().resolve(environment()).unwrap()
+}
+
+fn robot(at: &str) -> Context {
+    Context {
+        place: place(at),
+        speed: MetresPerSecond::new(0.5).unwrap(),
+        discharge: SharePerSecond::new(0.001).unwrap(),
+    }
+}
+
+#[test]
+fn each_step_is_priced_from_where_the_one_before_it_ended() {
+    let plan = plan(vec![
+        doing("to_b", task("navigation", &[("to", "B")])),
+        doing("open", task("operate_drawer", &[("action", "open")])),
+        StepAction::Send(signal()),
+        StepAction::Wait(signal()),
+        doing("pause", task("wait", &[("seconds", "7.5")])),
+        doing("to_c", task("navigation", &[("to", "C")])),
+    ]);
+    let parts = estimator().price(&plan, &robot("A")).unwrap();
+    let seen: Vec<_> = parts
+        .iter()
+        .map(|part| (part.step, part.skill.as_str(), part.label.as_str(), part.time.get(), part.energy))
+        .collect();
+    assert_eq!(
+        seen,
+        [
+            (0, "navigation", "to_b", 20.0, 0.02),
+            (1, "operate_drawer", "open", 2.0, 0.002),
+            (2, "send_message", "done:open:r1:nurse", 2.0, 0.002),
+            (3, "wait_message", "done:open:r1:nurse", 2.0, 0.002),
+            (4, "wait", "pause", 7.5, 0.0075),
+            (5, "navigation", "to_c", 60.0, 0.06),
+        ]
+    );
+}
+
+#[test]
+fn an_unreachable_destination_is_no_bid_rather_than_a_bid_of_nothing() {
+    let plan = plan(vec![StepAction::Wait(signal()), doing("to_d", task("navigation", &[("to", "D")]))]);
+    let error = estimator().price(&plan, &robot("A")).unwrap_err();
+    assert_eq!((error.step, error.task.as_str()), (1, "to_d"));
+    assert_eq!(error.to_string(), "step 1 (to_d): no route from A to D: the map has no way between them");
+}
+
+#[test]
+fn what_a_task_does_not_say_is_named() {
+    let price = |spec| estimator().price(&plan(vec![doing("t", spec)]), &robot("A")).unwrap_err().source.to_string();
+    assert_eq!(price(task("navigation", &[])), "the navigation task has no parameter `to`");
+    assert!(price(task("wait", &[("seconds", "-1")])).starts_with("the wait task has `seconds` = \"-1\": "));
+    assert!(
+        price(task("juggle", &[])).starts_with("no skill descriptor for juggle; there are some for approach_person, ")
+    );
+}
+
+#[test]
+fn an_environment_without_routes_names_the_skills_that_need_them() {
+    let error = DescriptorRegistry::standard()
+        .with(Navigation::new(TaskType::new("carry").unwrap()))
+        .resolve(Environment::new())
+        .err()
+        .unwrap();
+    assert_eq!(
+        error.to_string(),
+        "the environment lacks descriptors: carry needs `routes`, navigation needs `routes`; it has none"
+    );
+}

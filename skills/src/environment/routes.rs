@@ -1,0 +1,194 @@
+//! Shortest routes on a topological map (Dijkstra 1959).
+//!
+//! Distances are kept by destination: the first question about one runs one search over the map, and every later one,
+//! from wherever, is a look-up. A thousand robots that price a drive to the same room cost one search.
+
+use super::EnvironmentDescriptor;
+use super::map::{MapError, TopologicalMap};
+use consort_protocol::ids::PlaceId;
+use consort_protocol::pose::Pose;
+use consort_protocol::units::Metres;
+use petgraph::algo::dijkstra;
+use petgraph::graph::{DiGraph, NodeIndex};
+use petgraph::visit::{EdgeRef, Reversed};
+use std::collections::BTreeMap;
+use std::sync::OnceLock;
+
+/// How far from a leg's straight line a body may be and still count as on it: Nav2's default goal tolerance.
+pub(crate) const TOLERANCE_M: f64 = 0.25;
+
+/// Routes between the places of a map.
+#[derive(Debug, Clone)]
+pub struct Routes {
+    graph: DiGraph<(PlaceId, Pose), f64>,
+    index: BTreeMap<PlaceId, NodeIndex>,
+    /// By destination: metres from every node, infinite where there is no way.
+    distances: Vec<OnceLock<Vec<f64>>>,
+}
+
+/// A shortest way.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Route {
+    /// The places from the first to the last, both included.
+    pub places: Vec<PlaceId>,
+    /// How long it is.
+    pub length: Metres,
+}
+
+/// Why there is no route. Never a reason to count 0 m.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+pub enum RouteError {
+    /// The place is not on the map.
+    #[error("no route from {from} to {to}: {place} is not on the map")]
+    Unknown {
+        /// From where.
+        from: PlaceId,
+        /// To where.
+        to: PlaceId,
+        /// The one that is not on the map.
+        place: PlaceId,
+    },
+    /// Both are on the map, and nothing leads from one to the other.
+    #[error("no route from {from} to {to}: the map has no way between them")]
+    Unreachable {
+        /// From where.
+        from: PlaceId,
+        /// To where.
+        to: PlaceId,
+    },
+}
+
+impl EnvironmentDescriptor for Routes {
+    const KIND: &'static str = "routes";
+}
+
+impl Routes {
+    /// Prepares a map for questions.
+    ///
+    /// # Errors
+    /// [`MapError`] where the map makes no sense.
+    pub fn new(map: &TopologicalMap) -> Result<Routes, MapError> {
+        map.check()?;
+        let mut graph = DiGraph::new();
+        let node = |(place, pose): (&PlaceId, &Pose)| (place.clone(), graph.add_node((place.clone(), *pose)));
+        let index: BTreeMap<PlaceId, NodeIndex> = map.places.iter().map(node).collect();
+        for edge in &map.edges {
+            for (from, to) in edge.directions() {
+                graph.add_edge(index[from], index[to], edge.length_m);
+            }
+        }
+        let distances = vec![OnceLock::new(); index.len()];
+        Ok(Routes { graph, index, distances })
+    }
+
+    /// How long the shortest route is; 0 m from a place to itself.
+    ///
+    /// # Errors
+    /// [`RouteError`] names both ends.
+    pub fn distance(&self, from: &PlaceId, to: &PlaceId) -> Result<Metres, RouteError> {
+        let (start, end) = (self.node(from, from, to)?, self.node(to, from, to)?);
+        let length = Metres::new(self.to(end)[start.index()]);
+        length.map_err(|_| RouteError::Unreachable { from: from.clone(), to: to.clone() })
+    }
+
+    /// The shortest route. Where several are equally short, the one whose places come first in the order of names.
+    ///
+    /// # Errors
+    /// [`RouteError`] names both ends.
+    pub fn route(&self, from: &PlaceId, to: &PlaceId) -> Result<Route, RouteError> {
+        let length = self.distance(from, to)?;
+        let (mut at, end) = (self.index[from], self.index[to]);
+        let distances = self.to(end);
+        let mut places = vec![from.clone()];
+        while at != end {
+            // The search added the same two numbers, so the sum is equal to the last bit for at least one neighbour;
+            // edges have a length, so every step comes nearer.
+            let closer = |next: &NodeIndex| {
+                let edge = self.graph.find_edge(at, *next).expect("a neighbour has an edge");
+                distances[next.index()] + self.graph[edge] == distances[at.index()]
+            };
+            // Nodes were numbered in the order of the places' names.
+            at = self.graph.neighbors(at).filter(closer).min().expect("a finite distance has a next step");
+            places.push(self.graph[at].0.clone());
+        }
+        Ok(Route { places, length })
+    }
+
+    /// The places to drive to, one after the other, for a body that stands at `pose` and last passed `passed`: on a leg
+    /// it goes on or turns back, whichever is shorter and allowed; anywhere else it returns to `passed` first. Empty
+    /// when it stands at `to`.
+    ///
+    /// # Errors
+    /// [`RouteError`] names both ends.
+    pub fn legs(&self, passed: &PlaceId, pose: Pose, to: &PlaceId) -> Result<Vec<PlaceId>, RouteError> {
+        let route = self.route(passed, to);
+        let start = self.node(passed, passed, to)?;
+        let from_passed = self.graph[start].1.distance(pose).get();
+        if from_passed <= TOLERANCE_M {
+            return Ok(route?.places.split_off(1));
+        }
+        let Some((ahead, left)) = self.leg_under(start, pose) else { return Ok(route?.places) };
+        let onward = self.route(&self.graph[ahead].0, to);
+        let back = self.graph.find_edge(ahead, start).and(route.as_ref().ok());
+        match (onward, back) {
+            (Ok(onward), Some(back)) if back.length.get() + from_passed < onward.length.get() + left => {
+                Ok(back.places.clone())
+            }
+            (Ok(onward), _) => Ok(onward.places),
+            (Err(_), Some(back)) => Ok(back.places.clone()),
+            (Err(error), None) => Err(error),
+        }
+    }
+
+    /// Where a place is.
+    pub fn pose(&self, place: &PlaceId) -> Option<Pose> {
+        self.index.get(place).map(|node| self.graph[*node].1)
+    }
+
+    /// Every place, in the order of names.
+    pub fn places(&self) -> impl Iterator<Item = &PlaceId> {
+        self.index.keys()
+    }
+
+    /// The leg out of `start` on whose straight line `pose` lies: its other end, and the metres left to it.
+    fn leg_under(&self, start: NodeIndex, pose: Pose) -> Option<(NodeIndex, f64)> {
+        let begin = self.graph[start].1;
+        let mut best: Option<(f64, NodeIndex, f64)> = None;
+        let mut ends: Vec<NodeIndex> = self.graph.neighbors(start).collect();
+        ends.sort();
+        for end in ends {
+            let off = distance_to_segment(pose, begin, self.graph[end].1);
+            if off <= TOLERANCE_M && best.is_none_or(|(least, ..)| off < least) {
+                best = Some((off, end, pose.distance(self.graph[end].1).get()));
+            }
+        }
+        best.map(|(_, end, left)| (end, left))
+    }
+
+    fn node(&self, place: &PlaceId, from: &PlaceId, to: &PlaceId) -> Result<NodeIndex, RouteError> {
+        let unknown = || RouteError::Unknown { from: from.clone(), to: to.clone(), place: place.clone() };
+        self.index.get(place).copied().ok_or_else(unknown)
+    }
+
+    /// Metres from every node to `end`.
+    fn to(&self, end: NodeIndex) -> &[f64] {
+        self.distances[end.index()].get_or_init(|| {
+            let mut metres = vec![f64::INFINITY; self.graph.node_count()];
+            for (node, length) in dijkstra(Reversed(&self.graph), end, None, |edge| *edge.weight()) {
+                metres[node.index()] = length;
+            }
+            metres
+        })
+    }
+}
+
+fn distance_to_segment(pose: Pose, begin: Pose, end: Pose) -> f64 {
+    let (dx, dy) = (end.x - begin.x, end.y - begin.y);
+    let square = dx * dx + dy * dy;
+    let along = if square > 0.0 { ((pose.x - begin.x) * dx + (pose.y - begin.y) * dy) / square } else { 0.0 };
+    let along = along.clamp(0.0, 1.0);
+    pose.distance(Pose::new(begin.x + along * dx, begin.y + along * dy, 0.0)).get()
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,163 @@
+//! Routes, against hand-drawn maps and against a slow search of all ways.
+
+use super::*;
+use crate::environment::Edge;
+use proptest::prelude::*;
+
+fn place(name: &str) -> PlaceId {
+    PlaceId::new(name).unwrap()
+}
+
+fn map(places: &[(&str, f64, f64)], edges: &[(&str, &str, f64, bool)]) -> Routes {
+    let places = places.iter().map(|(name, x, y)| (place(name), Pose::new(*x, *y, 0.0))).collect();
+    let edge = |(a, b, length_m, one_way): &(&str, &str, f64, bool)| Edge {
+        a: place(a),
+        b: place(b),
+        length_m: *length_m,
+        one_way: *one_way,
+    };
+    Routes::new(&TopologicalMap { places, edges: edges.iter().map(edge).collect() }).unwrap()
+}
+
+/// A corridor W – M – E with a dead end S below M, an island I, and a one-way door from E to W.
+fn corridor() -> Routes {
+    let places = [("W", 0.0, 0.0), ("M", 10.0, 0.0), ("E", 20.0, 0.0), ("S", 10.0, -10.0), ("I", 50.0, 50.0)];
+    map(&places, &[("W", "M", 10.0, false), ("M", "E", 10.0, false), ("M", "S", 10.0, false), ("E", "W", 5.0, true)])
+}
+
+fn names(places: &[PlaceId]) -> Vec<&str> {
+    places.iter().map(PlaceId::as_str).collect()
+}
+
+#[test]
+fn the_shortest_route_wins_over_the_one_with_fewer_hops() {
+    let routes = map(
+        &[("A", 0.0, 0.0), ("B", 0.0, 1.0), ("C", 0.0, 2.0)],
+        &[("A", "C", 10.0, false), ("A", "B", 2.0, false), ("B", "C", 3.0, false)],
+    );
+    let route = routes.route(&place("A"), &place("C")).unwrap();
+    assert_eq!((names(&route.places), route.length), (vec!["A", "B", "C"], Metres::new(5.0).unwrap()));
+}
+
+#[test]
+fn of_equally_short_routes_the_first_by_name_is_taken() {
+    let square = [("A", 0.0, 0.0), ("Z", 0.0, 1.0), ("B", 1.0, 0.0), ("D", 1.0, 1.0)];
+    let routes =
+        map(&square, &[("A", "Z", 1.0, false), ("Z", "D", 1.0, false), ("A", "B", 1.0, false), ("B", "D", 1.0, false)]);
+    assert_eq!(names(&routes.route(&place("A"), &place("D")).unwrap().places), ["A", "B", "D"]);
+    assert_eq!(names(&routes.route(&place("D"), &place("A")).unwrap().places), ["D", "B", "A"]);
+}
+
+#[test]
+fn a_one_way_edge_is_driven_one_way() {
+    let routes = corridor();
+    assert_eq!(names(&routes.route(&place("E"), &place("W")).unwrap().places), ["E", "W"]);
+    assert_eq!(names(&routes.route(&place("W"), &place("E")).unwrap().places), ["W", "M", "E"]);
+}
+
+#[test]
+fn no_way_is_an_error_that_names_both_ends_and_never_0_m() {
+    let routes = corridor();
+    let unreachable = routes.distance(&place("W"), &place("I")).unwrap_err();
+    assert_eq!(unreachable.to_string(), "no route from W to I: the map has no way between them");
+    assert_eq!(routes.route(&place("W"), &place("I")).unwrap_err(), unreachable);
+    let unknown = routes.distance(&place("W"), &place("X")).unwrap_err();
+    assert_eq!(unknown.to_string(), "no route from W to X: X is not on the map");
+    assert_eq!(
+        routes.distance(&place("X"), &place("X")).unwrap_err().to_string(),
+        "no route from X to X: X is not on the map"
+    );
+}
+
+#[test]
+fn where_it_stands_is_0_m_away() {
+    let routes = corridor();
+    assert_eq!(
+        routes.route(&place("I"), &place("I")).unwrap(),
+        Route { places: vec![place("I")], length: Metres::ZERO }
+    );
+}
+
+#[test]
+fn a_body_on_a_leg_goes_on_or_turns_back_whichever_is_shorter() {
+    let routes = corridor();
+    let legs = |passed: &str, x: f64, y: f64, to: &str| {
+        routes
+            .legs(&place(passed), Pose::new(x, y, 0.0), &place(to))
+            .map(|legs| legs.iter().map(|l| l.to_string()).collect::<Vec<_>>())
+    };
+    assert_eq!(legs("W", 0.0, 0.1, "E").unwrap(), ["M", "E"], "at the place");
+    assert_eq!(legs("W", 4.0, 0.0, "E").unwrap(), ["M", "E"], "on the leg to M");
+    assert_eq!(legs("W", 4.0, 0.0, "W").unwrap(), ["W"], "turns back");
+    assert_eq!(legs("M", 10.0, -8.0, "E").unwrap(), ["M", "E"], "out of the dead end");
+    assert_eq!(legs("E", 15.0, 0.0, "W").unwrap(), ["M", "W"], "on the way to M, not through the one-way door");
+    assert_eq!(legs("W", 3.0, 7.0, "E").unwrap(), ["W", "M", "E"], "off every leg");
+    assert_eq!(legs("E", 20.0, 0.0, "E").unwrap(), Vec::<String>::new(), "there");
+    assert!(legs("W", 4.0, 0.0, "I").is_err());
+    assert!(legs("W", 0.0, 0.0, "I").is_err());
+}
+
+#[test]
+fn on_a_one_way_leg_it_cannot_turn_back() {
+    let routes = map(
+        &[("A", 0.0, 0.0), ("B", 10.0, 0.0), ("C", 10.0, 10.0)],
+        &[("A", "B", 10.0, true), ("B", "C", 10.0, true), ("C", "A", 15.0, true)],
+    );
+    let legs = routes.legs(&place("A"), Pose::new(2.0, 0.0, 0.0), &place("A")).unwrap();
+    assert_eq!(names(&legs), ["B", "C", "A"]);
+}
+
+#[test]
+fn a_thousand_questions_about_one_destination_search_once() {
+    let routes = corridor();
+    for _ in 0..1000 {
+        routes.distance(&place("W"), &place("E")).unwrap();
+    }
+    assert_eq!(routes.distances.iter().filter(|distances| distances.get().is_some()).count(), 1);
+}
+
+/// Bellman–Ford in its plainest form.
+fn slow_distance(count: usize, edges: &[(usize, usize, f64)], from: usize, to: usize) -> f64 {
+    let mut best = vec![f64::INFINITY; count];
+    best[from] = 0.0;
+    for _ in 0..count {
+        for (a, b, length) in edges {
+            best[*b] = best[*b].min(best[*a] + length);
+        }
+    }
+    best[to]
+}
+
+proptest! {
+    #[test]
+    fn routes_agree_with_a_slow_search(
+        drawn in proptest::collection::vec((0usize..8, 0usize..8, 1u32..100), 0..24),
+        from in 0usize..8,
+        to in 0usize..8,
+    ) {
+        let mut seen = std::collections::BTreeSet::new();
+        let edges: Vec<(usize, usize, f64)> = drawn
+            .into_iter()
+            .filter(|(a, b, _)| a != b && seen.insert((*a, *b)))
+            .map(|(a, b, length)| (a, b, f64::from(length) / 7.0))
+            .collect();
+        let name = |node: usize| place(&format!("P{node}"));
+        let routes = Routes::new(&TopologicalMap {
+            places: (0..8).map(|node| (name(node), Pose::default())).collect(),
+            edges: edges.iter().map(|(a, b, length_m)| Edge { a: name(*a), b: name(*b), length_m: *length_m, one_way: true }).collect(),
+        }).unwrap();
+        let slow = slow_distance(8, &edges, from, to);
+        match routes.route(&name(from), &name(to)) {
+            Err(_) => prop_assert!(slow.is_infinite()),
+            Ok(route) => {
+                prop_assert!((route.length.get() - slow).abs() < 1e-9, "{} {}", route.length, slow);
+                let mut length = 0.0;
+                for pair in route.places.windows(2) {
+                    let leg = edges.iter().find(|(a, b, _)| name(*a) == pair[0] && name(*b) == pair[1]);
+                    length += leg.expect("each leg is an edge").2;
+                }
+                prop_assert!((length - slow).abs() < 1e-9);
+            }
+        }
+    }
+}

@@ -1,0 +1,16 @@
+//! `approach_robot`: within reach of the robot that holds the role in parameter `robot_role`. Tried three times, a
+//! second apart.
+
+use super::{GoalLeaf, Shipped, TaskContext};
+use crate::actions::Goal;
+use crate::bt::{PortSpec, PortType, Registry, RegistryError};
+
+pub(super) const SKILL: Shipped =
+    Shipped { task_type: "approach_robot", xml: include_str!("../../trees/approach_robot.xml"), leaves };
+
+fn leaves(registry: &mut Registry<TaskContext>) -> Result<(), RegistryError> {
+    let ports = [PortSpec::input("robot", PortType::Robot)];
+    GoalLeaf::register(registry, "ApproachRobot", ports, |_: &TaskContext, leaf| {
+        Ok(Goal::ApproachRobot { robot: leaf.read("robot")? })
+    })
+}

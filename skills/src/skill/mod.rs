@@ -1,0 +1,57 @@
+//! The skills that come with the library: trees in `trees/`, and here the leaves that they are made of, a skill a file.
+//!
+//! Each leaf that asks the body for something is a [`GoalLeaf`]: it differs from the others only in how its goal is
+//! made.
+
+mod approach_person;
+mod approach_robot;
+mod authenticate_person;
+mod deposit;
+mod goal_leaf;
+mod navigation;
+mod operate_drawer;
+mod pick_up;
+mod roles;
+mod wait;
+
+pub use goal_leaf::GoalLeaf;
+
+use crate::bt::{Registry, RegistryError};
+use crate::environment::Environment;
+use crate::library::SkillContext;
+use consort_protocol::mission::TaskSpec;
+
+/// What the leaves of a skill may look at when it is started.
+#[derive(Debug, Clone)]
+pub struct TaskContext {
+    /// The task.
+    pub task: TaskSpec,
+    /// Who takes part.
+    pub skill: SkillContext,
+    /// The place.
+    pub environment: Environment,
+}
+
+/// A skill that comes with the library.
+pub(crate) struct Shipped {
+    pub(crate) task_type: &'static str,
+    pub(crate) xml: &'static str,
+    /// Adds the leaves that it brings; others may use them too.
+    pub(crate) leaves: fn(&mut Registry<TaskContext>) -> Result<(), RegistryError>,
+}
+
+pub(crate) const SHIPPED: [Shipped; 8] = [
+    wait::SKILL,
+    navigation::SKILL,
+    approach_person::SKILL,
+    authenticate_person::SKILL,
+    operate_drawer::SKILL,
+    approach_robot::SKILL,
+    pick_up::SKILL,
+    deposit::SKILL,
+];
+
+/// Leaves that several skills share.
+pub(crate) fn shared_leaves(registry: &mut Registry<TaskContext>) -> Result<(), RegistryError> {
+    roles::leaves(registry)
+}

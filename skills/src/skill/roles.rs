@@ -1,0 +1,49 @@
+//! Who is meant: from the roles that a task names to robots and people.
+
+use super::TaskContext;
+use crate::bt::{Cause, Instant, LeafContext, Manifest, NodeKind, PortSpec, PortType, Registry, RegistryError, listed};
+use consort_protocol::ids::{RobotId, RoleId};
+
+pub(super) fn leaves(registry: &mut Registry<TaskContext>) -> Result<(), RegistryError> {
+    let ports = [PortSpec::input("role", PortType::Role), PortSpec::output("robot", PortType::Robot)];
+    registry.register(Manifest::new("FindHolder", NodeKind::Action, ports), |context: &TaskContext| {
+        let context = context.clone();
+        Box::new(Instant(move |leaf: &mut LeafContext<'_, '_>| {
+            let robot = holder(&context, &leaf.read("role")?)?;
+            leaf.write("robot", robot)?;
+            Ok(true)
+        }))
+    })?;
+    let ports = [PortSpec::input("person_role", PortType::Role).optional(), PortSpec::output("role", PortType::Role)];
+    registry.register(Manifest::new("FindPerson", NodeKind::Action, ports), |context: &TaskContext| {
+        let context = context.clone();
+        Box::new(Instant(move |leaf: &mut LeafContext<'_, '_>| {
+            let role = match leaf.read_optional("person_role")? {
+                Some(role) => role,
+                None => person(&context)?,
+            };
+            leaf.write("role", role)?;
+            Ok(true)
+        }))
+    })
+}
+
+/// The robot that holds a role.
+pub(super) fn holder(context: &TaskContext, role: &RoleId) -> Result<RobotId, Cause> {
+    let holders = &context.skill.holders;
+    holders.get(role).cloned().ok_or_else(|| {
+        let held: Vec<String> = holders.iter().map(|(role, robot)| format!("{role} by {robot}")).collect();
+        Cause::new(format!("no robot holds role {role}; held are {}", listed(held.iter().map(String::as_str))))
+    })
+}
+
+/// The person who does the task jointly with the robot, where the task does not say whom it is about.
+fn person(context: &TaskContext) -> Result<RoleId, Cause> {
+    let people = context.task.roles.iter().filter(|role| !context.skill.holders.contains_key(*role));
+    match people.collect::<Vec<_>>()[..] {
+        [role] => Ok(role.clone()),
+        _ => Err(Cause::new(
+            "the task does not say which person is meant: give `person_role`, or do it jointly with one person",
+        )),
+    }
+}
