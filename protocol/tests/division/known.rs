@@ -1,6 +1,7 @@
 //! Local plans of missions that people know, and of some that are hard to divide.
 
 use crate::support::{Explored, Sequence, Task, Unordered, explore, mission, slow_order, without_signal};
+use consort_protocol::codec;
 use consort_protocol::ids::{RoleId, TaskId, TaskType};
 use consort_protocol::mission::{Domain, IhtnReading, Mission, TaskSchema, ValueKind, import_ihtn, shipped};
 use consort_protocol::plan::{
@@ -223,7 +224,21 @@ fn a_joint_task_without_its_rendezvous_is_refused() {
 }
 
 #[test]
-fn plans_survive_their_way_over_the_wire() {
+fn missions_and_plans_survive_their_way_over_the_wire() {
+    for name in shipped().keys() {
+        let mission = instance(name, &[]);
+        let bytes = codec::encode(&mission).unwrap();
+        let received: Mission = codec::decode(&bytes).unwrap();
+        assert_eq!(received, mission);
+        received.check(&Domain::hospital()).unwrap();
+        let division = divide(&mission).unwrap();
+        let received: Division = codec::decode(&codec::encode(&division).unwrap()).unwrap();
+        assert_eq!(check_division(&mission, &received), Ok(()));
+    }
+}
+
+#[test]
+fn progress_is_kept_and_checked_when_it_is_taken_up() {
     let division = divide(&instance("bed-transfer", &[])).unwrap();
     let mut progress = PlanProgress::new(division.plans[&role("foot")].clone());
     progress.end(0).unwrap();
@@ -234,6 +249,7 @@ fn plans_survive_their_way_over_the_wire() {
         from: role("nurse"),
         to: role("foot"),
     }));
+    assert_eq!(codec::decode::<PlanProgress>(&codec::encode(&progress).unwrap()).unwrap(), progress);
     let text = serde_json::to_string(&progress).unwrap();
     assert_eq!(serde_json::from_str::<PlanProgress>(&text).unwrap(), progress);
     let forged = text.replace("\"ended\":[0,1]", "\"ended\":[1]");
