@@ -28,7 +28,7 @@ fn ports_are_checked() {
         ),
         (
             retry(1, home().port("place", "A")).port("num_attempts", "-2"),
-            "main: main/RetryUntilSuccessful: port `num_attempts`: \"-2\" is not a whole number: allowed is -1 to 2147483647",
+            "main: main/RetryUntilSuccessful: port `num_attempts`: \"-2\" will not do: allowed is -1 to 2147483647",
         ),
         (
             NodeSpec::new("Copy").port("value", "1").port("to", "here"),

@@ -29,7 +29,7 @@ pub fn read_xml(source: &str, text: &str) -> Result<TreeSpec, TreeError> {
         source: source.to_owned(),
         line,
         node: None,
-        problem: Problem::Syntax(problem),
+        problem: Box::new(Problem::Syntax(problem)),
     };
     if text.len() > MAX_BYTES {
         return Err(refuse(None, format!("the file has {} bytes; allowed are {MAX_BYTES}", text.len())));
@@ -159,6 +159,11 @@ impl Reader<'_> {
     }
 
     fn error(&self, element: Node<'_, '_>, problem: Problem) -> TreeError {
-        TreeError { source: self.source.to_owned(), line: Some(self.line(element)), node: None, problem }
+        TreeError {
+            source: self.source.to_owned(),
+            line: Some(self.line(element)),
+            node: None,
+            problem: Box::new(problem),
+        }
     }
 }
