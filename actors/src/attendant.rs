@@ -217,7 +217,13 @@ impl AttendantState {
                 }
             } else {
                 let role = plan.role.clone();
-                let sequencer = Sequencer::new(plan, &ended, holders);
+                let sequencer = match Sequencer::new(plan, &ended, holders) {
+                    Ok(sequencer) => sequencer,
+                    Err(problem) => {
+                        warn!(%mission, %role, %problem, "a plan that cannot be taken up");
+                        continue;
+                    }
+                };
                 self.talk.begin(&mission, &role, Epoch::default(), sequencer.said().clone()).await?;
                 let to = myself.clone();
                 self.talk.ask(&mission, &sequencer.awaiting(), &mut self.tasks, move |said| {
@@ -240,12 +246,7 @@ impl AttendantState {
         }
     }
 
-    async fn person_ended(
-        &mut self,
-        myself: &ActorRef<AttendantMessage>,
-        id: GoalId,
-        result: Result<(), ActionError>,
-    ) {
+    async fn person_ended(&mut self, myself: &ActorRef<AttendantMessage>, id: GoalId, result: Result<(), ActionError>) {
         let asked = self.jobs.iter().find(|(_, job)| job.ask.as_ref().is_some_and(|(ask, _, _)| *ask == id));
         let Some(key) = asked.map(|(key, _)| key.clone()) else { return };
         let Some(job) = self.jobs.get_mut(&key) else { return };

@@ -215,7 +215,11 @@ impl Actor for Root {
 
 type Assembled = (NodeId, Option<Replica<Ledger>>, SharedKnowledge, Tasks);
 
-async fn assemble(settings: NodeSettings, bus: SharedBus, root: &ActorRef<NodeMessage>) -> Result<Assembled, NodeError> {
+async fn assemble(
+    settings: NodeSettings,
+    bus: SharedBus,
+    root: &ActorRef<NodeMessage>,
+) -> Result<Assembled, NodeError> {
     let NodeSettings { fleet, node, incarnation, seed, clock, .. } = settings;
     let keys = Keys::new(&fleet.fleet);
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
@@ -247,7 +251,8 @@ async fn assemble(settings: NodeSettings, bus: SharedBus, root: &ActorRef<NodeMe
         rng: ChaCha8Rng::from_rng(&mut rng),
     };
     let supervisor = root.get_cell();
-    let (gossip, _) = Gossip::start(start, Some(supervisor.clone())).await.map_err(|problem| NodeError::from(*problem))?;
+    let (gossip, _) =
+        Gossip::start(start, Some(supervisor.clone())).await.map_err(|problem| NodeError::from(*problem))?;
 
     if let Some(replica) = &replica {
         let coordinator = CoordinatorSettings {
@@ -291,8 +296,20 @@ async fn assemble(settings: NodeSettings, bus: SharedBus, root: &ActorRef<NodeMe
     }
 
     if let Some(part) = settings.robot {
-        start_robot(part, RobotId::from(node.clone()), incarnation, &fleet, &keys, bus, clock, events, gossip, &supervisor, &mut tasks)
-            .await?;
+        start_robot(
+            part,
+            RobotId::from(node.clone()),
+            incarnation,
+            &fleet,
+            &keys,
+            bus,
+            clock,
+            events,
+            gossip,
+            &supervisor,
+            &mut tasks,
+        )
+        .await?;
     }
     Ok((node, replica, shared, tasks))
 }

@@ -8,18 +8,22 @@ use tokio::task::JoinSet;
 
 /// Tasks that are aborted when this is dropped: an actor keeps them in its state.
 #[derive(Debug, Default)]
-pub struct Tasks(JoinSet<()>);
+pub(crate) struct Tasks(JoinSet<()>);
 
 impl Tasks {
     /// Runs a task until it ends or this is dropped.
-    pub fn spawn(&mut self, task: impl Future<Output = ()> + Send + 'static) {
+    pub(crate) fn spawn(&mut self, task: impl Future<Output = ()> + Send + 'static) {
         while self.0.try_join_next().is_some() {}
         self.0.spawn(task);
     }
 
     /// Hands what a stream brings to an actor's mailbox. The declaration behind the stream lives as long as this.
-    pub fn forward<T, M>(&mut self, mut stream: Stream<T>, to: &ActorRef<M>, wrap: impl Fn(T) -> M + Send + 'static)
-    where
+    pub(crate) fn forward<T, M>(
+        &mut self,
+        mut stream: Stream<T>,
+        to: &ActorRef<M>,
+        wrap: impl Fn(T) -> M + Send + 'static,
+    ) where
         T: Send + 'static,
         M: Message,
     {
@@ -34,7 +38,12 @@ impl Tasks {
     }
 
     /// Sends an actor a message again and again, the first after one period.
-    pub fn beat<M: Message>(&mut self, period: Duration, to: &ActorRef<M>, make: impl Fn() -> M + Send + 'static) {
+    pub(crate) fn beat<M: Message>(
+        &mut self,
+        period: Duration,
+        to: &ActorRef<M>,
+        make: impl Fn() -> M + Send + 'static,
+    ) {
         let to = to.clone();
         self.spawn(async move {
             loop {
@@ -47,7 +56,7 @@ impl Tasks {
     }
 
     /// Sends an actor one message later.
-    pub fn after<M: Message>(&mut self, delay: Duration, to: &ActorRef<M>, message: M) {
+    pub(crate) fn after<M: Message>(&mut self, delay: Duration, to: &ActorRef<M>, message: M) {
         let to = to.clone();
         self.spawn(async move {
             tokio::time::sleep(delay).await;

@@ -327,7 +327,7 @@ fn a_leader_in_the_minority_knows_it_and_refuses_while_the_majority_goes_on() {
 
 #[test]
 fn at_no_instant_do_two_nodes_count_themselves_leader() {
-    for seed in 0..30 {
+    for seed in 0..12 {
         on_virtual_time(async {
             let fleet = Fleet::founded(seed, 5, usual).await;
             let mut last = Reign::default();
@@ -562,21 +562,22 @@ fn with_brisk_elections(node: NodeId) -> ReplicaSettings {
 #[test]
 #[expect(clippy::print_stderr, reason = "the figures are what the test is for")]
 fn a_takeover_takes_less_than_a_second() {
-    for (what, settings, p99_max) in [
-        ("20 / 60-120 ms", with_quick_elections as fn(NodeId) -> ReplicaSettings, 200),
-        ("30 / 100-200 ms", with_brisk_elections, 300),
-        ("50 / 150-300 ms", usual, 400),
+    for (what, settings, seeds, p99_max) in [
+        ("20 / 60-120 ms", with_quick_elections as fn(NodeId) -> ReplicaSettings, 50, 200),
+        ("30 / 100-200 ms", with_brisk_elections, 50, 300),
+        ("50 / 150-300 ms", usual, 200, 400),
     ] {
-        let mut times: Vec<_> = (0..200).map(|seed| takeover(seed, settings)).collect();
+        let mut times: Vec<_> = (0..seeds).map(|seed| takeover(seed, settings)).collect();
         times.sort_unstable();
-        eprintln!("takeover, {what}: p50 {} ms, p99 {} ms, longest {} ms", times[100], times[198], times[199]);
-        assert!(times[198] <= p99_max, "{times:?}");
+        let (p50, p99) = (times[times.len() / 2], times[times.len() * 99 / 100]);
+        eprintln!("takeover, {what}, {seeds} seeds: p50 {p50} ms, p99 {p99} ms");
+        assert!(p99 <= p99_max, "{times:?}");
     }
 }
 
 #[test]
 fn a_voter_that_returns_does_not_unseat_the_leader() {
-    for seed in 0..40 {
+    for seed in 0..15 {
         on_virtual_time(async {
             let fleet = Fleet::founded(seed, 5, usual).await;
             fleet.note(1).await;

@@ -212,7 +212,7 @@ pub enum BodyEvent {
 }
 
 /// What hosts bodies: a simulated world, or an adapter to real ones. Time only moves in [`advance`](BodyHost::advance).
-pub trait BodyHost: Send {
+pub trait BodyHost: Send + Sync {
     /// The robots whose bodies are here.
     fn robots(&self) -> Vec<RobotId>;
 

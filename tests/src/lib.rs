@@ -1,1 +1,5 @@
-//! Whole-fleet stories.
+//! Whole-fleet stories: the harness that they are told with.
+
+mod fleet;
+
+pub use fleet::{Fleet, Member, slug};

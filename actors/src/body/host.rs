@@ -194,7 +194,8 @@ impl HostState {
         for (robot, entry) in &mut self.bodies {
             if entry.driver.is_some_and(|heard| now.since(heard) > self.settings.silence) {
                 entry.driver = None;
-                let running = entry.goals.iter().filter(|id| self.world.status(robot, **id).is_some_and(|s| !s.is_final()));
+                let running =
+                    entry.goals.iter().filter(|id| self.world.status(robot, **id).is_some_and(|s| !s.is_final()));
                 for id in running.copied().collect::<Vec<_>>() {
                     info!(%robot, "driver silent: stopped");
                     self.world.cancel(robot, id);

@@ -15,7 +15,7 @@ pub(super) fn expression(text: &str) -> Result<OwnedKeyExpr, BusError> {
 /// One key, without wildcards: what is published, announced or answered has exactly one name.
 pub(super) fn single(text: &str) -> Result<OwnedKeyExpr, BusError> {
     let key = expression(text)?;
-    if key.is_wild() { Err(wrong(text, "it holds a wildcard where one key is needed")) } else { Ok(key) }
+    if key.as_str().contains('*') { Err(wrong(text, "it holds a wildcard where one key is needed")) } else { Ok(key) }
 }
 
 /// A selector: a key expression, and after the first `?`, if there is one, the parameters.

@@ -172,9 +172,9 @@ impl Actor for Coordinator {
             while to.cast(CoordinatorMessage::Leadership).is_ok() && leadership.changed().await.is_ok() {}
         });
         let (mut applied, to) = (settings.replica.applied(), myself.clone());
-        tasks.spawn(async move {
-            while applied.changed().await.is_ok() && to.cast(CoordinatorMessage::Ledger).is_ok() {}
-        });
+        tasks.spawn(
+            async move { while applied.changed().await.is_ok() && to.cast(CoordinatorMessage::Ledger).is_ok() {} },
+        );
         tasks.beat(settings.beat, &myself, || CoordinatorMessage::Beat);
         Ok(CoordinatorState { settings, reign: None, _tasks: tasks })
     }
@@ -263,9 +263,9 @@ impl Reign {
         let voters = leadership.voters.values().cloned().collect();
         settings.events.tell(Happening::Elected { term, voters });
         // What stood in the ledger before this reign is not news.
-        let seen = settings.replica.read(|ledger| {
-            ledger.missions().map(|entry| (entry.id.clone(), Seen::of(entry, since))).collect()
-        });
+        let seen = settings
+            .replica
+            .read(|ledger| ledger.missions().map(|entry| (entry.id.clone(), Seen::of(entry, since))).collect());
         Ok(Reign {
             term,
             since,
@@ -440,7 +440,8 @@ impl Reign {
         let mission = mission.clone();
         let (phase, command) = match conclusion.holders {
             Some(holders) => {
-                let command = Command::Award { mission: mission.clone(), holders: holders.clone(), auction: conclusion.record };
+                let command =
+                    Command::Award { mission: mission.clone(), holders: holders.clone(), auction: conclusion.record };
                 (Phase::Proposing(holders), Some(command))
             }
             None => {
@@ -464,12 +465,7 @@ impl Reign {
         });
     }
 
-    fn decided(
-        &mut self,
-        settings: &CoordinatorSettings,
-        auction: &AuctionId,
-        outcome: Result<Outcome, ProposeError>,
-    ) {
+    fn decided(&mut self, settings: &CoordinatorSettings, auction: &AuctionId, outcome: Result<Outcome, ProposeError>) {
         let now = settings.clock.now();
         let mission = &auction.mission;
         let Some(round) = self.rounds.get_mut(mission).filter(|round| round.number == auction.round) else { return };
@@ -573,7 +569,8 @@ impl Reign {
     }
 
     async fn live(&mut self, settings: &CoordinatorSettings, query: Query) {
-        let plans: Vec<LivePlan> = settings.replica.read(|ledger| ledger.live().into_iter().flat_map(unmanaged).collect());
+        let plans: Vec<LivePlan> =
+            settings.replica.read(|ledger| ledger.live().into_iter().flat_map(unmanaged).collect());
         // An empty answer is one too; many plans take several.
         let chunks: Vec<&[LivePlan]> = if plans.is_empty() { vec![&[]] } else { plans.chunks(8).collect() };
         for chunk in chunks {
@@ -590,7 +587,11 @@ impl Reign {
         let desk = Desk {
             replica: settings.replica.clone(),
             domain: Arc::clone(&settings.domain),
-            request_prefix: format!("unnamed-{}-{}", self.term, settings.node.as_str().chars().take(20).collect::<String>()),
+            request_prefix: format!(
+                "unnamed-{}-{}",
+                self.term,
+                settings.node.as_str().chars().take(20).collect::<String>()
+            ),
             at_ms: settings.clock.wall_ms(),
             number: self.requests,
         };
@@ -641,7 +642,10 @@ fn members(settings: &CoordinatorSettings, now: NodeTime) -> BTreeSet<NodeId> {
 /// Whether a record says anything that the former one did not, times and counters aside.
 fn tells_otherwise(known: &AuctionRecord, record: &AuctionRecord) -> bool {
     let gist = |record: &AuctionRecord| {
-        let verdicts = record.entries.iter().map(|entry| (entry.role.clone(), entry.robot.clone(), std::mem::discriminant(&entry.verdict)));
+        let verdicts = record
+            .entries
+            .iter()
+            .map(|entry| (entry.role.clone(), entry.robot.clone(), std::mem::discriminant(&entry.verdict)));
         (record.failure.clone(), verdicts.collect::<Vec<_>>())
     };
     gist(known) != gist(record)

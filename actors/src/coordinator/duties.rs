@@ -84,7 +84,8 @@ pub(super) fn duties(
 /// Robots that hold a role or are about to, and which.
 pub(super) fn taken(ledger: &Ledger, rounds: &BTreeMap<MissionId, Round>) -> BTreeMap<RobotId, (MissionId, RoleId)> {
     let held = ledger.live().into_iter().flat_map(|entry| {
-        let holding = entry.roles.iter().filter(|(_, held)| matches!(held.phase, RolePhase::Awarded | RolePhase::Active));
+        let holding =
+            entry.roles.iter().filter(|(_, held)| matches!(held.phase, RolePhase::Awarded | RolePhase::Active));
         holding.filter_map(|(role, held)| Some((held.holder.as_ref()?.robot.clone(), (entry.id.clone(), role.clone()))))
     });
     let about_to = rounds.iter().flat_map(|(mission, round)| match &round.phase {

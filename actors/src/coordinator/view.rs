@@ -38,7 +38,9 @@ impl Window<'_> {
         ];
         views.extend(self.knowledge.read(|base| {
             let robots = base.iter().filter(|(_, heard)| heard.record.knowledge.worker.is_some());
-            robots.map(|(node, heard)| (Key::ViewRobot(RobotId::from(node.clone())), self.node(node, heard))).collect::<Vec<_>>()
+            robots
+                .map(|(node, heard)| (Key::ViewRobot(RobotId::from(node.clone())), self.node(node, heard)))
+                .collect::<Vec<_>>()
         }));
         views.extend(self.replica.read(|ledger| {
             ledger.missions().map(|entry| (Key::ViewMission(entry.id.clone()), mission(entry))).collect::<Vec<_>>()

@@ -183,7 +183,12 @@ impl Actor for Gossip {
         Ok(state)
     }
 
-    async fn handle(&self, myself: ActorRef<Message>, message: Message, state: &mut State) -> Result<(), ActorProcessingErr> {
+    async fn handle(
+        &self,
+        myself: ActorRef<Message>,
+        message: Message,
+        state: &mut State,
+    ) -> Result<(), ActorProcessingErr> {
         let mut asker = None;
         let event = match message {
             Message::Change(change) => Ok(Event::Changed(change)),
@@ -265,7 +270,8 @@ impl State {
 
     fn ask(&mut self, round: u64, peer: &NodeId, payload: Bytes, myself: ActorRef<Message>) {
         while self.tasks.try_join_next().is_some() {}
-        let (bus, key, limit) = (self.bus.clone(), self.keys.write(&Key::Gossip(peer.clone())), self.settings.answer_within);
+        let (bus, key, limit) =
+            (self.bus.clone(), self.keys.write(&Key::Gossip(peer.clone())), self.settings.answer_within);
         self.tasks.spawn(async move {
             let answer = match bus.query(&key, payload, limit).await {
                 Ok(mut replies) => replies.recv().await.map(|reply| reply.payload),

@@ -74,8 +74,13 @@ mod tests {
     use std::collections::BTreeSet;
 
     fn records(count: usize, name: impl Fn(usize) -> String) -> Vec<Record> {
-        let knowledge =
-            Knowledge { may_vote: false, stationary: false, mains_powered: false, replica: Some(u64::MAX), worker: None };
+        let knowledge = Knowledge {
+            may_vote: false,
+            stationary: false,
+            mains_powered: false,
+            replica: Some(u64::MAX),
+            worker: None,
+        };
         let record = |n| Record {
             owner: NodeId::new(name(n)).unwrap(),
             stamp: Stamp { incarnation: u64::MAX, version: u64::MAX },

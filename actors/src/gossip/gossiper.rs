@@ -387,7 +387,8 @@ impl Gossiper {
 
     /// Greets one node that should be there or was once: a greeting may have been lost, or a cut may have healed.
     fn miss(&mut self, known: &Known, now: NodeTime) {
-        let missed: BTreeSet<&NodeId> = self.tokens.iter().chain(self.memory.missed()).filter(|n| !known.alive(n)).collect();
+        let missed: BTreeSet<&NodeId> =
+            self.tokens.iter().chain(self.memory.missed()).filter(|n| !known.alive(n)).collect();
         if !missed.is_empty() {
             let chosen = self.rng.random_range(0..missed.len());
             let chosen = missed.into_iter().nth(chosen).cloned();

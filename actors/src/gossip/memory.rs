@@ -39,14 +39,21 @@ pub(super) struct Memory {
 
 impl Memory {
     /// Begins with this knowledge of itself; goes on from what an actor before it knew.
-    pub(super) fn new(owner: NodeId, incarnation: u64, knowledge: Knowledge, known: &mut Known, now: NodeTime) -> Memory {
+    pub(super) fn new(
+        owner: NodeId,
+        incarnation: u64,
+        knowledge: Knowledge,
+        known: &mut Known,
+        now: NodeTime,
+    ) -> Memory {
         let mut stamp = Stamp { incarnation, version: 0 };
         if let Some(before) = known.base.get(&owner).map(|heard| heard.record.stamp).filter(|before| *before >= stamp) {
             stamp = next(before).unwrap_or(before);
         }
         let own = Record { owner, stamp, knowledge };
         known.base.merge(own.clone(), now);
-        let absent = known.base.iter().map(|(node, _)| (node.clone(), now)).filter(|(node, _)| *node != own.owner).collect();
+        let absent =
+            known.base.iter().map(|(node, _)| (node.clone(), now)).filter(|(node, _)| *node != own.owner).collect();
         Memory { own, renewed: now, absent, forgotten: BTreeMap::new() }
     }
 
@@ -239,7 +246,8 @@ mod tests {
         memory.hear(record("cyd", 1, 1), &mut known, T0);
         known.status.insert(node("bob"), Status::Alive { since: T0 });
         known.status.insert(node("cyd"), Status::Down { since: T0 });
-        let owners: Vec<_> = memory.lacking(&known, &Digest::new()).iter().map(|record| record.owner.as_str()).collect();
+        let owners: Vec<_> =
+            memory.lacking(&known, &Digest::new()).iter().map(|record| record.owner.as_str()).collect();
         assert_eq!(owners, ["ada", "bob"]);
     }
 }

@@ -73,7 +73,9 @@ impl Settings {
         foca::Config {
             probe_period: self.probe_period.max(Duration::from_millis(2)),
             // It must be shorter than the period, or no probe ever completes.
-            probe_rtt: self.probe_rtt.clamp(Duration::from_millis(1), self.probe_period.max(Duration::from_millis(2)) / 2),
+            probe_rtt: self
+                .probe_rtt
+                .clamp(Duration::from_millis(1), self.probe_period.max(Duration::from_millis(2)) / 2),
             num_indirect_probes: three,
             // foca advises 5 for small and 15 for very large fleets.
             max_transmissions: NonZeroU8::MIN.saturating_add(9),

@@ -286,7 +286,8 @@ impl RobotState {
         self.sense(now);
         let me = NodeId::from(self.settings.robot.clone());
         let coordinator = self.coordinator.as_ref().map_or_else(|| me.clone(), |beacon| beacon.node.clone());
-        let membership = self.settings.knowledge.read(|base| self.settings.ensemble.judge(&me, &coordinator, base, now));
+        let membership =
+            self.settings.knowledge.read(|base| self.settings.ensemble.judge(&me, &coordinator, base, now));
         let age_ms = self.settings.body.telemetry_age_ms();
         let circumstance = Circumstance { worker: &self.worker, age_ms, membership };
         let tender = self.bidder.tender(&call, &circumstance);
@@ -415,13 +416,19 @@ impl RobotState {
     ) -> Result<(), BusError> {
         let Award { mission, role, epoch, plan, holders, .. } = award;
         info!(robot = %self.settings.robot, %mission, %role, %epoch, "begins");
-        let sequencer = Sequencer::new(plan, ended, holders);
+        let first = plan.tasks().next().map(|(task, _)| task.clone());
+        let taken_up = Sequencer::new(plan.clone(), ended, holders.clone());
+        let failure =
+            taken_up.as_ref().err().and_then(|problem| Some(TaskFailure { task: first?, cause: problem.to_string() }));
+        let Ok(sequencer) = taken_up.or_else(|_| Sequencer::new(plan, &BTreeSet::new(), holders)) else {
+            return Ok(());
+        };
         let mut hearing = Tasks::default();
         let signals = self.settings.keys.write(&Key::Signal(mission.clone(), role.clone()));
         hearing.forward(self.settings.bus.subscribe(&signals).await?, myself, RobotMessage::Signal);
         self.talk.begin(&mission, &role, epoch, sequencer.said().clone()).await?;
         self.settings.events.tell(Happening::Started { mission: mission.clone(), role: role.clone(), epoch });
-        self.job = Some(Job { mission, role, epoch, sequencer, runner: None, failure: None, _hearing: hearing });
+        self.job = Some(Job { mission, role, epoch, sequencer, runner: None, failure, _hearing: hearing });
         // Whoever spoke before this robot listened is asked.
         self.ask(myself);
         Ok(())

@@ -69,7 +69,8 @@ impl Bidder {
             return Err(RefusalReason::NotMember { ensemble: call.ensemble.clone(), why });
         }
         let needed: BTreeSet<&TaskType> = plan.tasks().map(|(_, spec)| &spec.task_type).collect();
-        let missing: Vec<TaskType> = needed.into_iter().filter(|skill| !worker.skills.contains(*skill)).cloned().collect();
+        let missing: Vec<TaskType> =
+            needed.into_iter().filter(|skill| !worker.skills.contains(*skill)).cloned().collect();
         if !missing.is_empty() {
             return Err(RefusalReason::MissingSkills { skills: missing });
         }

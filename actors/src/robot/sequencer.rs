@@ -2,7 +2,7 @@
 
 use consort_protocol::ids::{RobotId, RoleId, TaskId};
 use consort_protocol::mission::TaskSpec;
-use consort_protocol::plan::{LocalPlan, PlanProgress, Signal, StepAction, StepIndex};
+use consort_protocol::plan::{LocalPlan, PlanProgress, ProgressError, Signal, StepAction, StepIndex};
 use std::collections::{BTreeMap, BTreeSet};
 
 /// A plan on its way: what has ended, what is under way, what comes next.
@@ -37,13 +37,21 @@ pub enum Move {
 
 impl Sequencer {
     /// Takes up a plan of which some steps have ended already.
-    pub fn new(plan: LocalPlan, ended: &BTreeSet<StepIndex>, holders: BTreeMap<RoleId, RobotId>) -> Sequencer {
+    ///
+    /// # Errors
+    /// [`ProgressError`] when those steps cannot have ended so.
+    pub fn new(
+        plan: LocalPlan,
+        ended: &BTreeSet<StepIndex>,
+        holders: BTreeMap<RoleId, RobotId>,
+    ) -> Result<Sequencer, ProgressError> {
         let said = ended.iter().filter_map(|step| match &plan.steps.get(*step as usize)?.action {
             StepAction::Send(signal) => Some(signal.clone()),
             StepAction::Wait(_) | StepAction::Task { .. } => None,
         });
         let said = said.collect();
-        Sequencer { progress: PlanProgress::restored(plan, ended), running: None, holders, said }
+        let progress = PlanProgress::restore(plan, ended.clone(), BTreeSet::new())?;
+        Ok(Sequencer { progress, running: None, holders, said })
     }
 
     /// The next thing to do, which the caller does at once; `None` while a task is under way or all is waiting. Telling
@@ -52,28 +60,32 @@ impl Sequencer {
         if self.running.is_some() {
             return None;
         }
-        let step = self.progress.next()?;
-        match self.progress.plan().steps[step as usize].action.clone() {
+        let (step, action) = self.progress.next().map(|(index, step)| (index, step.action.clone()))?;
+        match action {
             StepAction::Task { id, spec } => {
                 self.running = Some(step);
                 Some(Move::Perform { step, task: id, spec })
             }
             StepAction::Send(signal) => {
-                self.progress.end(step);
+                self.finish(step);
                 self.said.insert(signal.clone());
                 Some(Move::Tell(signal))
             }
             StepAction::Wait(signal) => {
-                self.progress.end(step);
+                self.finish(step);
                 Some(Move::Heard(signal))
             }
         }
     }
 
+    fn finish(&mut self, step: StepIndex) {
+        self.progress.end(step).expect("a step that was given out may end");
+    }
+
     /// The task under way has ended well.
     pub fn end(&mut self, step: StepIndex) {
         if self.running.take_if(|running| *running == step).is_some() {
-            self.progress.end(step);
+            self.finish(step);
         }
     }
 
@@ -89,7 +101,7 @@ impl Sequencer {
 
     /// The task under way.
     pub fn at(&self) -> Option<&TaskId> {
-        match &self.progress.plan().steps.get(self.running? as usize)?.action {
+        match &self.progress.step(self.running?)?.action {
             StepAction::Task { id, .. } => Some(id),
             StepAction::Send(_) | StepAction::Wait(_) => None,
         }
@@ -97,7 +109,7 @@ impl Sequencer {
 
     /// Signals that this role will yet need and has not heard.
     pub fn awaiting(&self) -> BTreeSet<Signal> {
-        self.progress.awaiting()
+        self.progress.awaiting().into_iter().cloned().collect()
     }
 
     /// Steps that have ended.

@@ -96,12 +96,17 @@ impl TaskSpec {
 }
 
 impl Mission {
-    /// The elementary tasks, depth first and in the order of the file.
+    /// The elementary tasks, depth first and in the order of the file. Ends on an unchecked mission, too: whatever its
+    /// children say, each task is visited once at most.
     pub fn elementary(&self) -> Vec<(&TaskId, &TaskSpec)> {
         let mut found = Vec::new();
+        let mut seen = vec![false; self.tasks.len()];
         let mut open: Vec<TaskIndex> = vec![0];
         while let Some(index) = open.pop() {
             let Some(node) = self.tasks.get(index as usize) else { continue };
+            if std::mem::replace(&mut seen[index as usize], true) {
+                continue;
+            }
             match &node.body {
                 Body::Abstract(method) => open.extend(method.children.iter().rev()),
                 Body::Elementary(spec) => found.push((&node.id, spec)),

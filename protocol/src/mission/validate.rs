@@ -5,7 +5,7 @@
 //! which walks it needs no further care.
 
 use super::domain::{Domain, ValueKind};
-use super::model::{Body, Mission, RoleKind, TaskSpec};
+use super::model::{Body, Mission, TaskSpec};
 use super::problem::{Allowed, Fault, MissionErrors, Problem};
 use crate::ids::RoleId;
 use std::collections::{BTreeMap, BTreeSet};
@@ -230,7 +230,7 @@ fn task_faults(mission: &Mission, spec: &TaskSpec, domain: &Domain) -> Vec<Fault
 
 #[cfg(test)]
 mod tests {
-    use super::super::model::{Method, Order, Role, TaskNode};
+    use super::super::model::{Method, Order, Role, RoleKind, TaskNode};
     use super::*;
     use crate::ids::{TaskId, TaskType};
 

@@ -5,7 +5,20 @@
 //! it; a joint task begins when all its roles have said that they are ready. Steps are partly ordered by `after`:
 //! a robot may begin any step whose predecessors are done, and a wait for a message that has not come holds up
 //! only what stands after it.
+//!
+//! ```text
+//! Mission ─► GlobalOrder ─► divide ─► Division ─► check_division ─► PlanProgress, one a role
+//! ```
 
+mod bits;
+mod check;
+mod divide;
 mod local;
+mod order;
+mod progress;
 
+pub use check::{DivisionError, DivisionFault, DivisionFaults, check_division, divide_and_check};
+pub use divide::divide;
 pub use local::{Division, LocalPlan, Signal, SignalKind, Step, StepAction, StepIndex};
+pub use order::GlobalOrder;
+pub use progress::{NotPermitted, PlanProgress, ProgressError};

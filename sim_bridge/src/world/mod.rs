@@ -36,6 +36,7 @@ mod queue;
 mod report;
 mod samples;
 mod setup;
+mod shared;
 #[cfg(test)]
 mod tests;
 
@@ -45,6 +46,7 @@ pub use names::{PersonName, SampleId};
 pub use report::{BodyReport, PersonReport};
 pub use samples::{Keeper, SampleReport};
 pub use setup::{Durations, Person, RobotBody, SetupError, SetupErrors, WorldLimits, WorldSetup};
+pub use shared::SharedWorld;
 
 use crate::map::Map;
 use consort_protocol::ids::RobotId;

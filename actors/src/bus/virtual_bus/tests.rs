@@ -407,3 +407,31 @@ async fn speed() {
     let delivered = network.counters().delivered;
     eprintln!("{delivered} publications in {took:?}: {:.0} a second", delivered as f64 / took.as_secs_f64());
 }
+
+/// A leader which asks seven followers, each on its own key, every 40 ms for 500 simulated seconds.
+#[tokio::test(start_paused = true)]
+#[ignore = "a measurement: run it in release"]
+#[expect(clippy::print_stderr, reason = "a measurement is there to be read")]
+async fn speed_of_queries() {
+    let network = network(LinkModel::LAN);
+    let leader = network.bus(node("leader"));
+    for number in 0..7 {
+        echo(&network.bus(node(&format!("n{number}"))), &format!("consort/fleet/wire/raft/n{number}")).await;
+    }
+    let began = std::time::Instant::now();
+    let tasks = (0..7).map(|number| {
+        let (leader, key) = (leader.clone(), format!("consort/fleet/wire/raft/n{number}"));
+        tokio::spawn(async move {
+            for _ in 0..12_500 {
+                assert_eq!(ask(&leader, &key, Duration::from_millis(500)).await.0.len(), 1);
+                sleep(Duration::from_millis(40)).await;
+            }
+        })
+    });
+    for task in tasks.collect::<Vec<_>>() {
+        task.await.unwrap();
+    }
+    let took = began.elapsed();
+    let queries = 7 * 12_500;
+    eprintln!("{queries} queries in {took:?}: {:.0} a second", f64::from(queries) / took.as_secs_f64());
+}

@@ -132,7 +132,8 @@ impl Codec<SwimId> for Packets {
 
     fn encode_header(&mut self, header: &Header<SwimId>, mut buf: impl BufMut) -> Result<(), PacketError> {
         let (number, whom, probe) = parts(&header.message);
-        let size = header.src.size() + 2 + header.dst.size() + 1 + whom.map_or(0, SwimId::size) + usize::from(probe.is_some());
+        let size =
+            header.src.size() + 2 + header.dst.size() + 1 + whom.map_or(0, SwimId::size) + usize::from(probe.is_some());
         if buf.remaining_mut() < size {
             return Err(PacketError::Full);
         }

@@ -1,0 +1,109 @@
+//! Who can hear whom, and how long it takes.
+
+use super::agenda::Event;
+use super::{Network, Place};
+use crate::bus::virtual_bus::LinkModel;
+use crate::bus::virtual_bus::faults::Faults;
+use consort_protocol::ids::NodeId;
+use rand::RngExt;
+use std::time::Duration;
+use tokio::time::Instant;
+
+impl Network {
+    pub(in super::super) fn set_model(&mut self, model: LinkModel) {
+        self.model = model.checked();
+        self.models.clear();
+        self.refresh_models();
+    }
+
+    pub(in super::super) fn set_model_between(&mut self, from: NodeId, to: NodeId, model: LinkModel) {
+        self.models.insert((from, to), model.checked());
+        self.refresh_models();
+    }
+
+    pub(super) fn refresh_models(&mut self) {
+        let place = |id: &NodeId| self.places.get(id).copied();
+        self.models_here = self
+            .models
+            .iter()
+            .filter_map(|((from, to), model)| Some(((place(from)?, place(to)?), model.clone())))
+            .collect();
+    }
+
+    pub(in super::super) fn set_lease(&mut self, lease: Duration) {
+        self.lease = lease;
+    }
+
+    pub(in super::super) fn change_faults(&mut self, change: impl FnOnce(&mut Faults)) {
+        change(&mut self.faults);
+        self.refresh_silence();
+    }
+
+    /// Compares who can hear whom with the faults in force; a lease begins where silence falls, and news travel where
+    /// it ends.
+    pub(super) fn refresh_silence(&mut self) {
+        for at in 0..self.nodes.len() {
+            for of in (0..self.nodes.len()).filter(|of| *of != at) {
+                let cut = self.faults.sever(&self.nodes[of].id, &self.nodes[at].id);
+                let silent = cut || self.nodes[at].paused || self.nodes[of].paused;
+                let peer = &mut self.nodes[at].peers[of];
+                peer.cut = cut;
+                if peer.silent == silent {
+                    continue;
+                }
+                peer.silent = silent;
+                peer.change += 1;
+                let change = peer.change;
+                if silent {
+                    if let Some(end) = self.now.checked_add(self.lease) {
+                        self.at(end, Event::LeaseOver { at, of, change });
+                    }
+                } else {
+                    self.tell_news(at, of);
+                }
+            }
+        }
+    }
+
+    /// When a message that leaves now arrives, unless it is lost.
+    pub(super) fn cross(&mut self, from: Place, to: Place) -> Option<Instant> {
+        self.counters.sent += 1;
+        if from == to {
+            return Some(self.now);
+        }
+        if self.nodes[to].peers[from].cut {
+            self.counters.dropped += 1;
+            return None;
+        }
+        let loss = self.model_between(from, to).loss;
+        if loss > 0.0 && self.rng.random_bool(loss) {
+            self.counters.dropped += 1;
+            return None;
+        }
+        Some(self.now + self.latency(from, to))
+    }
+
+    pub(super) fn latency(&mut self, from: Place, to: Place) -> Duration {
+        if from == to {
+            return Duration::ZERO;
+        }
+        let model = self.model_between(from, to);
+        let (min, max) = (model.latency_min, model.latency_max);
+        self.between(min, max)
+    }
+
+    pub(super) fn between(&mut self, min: Duration, max: Duration) -> Duration {
+        if min >= max {
+            return min;
+        }
+        let spread = u64::try_from((max - min).as_nanos()).unwrap_or(u64::MAX);
+        min + Duration::from_nanos(self.rng.random_range(0..=spread))
+    }
+
+    pub(super) fn model_between(&self, from: Place, to: Place) -> &LinkModel {
+        if self.models_here.is_empty() {
+            return &self.model;
+        }
+        self.models_here.get(&(from, to)).unwrap_or(&self.model)
+    }
+}

@@ -1,0 +1,187 @@
+//! Queries: one leg to each service, which ends when the service lets go of it.
+
+use super::agenda::Event;
+use super::directory::Declaration;
+use super::{Life, Network, Number, Place};
+use crate::bus::virtual_bus::responder::{Leg, Responder};
+use crate::bus::{Query, Reply};
+use bytes::Bytes;
+use std::collections::BTreeMap;
+use std::sync::Arc;
+use std::time::Duration;
+use tokio::sync::mpsc::UnboundedSender;
+use tokio::time::Instant;
+use zenoh_keyexpr::OwnedKeyExpr;
+
+/// A query that has not ended.
+pub(super) struct Pending {
+    pub(super) asker: Place,
+    replies: UnboundedSender<Reply>,
+    question: Arc<Question>,
+    /// By number of the service asked.
+    legs: BTreeMap<Number, LegState>,
+}
+
+pub(in super::super) struct Question {
+    pub(in super::super) wanted: OwnedKeyExpr,
+    pub(in super::super) parameters: String,
+    pub(in super::super) payload: Bytes,
+}
+
+/// What is left of one service's part in a query.
+pub(super) struct LegState {
+    pub(super) service: Life,
+    /// Something of it got lost, and so will all that follows.
+    broken: bool,
+    /// When the latest answer arrives; none arrives before it.
+    floor: Instant,
+}
+
+impl Network {
+    pub(in super::super) fn serve(
+        &mut self,
+        life: Life,
+        wanted: OwnedKeyExpr,
+        mailbox: UnboundedSender<Query>,
+    ) -> Number {
+        let number = self.number();
+        self.services.declare(number, Declaration { place: life.place, wanted, mailbox });
+        number
+    }
+
+    pub(in super::super) fn stop_serving(&mut self, number: Number) {
+        self.services.withdraw(number);
+    }
+
+    pub(in super::super) fn ask(
+        &mut self,
+        life: Life,
+        question: Question,
+        limit: Duration,
+        replies: UnboundedSender<Reply>,
+    ) -> Number {
+        let asker = life.place;
+        let query = self.number();
+        let route = self.services.route(&question.wanted);
+        let mut legs = BTreeMap::new();
+        for (place, services) in &route.targets {
+            let there = &self.nodes[*place].peers[asker];
+            if there.cut && !self.nodes[asker].peers[*place].connected {
+                continue; // given up: its services are known no more
+            }
+            for service in services {
+                let arrival = self.cross(asker, *place);
+                let state = LegState { service: self.life(*place), broken: false, floor: self.now };
+                if let Some(arrival) = arrival {
+                    let leg = Leg { query, service: *service };
+                    self.at(arrival, Event::Question { from: asker, to: state.service, leg });
+                }
+                legs.insert(*service, state);
+            }
+        }
+        if !legs.is_empty() {
+            self.queries.insert(query, Pending { asker, replies, question: Arc::new(question), legs });
+            if let Some(end) = self.now.checked_add(limit) {
+                self.at(end, Event::Limit { query });
+            }
+        }
+        query
+    }
+
+    pub(in super::super) fn stop_asking(&mut self, query: Number) {
+        self.queries.remove(&query);
+    }
+
+    pub(in super::super) fn answer(&mut self, leg: Leg, reply: Reply) {
+        if let Some((from, to, due)) = self.send_answer(leg, true) {
+            self.at(due, Event::Answer { from, to, leg, reply });
+        }
+    }
+
+    pub(in super::super) fn finish(&mut self, leg: Leg) {
+        if let Some((from, to, due)) = self.send_answer(leg, false) {
+            self.at(due, Event::Finished { from, to, leg });
+        }
+    }
+
+    /// From, to and arrival of the next message of a leg, if the query goes on and the message is not lost. Only
+    /// answers are counted; the end of a leg is a message like any other in every other respect.
+    fn send_answer(&mut self, leg: Leg, counted: bool) -> Option<(Place, Place, Instant)> {
+        let pending = self.queries.get(&leg.query)?;
+        let state = pending.legs.get(&leg.service)?;
+        let (from, to) = (state.service.place, pending.asker);
+        if state.broken || !self.lives(state.service) {
+            return None;
+        }
+        let before = self.counters;
+        let arrival = self.cross(from, to);
+        if !counted {
+            self.counters = before;
+        }
+        let state = self.queries.get_mut(&leg.query)?.legs.get_mut(&leg.service)?;
+        match arrival {
+            Some(arrival) => {
+                state.floor = state.floor.max(arrival);
+                Some((from, to, state.floor))
+            }
+            None => {
+                state.broken = true;
+                None
+            }
+        }
+    }
+
+    pub(super) fn deliver_question(&mut self, from: Place, to: Life, leg: Leg) {
+        let question = self.queries.get(&leg.query).map(|query| Arc::clone(&query.question));
+        let service = self.services.declared.get(&leg.service).filter(|_| self.lives(to));
+        let (Some(question), Some(service)) = (question, service) else {
+            self.count(false);
+            return self.finish(leg); // nobody listens there any more
+        };
+        let query = Query {
+            key: question.wanted.to_string(),
+            parameters: question.parameters.clone(),
+            payload: question.payload.clone(),
+            replier: Box::new(Responder::new(self.home.clone(), leg, to, Arc::clone(&question))),
+        };
+        let heard = service.mailbox.send(query).is_ok();
+        self.trace.note(self.now, from, to.place, leg.service, &question.payload);
+        self.count(heard);
+    }
+
+    pub(super) fn deliver_answer(&mut self, from: Place, to: Place, leg: Leg, reply: Reply) {
+        let Some(query) = self.queries.get(&leg.query) else { return self.count(false) };
+        let content = match &reply.payload {
+            Ok(payload) => payload.clone(),
+            Err(reason) => Bytes::copy_from_slice(reason.as_bytes()),
+        };
+        let heard = query.replies.send(reply).is_ok();
+        self.trace.note(self.now, from, to, leg.service, &content);
+        self.count(heard);
+    }
+
+    pub(super) fn break_leg(&mut self, leg: Leg) {
+        if let Some(state) = self.queries.get_mut(&leg.query).and_then(|query| query.legs.get_mut(&leg.service)) {
+            state.broken = true;
+        }
+    }
+
+    pub(super) fn end_leg(&mut self, leg: Leg) {
+        if let Some(query) = self.queries.get_mut(&leg.query) {
+            query.legs.remove(&leg.service);
+            if query.legs.is_empty() {
+                self.queries.remove(&leg.query);
+            }
+        }
+    }
+
+    /// Ends the legs of `at`'s queries at services of `of` that fit.
+    pub(super) fn give_up(&mut self, at: Place, of: Place, fits: impl Fn(&LegState) -> bool) {
+        self.queries.retain(|_, query| {
+            if query.asker == at {
+                query.legs.retain(|_, leg| leg.service.place != of || !fits(leg));
+            }
+            !query.legs.is_empty()
+        });
+    }
+}

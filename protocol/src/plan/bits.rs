@@ -1,0 +1,56 @@
+//! A set of small numbers, for orders over a few hundred tasks.
+
+/// A set of numbers below a bound that is fixed when the set is made.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(super) struct Bits {
+    words: Vec<u64>,
+}
+
+impl Bits {
+    /// The empty set of numbers below `bound`.
+    pub(super) fn below(bound: usize) -> Self {
+        Self { words: vec![0; bound.div_ceil(64)] }
+    }
+
+    pub(super) fn insert(&mut self, number: usize) {
+        self.words[number / 64] |= 1 << (number % 64);
+    }
+
+    pub(super) fn contains(&self, number: usize) -> bool {
+        self.words[number / 64] & (1 << (number % 64)) != 0
+    }
+
+    /// Adds all of the other set, which has the same bound.
+    pub(super) fn extend(&mut self, other: &Bits) {
+        self.words.iter_mut().zip(&other.words).for_each(|(word, other)| *word |= other);
+    }
+
+    /// The numbers in the set, from the largest down.
+    pub(super) fn descending(&self) -> impl Iterator<Item = usize> + '_ {
+        self.words.iter().enumerate().rev().flat_map(|(at, &word)| {
+            let mut rest = word;
+            std::iter::from_fn(move || {
+                let highest = 63_u32.checked_sub(rest.leading_zeros())?;
+                rest &= !(1 << highest);
+                Some(at * 64 + highest as usize)
+            })
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn numbers_come_out_from_the_largest_down() {
+        let mut bits = Bits::below(130);
+        [0, 63, 64, 129].into_iter().for_each(|number| bits.insert(number));
+        assert_eq!(bits.descending().collect::<Vec<_>>(), [129, 64, 63, 0]);
+        assert!(bits.contains(64) && !bits.contains(65));
+        let mut more = Bits::below(130);
+        more.insert(65);
+        more.extend(&bits);
+        assert_eq!(more.descending().collect::<Vec<_>>(), [129, 65, 64, 63, 0]);
+    }
+}

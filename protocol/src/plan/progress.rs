@@ -1,0 +1,233 @@
+//! How far a role has come in its local plan, and what it may do next.
+//!
+//! A value that is told what has ended and what has been heard, and answers which steps may be performed. It keeps the
+//! contract of [`check_division`](super::check_division): whoever performs only what it allows, one step at a time,
+//! waits for nobody for ever.
+
+use super::local::{LocalPlan, Signal, SignalKind, Step, StepAction, StepIndex};
+use crate::ids::TaskId;
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeSet;
+
+/// A role's progress in its plan. Survives as text or bytes, and is checked when it is read back.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(try_from = "Kept", into = "Kept")]
+pub struct PlanProgress {
+    plan: LocalPlan,
+    ended: BTreeSet<StepIndex>,
+    heard: BTreeSet<Signal>,
+}
+
+/// The form in which progress is kept.
+#[derive(Serialize, Deserialize)]
+struct Kept {
+    plan: LocalPlan,
+    ended: BTreeSet<StepIndex>,
+    heard: BTreeSet<Signal>,
+}
+
+/// Why kept progress cannot be taken up. Nothing was taken over.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+pub enum ProgressError {
+    /// Kept for another plan, perhaps.
+    #[error("step {step} is said to have ended, but the plan has {steps} steps")]
+    NoSuchStep {
+        /// The step.
+        step: StepIndex,
+        /// How many there are.
+        steps: usize,
+    },
+    /// Kept for another plan, perhaps.
+    #[error("step {step} is said to have ended, but not step {before}, which comes before it")]
+    OutOfOrder {
+        /// The step.
+        step: StepIndex,
+        /// What should have ended first.
+        before: StepIndex,
+    },
+    /// Kept for another plan, perhaps.
+    #[error("the signal {signal} is said to have been heard, but the plan does not wait for it")]
+    NotAwaited {
+        /// The signal.
+        signal: Signal,
+    },
+}
+
+/// A step that was said to have ended and could not have. The progress is unchanged; ordinary when a report comes twice
+/// or after its mission was taken away.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
+#[error("step {step} cannot end now: {problem}")]
+pub struct NotPermitted {
+    /// The step.
+    pub step: StepIndex,
+    /// Why not.
+    pub problem: &'static str,
+}
+
+impl TryFrom<Kept> for PlanProgress {
+    type Error = ProgressError;
+    fn try_from(kept: Kept) -> Result<Self, ProgressError> {
+        PlanProgress::restore(kept.plan, kept.ended, kept.heard)
+    }
+}
+
+impl From<PlanProgress> for Kept {
+    fn from(progress: PlanProgress) -> Kept {
+        Kept { plan: progress.plan, ended: progress.ended, heard: progress.heard }
+    }
+}
+
+impl PlanProgress {
+    /// Nothing has ended yet.
+    pub fn new(plan: LocalPlan) -> Self {
+        Self { plan, ended: BTreeSet::new(), heard: BTreeSet::new() }
+    }
+
+    /// Takes up where somebody left off. A wait that has ended counts as heard.
+    ///
+    /// # Errors
+    /// [`ProgressError`] if the steps are not of this plan, or ended in an order that the plan does not allow.
+    pub fn restore(
+        plan: LocalPlan,
+        ended: BTreeSet<StepIndex>,
+        mut heard: BTreeSet<Signal>,
+    ) -> Result<Self, ProgressError> {
+        for &step in &ended {
+            let Some(Step { action, after }) = plan.steps.get(step as usize) else {
+                return Err(ProgressError::NoSuchStep { step, steps: plan.steps.len() });
+            };
+            if let Some(&before) = after.iter().find(|before| !ended.contains(before)) {
+                return Err(ProgressError::OutOfOrder { step, before });
+            }
+            if let StepAction::Wait(signal) = action {
+                heard.insert(signal.clone());
+            }
+        }
+        let awaited: BTreeSet<&Signal> = waits(&plan).map(|(_, signal)| signal).collect();
+        if let Some(signal) = heard.iter().find(|signal| !awaited.contains(signal)) {
+            return Err(ProgressError::NotAwaited { signal: signal.clone() });
+        }
+        Ok(Self { plan, ended, heard })
+    }
+
+    /// The plan.
+    pub fn plan(&self) -> &LocalPlan {
+        &self.plan
+    }
+
+    /// A step of the plan.
+    pub fn step(&self, step: StepIndex) -> Option<&Step> {
+        self.plan.steps.get(step as usize)
+    }
+
+    /// The steps that have ended.
+    pub fn ended(&self) -> &BTreeSet<StepIndex> {
+        &self.ended
+    }
+
+    /// Whether all steps have ended.
+    pub fn is_complete(&self) -> bool {
+        self.ended.len() == self.plan.steps.len()
+    }
+
+    /// The joint task for which this role has said that it stands ready, until its part in it has ended. Until then
+    /// it does no other task.
+    pub fn committed(&self) -> Option<&TaskId> {
+        let mut ready = self.ended.iter().rev().filter_map(|step| match self.step(*step).map(|step| &step.action) {
+            Some(StepAction::Send(signal)) if signal.kind == SignalKind::Ready => Some(&signal.task),
+            _ => None,
+        });
+        let unended = |task: &TaskId| {
+            self.plan.steps.iter().enumerate().any(|(index, step)| match &step.action {
+                StepAction::Task { id, .. } => id == task && !self.ended.contains(&(index as StepIndex)),
+                StepAction::Send(_) | StepAction::Wait(_) => false,
+            })
+        };
+        ready.find(|task| unended(task))
+    }
+
+    /// Every step that may be performed now by a robot that does no task at present, in the order of the plan.
+    pub fn permitted(&self) -> Vec<StepIndex> {
+        let committed = self.committed();
+        let free = |task: &TaskId| committed.is_none_or(|joint| joint == task);
+        let may = |step: &Step| match &step.action {
+            StepAction::Task { id, .. } => free(id),
+            StepAction::Send(signal) => signal.kind == SignalKind::Done || free(&signal.task),
+            StepAction::Wait(signal) => self.heard.contains(signal),
+        };
+        self.open().filter(|(_, step)| may(step)).map(|(index, _)| index).collect()
+    }
+
+    /// The step to perform next: what others may be waiting for, then what has been heard, then the first task in the order
+    /// of the plan, or the `ready` for it. To be asked while no task runs: what is heard meanwhile may let another one
+    /// come first.
+    pub fn next(&self) -> Option<(StepIndex, &Step)> {
+        let permitted = self.permitted();
+        let rank = |index: &StepIndex| match &self.plan.steps[*index as usize].action {
+            StepAction::Send(signal) if signal.kind == SignalKind::Done => 0,
+            StepAction::Wait(_) => 1,
+            StepAction::Send(_) | StepAction::Task { .. } => 2,
+        };
+        let index = permitted.into_iter().min_by_key(|index| (rank(index), *index))?;
+        Some((index, &self.plan.steps[index as usize]))
+    }
+
+    /// A step was performed: sent, done with success, or, of a wait, noticed.
+    ///
+    /// # Errors
+    /// [`NotPermitted`] if the step could not have been performed; nothing is changed.
+    pub fn end(&mut self, step: StepIndex) -> Result<(), NotPermitted> {
+        let refuse = |problem| Err(NotPermitted { step, problem });
+        if step as usize >= self.plan.steps.len() {
+            return refuse("the plan has no such step");
+        }
+        if self.ended.contains(&step) {
+            return refuse("it has ended already");
+        }
+        if !self.permitted().contains(&step) {
+            return refuse(
+                "what comes before it has not ended, or its signal has not been heard, or a joint task is due",
+            );
+        }
+        self.ended.insert(step);
+        Ok(())
+    }
+
+    /// A signal has arrived. Returns whether that is news: a signal that was heard before, or that is not for this plan,
+    /// changes nothing.
+    pub fn hear(&mut self, signal: &Signal) -> bool {
+        waits(&self.plan).any(|(_, awaited)| awaited == signal) && self.heard.insert(signal.clone())
+    }
+
+    /// The signals whose time has come and which have not been heard: what to ask others for.
+    pub fn awaiting(&self) -> Vec<&Signal> {
+        self.open()
+            .filter_map(|(_, step)| match &step.action {
+                StepAction::Wait(signal) if !self.heard.contains(signal) => Some(signal),
+                StepAction::Wait(_) | StepAction::Send(_) | StepAction::Task { .. } => None,
+            })
+            .collect()
+    }
+
+    /// Whether this role has sent the signal: the answer to somebody who asks.
+    pub fn has_sent(&self, signal: &Signal) -> bool {
+        self.ended.iter().any(|step| match self.step(*step).map(|step| &step.action) {
+            Some(StepAction::Send(sent)) => sent == signal,
+            Some(StepAction::Wait(_) | StepAction::Task { .. }) | None => false,
+        })
+    }
+
+    /// The steps that have not ended, of which all `after` have.
+    fn open(&self) -> impl Iterator<Item = (StepIndex, &Step)> {
+        self.plan.steps.iter().enumerate().map(|(index, step)| (index as StepIndex, step)).filter(|(index, step)| {
+            !self.ended.contains(index) && step.after.iter().all(|before| self.ended.contains(before))
+        })
+    }
+}
+
+fn waits(plan: &LocalPlan) -> impl Iterator<Item = (usize, &Signal)> {
+    plan.steps.iter().enumerate().filter_map(|(index, step)| match &step.action {
+        StepAction::Wait(signal) => Some((index, signal)),
+        StepAction::Send(_) | StepAction::Task { .. } => None,
+    })
+}

@@ -1,0 +1,224 @@
+//! Random missions, divided: whatever happens in whatever order, the mission is carried out.
+
+use crate::support::{
+    Explored, Sequence, Task, Team, Tree, Unordered, explore, leaves, mission, signals, slow_order, without_signal,
+    without_step,
+};
+use consort_protocol::plan::{
+    Division, DivisionError, DivisionFault, GlobalOrder, PlanProgress, SignalKind, StepAction, StepIndex,
+    check_division, divide, divide_and_check,
+};
+use proptest::prelude::*;
+use proptest::sample::subsequence;
+use std::collections::BTreeSet;
+
+/// Trees of up to about `size` tasks, of `roles` roles, jointly done by up to three.
+fn trees(roles: usize, size: u32) -> impl Strategy<Value = Tree> {
+    let one = (0..roles).prop_map(|role| Task(vec![role]));
+    let joint = subsequence((0..roles).collect::<Vec<_>>(), 2..=3.min(roles)).prop_shuffle().prop_map(Task);
+    prop_oneof![3 => one, 2 => joint].prop_recursive(4, size, 4, |below| {
+        (any::<bool>(), prop::collection::vec(below, 1..=4))
+            .prop_map(|(sequential, below)| if sequential { Sequence(below) } else { Unordered(below) })
+    })
+}
+
+/// Trees small enough that every state can be visited.
+fn small_trees() -> impl Strategy<Value = Tree> {
+    let parts = |tree: &Tree| leaves(tree).iter().map(Vec::len).sum::<usize>();
+    trees(4, 6).prop_filter("few parts", move |tree| (2..=8).contains(&parts(tree)))
+}
+
+/// Numbers without pattern, from a seed.
+struct Dice(u64);
+
+impl Dice {
+    fn below(&mut self, bound: usize) -> usize {
+        self.0 = self.0.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+        ((self.0 >> 33) as usize) % bound
+    }
+}
+
+/// One run to its end; `advised` robots follow `next`.
+fn run(division: &Division, before: &[Vec<bool>], seed: u64, advised: bool) -> Result<(), String> {
+    let mut dice = Dice(seed);
+    let mut team = Team::of(division, before);
+    loop {
+        let events = if advised { team.advised() } else { team.events() };
+        if events.is_empty() {
+            return if team.is_complete() { Ok(()) } else { Err(format!("stuck: {:?}", team.key())) };
+        }
+        team.apply(events[dice.below(events.len())])?;
+        if dice.below(16) == 0 {
+            // Somebody restarts from what it had kept.
+            for robot in team.robots_mut() {
+                let text = serde_json::to_string(robot).unwrap();
+                *robot = serde_json::from_str::<PlanProgress>(&text).map_err(|error| error.to_string())?;
+            }
+        }
+    }
+}
+
+fn refused(tree: &Tree, division: &Division) -> Option<Vec<DivisionFault>> {
+    match check_division(&mission(tree), division) {
+        Ok(()) => None,
+        Err(DivisionError::Unsound(error)) => Some(error.faults),
+        Err(DivisionError::Mission(error)) => panic!("{error}"),
+    }
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { cases: 300, failure_persistence: None, ..ProptestConfig::default() })]
+
+    #[test]
+    fn the_global_order_is_the_slow_one(tree in trees(5, 40)) {
+        let mission = mission(&tree);
+        let (order, slow) = (GlobalOrder::of(&mission).unwrap(), slow_order(&tree));
+        for (first, row) in slow.iter().enumerate() {
+            for (second, before) in row.iter().enumerate() {
+                prop_assert_eq!(order.precedes(first, second), *before, "t{} t{}", first, second);
+            }
+        }
+    }
+
+    #[test]
+    fn every_division_passes_its_check(tree in trees(5, 40)) {
+        let mission = mission(&tree);
+        let division = divide_and_check(&mission).map_err(|error| TestCaseError::fail(error.to_string()))?;
+        prop_assert_eq!(divide(&mission).unwrap(), division.clone(), "the same mission has the same division");
+        // `after` is sorted and says nothing twice.
+        for plan in division.plans.values() {
+            let mut before: Vec<BTreeSet<StepIndex>> = Vec::new();
+            for step in &plan.steps {
+                for sooner in &step.after {
+                    prop_assert!(!step.after.iter().any(|other| before[*other as usize].contains(sooner)));
+                }
+                let reached = step.after.iter().flat_map(|sooner| before[*sooner as usize].iter().chain([sooner]));
+                before.push(reached.copied().collect());
+            }
+        }
+    }
+
+    #[test]
+    fn nothing_is_ordered_that_the_mission_leaves_open(tree in trees(4, 20)) {
+        let (mission, slow) = (mission(&tree), slow_order(&tree));
+        let division = divide(&mission).unwrap();
+        for plan in division.plans.values() {
+            let mut before: Vec<BTreeSet<usize>> = Vec::new();
+            for step in &plan.steps {
+                let mut known: BTreeSet<usize> =
+                    step.after.iter().flat_map(|sooner| before[*sooner as usize].clone()).collect();
+                if let StepAction::Task { id, .. } = &step.action {
+                    let task = crate::support::number(id);
+                    prop_assert!(known.iter().all(|earlier| slow[*earlier][task]), "{}", id);
+                    known.insert(task);
+                }
+                before.push(known);
+            }
+        }
+    }
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { cases: 60, failure_persistence: None, ..ProptestConfig::default() })]
+
+    #[test]
+    fn large_missions_end_in_order_however_they_run(tree in trees(6, 40), seed: u64) {
+        let before = slow_order(&tree);
+        let division = divide_and_check(&mission(&tree)).unwrap();
+        for walk in 0..4 {
+            let run = run(&division, &before, seed ^ walk, walk % 2 == 1);
+            prop_assert_eq!(run, Ok(()));
+        }
+    }
+
+    #[test]
+    fn every_interleaving_of_a_small_mission_ends_in_order(tree in small_trees()) {
+        let before = slow_order(&tree);
+        let division = divide_and_check(&mission(&tree)).unwrap();
+        let explored = explore(&division, &before, 4_000);
+        prop_assert!(!matches!(explored, Explored::Wrong(_)), "{:?}", explored);
+    }
+
+    #[test]
+    fn no_signal_can_be_left_out(tree in trees(5, 16)) {
+        let division = divide(&mission(&tree)).unwrap();
+        let joint = leaves(&tree).iter().any(|roles| roles.len() > 1);
+        for (signal, ..) in signals(&division) {
+            let Some(faults) = refused(&tree, &without_signal(&division, &signal)) else {
+                return Err(TestCaseError::fail(format!("{signal} says nothing new")));
+            };
+            let breaks_order = |fault: &DivisionFault| matches!(fault, DivisionFault::OutOfOrder { .. });
+            prop_assert!(joint || faults.iter().any(breaks_order), "{:?}", faults);
+        }
+    }
+
+    #[test]
+    fn half_a_signal_is_refused(tree in trees(5, 16)) {
+        let division = divide(&mission(&tree)).unwrap();
+        for (signal, send, wait) in signals(&division) {
+            let faults = refused(&tree, &without_step(&division, &send.0, send.1)).unwrap();
+            let signal_of_fault = DivisionFault::WaitInVain { signal: signal.clone() };
+            prop_assert_eq!(faults, vec![signal_of_fault]);
+            let faults = refused(&tree, &without_step(&division, &wait.0, wait.1)).unwrap();
+            prop_assert_eq!(faults, vec![DivisionFault::SendUnheard { signal: signal.clone() }]);
+
+            for other in division.plans.keys().filter(|other| **other != signal.to) {
+                let mut retargeted = division.clone();
+                let step = &mut retargeted.plans.get_mut(&send.0).unwrap().steps[send.1];
+                step.action = StepAction::Send(consort_protocol::plan::Signal { to: other.clone(), ..signal.clone() });
+                prop_assert!(refused(&tree, &retargeted).is_some(), "{} to {}", signal, other);
+            }
+        }
+    }
+
+    /// The check is worth what it accepts: of plans spoilt at random, all that pass run soundly to their end.
+    #[test]
+    fn what_passes_the_check_runs_soundly(tree in small_trees(), seed: u64) {
+        let before = slow_order(&tree);
+        let sound = divide(&mission(&tree)).unwrap();
+        let mut dice = Dice(seed);
+        for _ in 0..6 {
+            let mut division = sound.clone();
+            for _ in 0..=dice.below(2) {
+                spoil(&mut division, &mut dice);
+            }
+            if refused(&tree, &division).is_none() {
+                let explored = explore(&division, &before, 1_500);
+                prop_assert!(!matches!(explored, Explored::Wrong(_)), "{:?}\n{:#?}", explored, division);
+            }
+        }
+    }
+}
+
+/// Takes an order or a signal away from some plan, or adds an order.
+fn spoil(division: &mut Division, dice: &mut Dice) {
+    let plans = division.plans.len();
+    let role = division.plans.keys().nth(dice.below(plans)).unwrap().clone();
+    let plan = division.plans.get_mut(&role).unwrap();
+    let index = dice.below(plan.steps.len());
+    match dice.below(3) {
+        0 if !plan.steps[index].after.is_empty() => {
+            let gone = dice.below(plan.steps[index].after.len());
+            let gone = plan.steps[index].after.remove(gone);
+            if dice.below(2) == 0 {
+                let mut after: BTreeSet<StepIndex> = plan.steps[index].after.iter().copied().collect();
+                after.extend(&plan.steps[gone as usize].after);
+                plan.steps[index].after = after.into_iter().collect();
+            }
+        }
+        1 if index > 0 => {
+            let more = dice.below(index) as StepIndex;
+            if !plan.steps[index].after.contains(&more) {
+                plan.steps[index].after.push(more);
+                plan.steps[index].after.sort_unstable();
+            }
+        }
+        _ => {
+            let signals = signals(division);
+            let done: Vec<_> = signals.iter().filter(|(signal, ..)| signal.kind == SignalKind::Done).collect();
+            if !done.is_empty() {
+                *division = without_signal(division, &done[dice.below(done.len())].0);
+            }
+        }
+    }
+}
