@@ -90,3 +90,16 @@ fn a_wait_takes_the_time_it_is_told() {
     assert_eq!(run(&mut skill(&task("wait", &[("seconds", "2.5")])), &mut body), SkillStatus::Succeeded);
     assert_eq!(body.sent(), ["wait 2.50 s"]);
 }
+
+#[test]
+fn a_resumed_drive_is_planned_from_where_the_body_came_to_a_stop() {
+    let mut body = ScriptedBody::at("A");
+    let mut skill = skill(&task("navigation", &[("to", "B")]));
+    skill.tick(&mut body);
+    skill.halt(&mut body);
+    assert_eq!(skill.tick(&mut body), SkillStatus::Running);
+    body.put(10.0, place("B"));
+    body.stand_still();
+    assert_eq!(skill.tick(&mut body), SkillStatus::Succeeded);
+    assert_eq!(body.sent(), ["drive B 10"], "it rolled on to B while it stopped");
+}

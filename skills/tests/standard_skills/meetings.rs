@@ -85,3 +85,16 @@ fn a_role_that_no_robot_holds_is_named_with_those_that_are_held() {
         assert_eq!(body.sent(), Vec::<String>::new());
     }
 }
+
+#[test]
+fn a_halted_skill_sends_again_only_when_the_body_has_let_go() {
+    let mut body = ScriptedBody::at("A");
+    let mut skill = skill(&task("operate_drawer", &[("action", "open")]));
+    skill.tick(&mut body);
+    skill.halt(&mut body);
+    assert_eq!(skill.tick(&mut body), SkillStatus::Running);
+    assert_eq!(body.sent(), ["drawer true"]);
+    body.stand_still();
+    assert_eq!(run(&mut skill, &mut body), SkillStatus::Succeeded);
+    assert_eq!(body.sent(), ["drawer true", "drawer true"]);
+}

@@ -97,3 +97,13 @@ fn a_panic_in_a_leaf_passes_through() {
     let caught = std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| stage.tick()));
     assert!(caught.is_err());
 }
+
+#[test]
+fn a_cause_does_not_outlive_its_run() {
+    let mut stage =
+        Stage::set(sequence([NodeSpec::new("ForceSuccess").child(play("a", "FS")), NodeSpec::new("AlwaysFailure")]));
+    stage.expect(&[('F', "a")]);
+    assert_eq!(stage.tree.cause().unwrap().text, "Play: a says no");
+    stage.expect(&[('F', "a")]);
+    assert_eq!(stage.tree.cause(), None);
+}
