@@ -614,15 +614,10 @@ impl Reign {
             replica: &settings.replica,
         };
         let Ok(asked) = keyexpr::new(query.key.as_str()) else { return };
-        let mut found = false;
         for (key, value) in window.all() {
             if keyexpr::new(key.as_str()).is_ok_and(|key| asked.intersects(key)) {
-                found = true;
                 answer::json(query, &key, &value).await;
             }
-        }
-        if !found {
-            answer::refuse(query, "nothing to see under this key; try view/**").await;
         }
     }
 }
