@@ -2,8 +2,8 @@
 
 use crate::config::{self, ConfigFile, FleetConfig, Problem, Problems, RobotConfig, StationConfig, WorldConfig};
 use crate::{floor, source, wiring};
-use consort_protocol::mission::{Domain, Format, IhtnReading, MissionTemplate, TemplateKind, import_ihtn};
 use consort_protocol::ids::TaskId;
+use consort_protocol::mission::{Domain, Format, IhtnReading, MissionTemplate, TemplateKind, import_ihtn};
 use consort_protocol::plan::divide_and_check;
 use serde_json::Value;
 use std::collections::{BTreeMap, BTreeSet};
@@ -117,9 +117,9 @@ fn mission(text: &str, path: &Path, file: &str) -> Result<String, Problems> {
     };
     let given: BTreeMap<String, String> =
         open.map(|(name, parameter)| (name.clone(), sample(parameter.kind).to_owned())).collect();
-    let mission = template.instantiate(&given, &Domain::hospital()).map_err(|errors| {
-        Problems(errors.problems.iter().map(|problem| Problem::of(file, problem)).collect())
-    })?;
+    let mission = template
+        .instantiate(&given, &Domain::hospital())
+        .map_err(|errors| Problems(errors.problems.iter().map(|problem| Problem::of(file, problem)).collect()))?;
     let division = divide_and_check(&mission).map_err(|error| Problems::from(Problem::of(file, error)))?;
     let steps: usize = division.plans.values().map(|plan| plan.steps.len()).sum();
     Ok(format!("{}, {} roles, {steps} steps", template.name(), mission.roles.len()))
@@ -135,9 +135,8 @@ fn ihtn(text: &str, path: &Path, file: &str) -> Result<String, Problems> {
         unmanaged: BTreeSet::from(["nurse".parse().expect("a slug")]),
         aliases: BTreeMap::from([("navto".to_owned(), slug("navigation"))]),
     };
-    let mission = import_ihtn(text, &reading, &Domain::hospital()).map_err(|errors| {
-        Problems(errors.problems.iter().map(|problem| Problem::of(file, problem)).collect())
-    })?;
+    let mission = import_ihtn(text, &reading, &Domain::hospital())
+        .map_err(|errors| Problems(errors.problems.iter().map(|problem| Problem::of(file, problem)).collect()))?;
     let division = divide_and_check(&mission).map_err(|error| Problems::from(Problem::of(file, error)))?;
     let steps: usize = division.plans.values().map(|plan| plan.steps.len()).sum();
     Ok(format!("{} roles, {steps} steps", mission.roles.len()))
@@ -187,14 +186,8 @@ fn recognise_toml(text: &str, file: &str) -> Result<Kind, Problems> {
     const MARKS: [(Kind, &[&str]); 5] = [
         (Kind::Workers, &["worker"]),
         (Kind::World, &["robot", "person", "seed", "speed", "durations"]),
-        (
-            Kind::Robot,
-            &["place", "skills", "speed_mps", "battery", "discharge_share_per_s", "useful_charge"],
-        ),
-        (
-            Kind::Fleet,
-            &["map", "bootstrap_expect", "link_lease_ms", "limits", "lease", "auction", "ensemble"],
-        ),
+        (Kind::Robot, &["place", "skills", "speed_mps", "battery", "discharge_share_per_s", "useful_charge"]),
+        (Kind::Fleet, &["map", "bootstrap_expect", "link_lease_ms", "limits", "lease", "auction", "ensemble"]),
         (Kind::Station, &["fleet", "stationary", "mains_powered", "may_vote", "bus"]),
     ];
     let count = |marks: &[&str]| marks.iter().filter(|mark| table.contains_key(**mark)).count();
@@ -207,4 +200,3 @@ fn recognise_toml(text: &str, file: &str) -> Result<Kind, Problems> {
         _ => Err(unknown(file, "none of its keys is one of a fleet, robot, station, world or workers file")),
     }
 }
-

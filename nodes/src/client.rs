@@ -31,7 +31,13 @@ pub struct ClientFlags {
     #[arg(long, env = "CONSORT_FLEET", value_name = "NAME|FILE", default_value = DEFAULT_FLEET)]
     fleet: String,
     /// Address of any node or router of the fleet; may be repeated, the first that can be reached is used
-    #[arg(long, env = "CONSORT_CONNECT", value_delimiter = ',', value_name = "ADDRESS", default_value = "tcp/127.0.0.1:7447")]
+    #[arg(
+        long,
+        env = "CONSORT_CONNECT",
+        value_delimiter = ',',
+        value_name = "ADDRESS",
+        default_value = "tcp/127.0.0.1:7447"
+    )]
     connect: Vec<String>,
     /// How long to try to reach the fleet and its coordinator, in seconds
     #[arg(long, env = "CONSORT_TIMEOUT", value_name = "SECONDS", default_value_t = 10.0)]

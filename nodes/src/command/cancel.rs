@@ -43,7 +43,8 @@ pub fn run(args: Args) -> Result<(), Failure> {
         }
         let state = answer.get("state").cloned().unwrap_or_default();
         let word = state.as_str().map(str::to_owned);
-        let word = word.or_else(|| state.as_object().and_then(|map: &serde_json::Map<String, Value>| map.keys().next().cloned()));
+        let word = word
+            .or_else(|| state.as_object().and_then(|map: &serde_json::Map<String, Value>| map.keys().next().cloned()));
         let detail = super::missions::detail(&state);
         output::line(format_args!("{} {}{detail}", args.mission, word.unwrap_or_else(|| "canceled".to_owned())))
     })

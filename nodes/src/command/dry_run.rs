@@ -244,18 +244,18 @@ fn readable(result: &DryRun) -> String {
 }
 
 fn row(offer: &Offer, chosen: Option<&RobotId>) -> Vec<String> {
-    let percent = |share: Option<f64>| share.map_or("-".to_owned(), |share| format!("{:.1} %", share * 100.0));
-    let verdict = match (&offer.reason, chosen == Some(&offer.worker)) {
-        (_, true) => "chosen".to_owned(),
-        (None, false) => "viable".to_owned(),
-        (Some(reason), false) if offer.time_s.is_some() => format!("not viable: {reason}"),
-        (Some(reason), false) => format!("refuses: {reason}"),
+    let reason = offer.reason.as_deref();
+    let (Some(time), Some(energy), Some(remaining)) = (offer.time_s, offer.energy, offer.remaining) else {
+        let [time, energy, remaining] = ["-"; 3].map(str::to_owned);
+        return vec![offer.worker.to_string(), time, energy, remaining, format!("refuses: {}", reason.unwrap_or("?"))];
     };
-    vec![
-        offer.worker.to_string(),
-        offer.time_s.map_or("-".to_owned(), |time| format!("{time:.1} s")),
-        format!("uses {}", percent(offer.energy)),
-        format!("leaves {}", percent(offer.remaining)),
-        verdict,
-    ]
+    let verdict = match reason {
+        _ if chosen == Some(&offer.worker) => "chosen".to_owned(),
+        None => "viable".to_owned(),
+        Some(reason) => format!("not viable: {reason}"),
+    };
+    let (energy, remaining) = (energy * 100.0, remaining * 100.0);
+    let [time, energy, remaining] =
+        [format!("{time:.1} s"), format!("uses {energy:.1} %"), format!("leaves {remaining:.1} %")];
+    vec![offer.worker.to_string(), time, energy, remaining, verdict]
 }

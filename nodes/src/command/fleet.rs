@@ -68,16 +68,24 @@ fn row(node: &Value, fleet: &Value, coordinator: &Value) -> Vec<String> {
         let text = |key: &str| holds.get(key).and_then(Value::as_str).unwrap_or("?");
         format!("{} of {}", text("role"), text("mission"))
     });
-    let skills = node.pointer("/robot/skills").and_then(Value::as_array).map(|skills| {
-        skills.iter().filter_map(Value::as_str).collect::<Vec<_>>().join(", ")
-    });
+    let skills = node
+        .pointer("/robot/skills")
+        .and_then(Value::as_array)
+        .map(|skills| skills.iter().filter_map(Value::as_str).collect::<Vec<_>>().join(", "));
     let voters = coordinator.get("voters").and_then(Value::as_array);
     let votes = voters.is_some_and(|voters| voters.iter().any(|voter| voter.as_str() == Some(name)));
     let coordinates = coordinator.get("node").and_then(Value::as_str) == Some(name);
     vec![
         name.to_owned(),
         yes_no(node.get("alive")).to_owned(),
-        if coordinates { "coordinates" } else if votes { "votes" } else { "-" }.to_owned(),
+        if coordinates {
+            "coordinates"
+        } else if votes {
+            "votes"
+        } else {
+            "-"
+        }
+        .to_owned(),
         node.pointer("/robot/place").and_then(Value::as_str).map_or_else(dash, str::to_owned),
         number("/robot/battery").map_or_else(dash, |share| format!("{:.1} %", share * 100.0)),
         number("/robot/speed").map_or_else(dash, |speed| format!("{speed:.2} m/s")),

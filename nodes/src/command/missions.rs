@@ -101,7 +101,9 @@ fn row(mission: &Value) -> Vec<String> {
         format!("{}/{}", number("done"), number("steps")),
         pairs(mission.get("parameters")),
         pairs(mission.get("holders")),
-        why.unwrap_or_else(|| mission.get("detail").map(detail).unwrap_or_default().trim_start_matches(": ").to_owned()),
+        why.unwrap_or_else(|| {
+            mission.get("detail").map(detail).unwrap_or_default().trim_start_matches(": ").to_owned()
+        }),
     ]
 }
 
