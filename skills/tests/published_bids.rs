@@ -7,7 +7,6 @@ use consort_protocol::units::{MetresPerSecond, SharePerSecond};
 use consort_skills::descriptor::{Context, DescriptorRegistry, Estimator};
 use consort_skills::environment::{Environment, Routes, TopologicalMap};
 use serde_json::Value;
-use std::io::Write;
 use std::path::PathBuf;
 
 fn reference() -> Option<PathBuf> {
@@ -20,8 +19,13 @@ fn reference() -> Option<PathBuf> {
         return Some(folder);
     }
     let note = format!("skipped: there is no {}; set CONSORT_REFERENCE to look elsewhere", folder.display());
-    writeln!(std::io::stderr(), "{note}").unwrap();
+    tell(&note);
     None
+}
+
+#[expect(clippy::print_stderr, reason = "a test that is skipped says so")]
+fn tell(note: &str) {
+    eprintln!("{note}");
 }
 
 fn task(id: &str, task_type: &str, parameters: &[(&str, &str)]) -> StepAction {

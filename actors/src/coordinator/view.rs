@@ -1,6 +1,6 @@
 //! The fleet as people see it, in JSON.
 
-use crate::gossip::SharedKnowledge;
+use crate::gossip::{SharedKnowledge, Status};
 use crate::replica::{Leadership, Replica};
 use consort_protocol::ensemble::Ensemble;
 use consort_protocol::ids::{NodeId, RobotId};
@@ -10,7 +10,7 @@ use consort_protocol::ledger::{Ledger, MissionEntry};
 use consort_protocol::plan::{LocalPlan, StepAction, StepIndex};
 use consort_protocol::units::NodeTime;
 use serde_json::{Value, json};
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 
 /// Auctions shown.
 const AUCTIONS_SHOWN: usize = 20;
@@ -36,10 +36,11 @@ impl Window<'_> {
             (Key::ViewMissions, self.replica.read(missions)),
             (Key::ViewAuctions, self.replica.read(auctions)),
         ];
+        let statuses = self.knowledge.statuses();
         views.extend(self.knowledge.read(|base| {
             let robots = base.iter().filter(|(_, heard)| heard.record.knowledge.worker.is_some());
             robots
-                .map(|(node, heard)| (Key::ViewRobot(RobotId::from(node.clone())), self.node(node, heard)))
+                .map(|(node, heard)| (Key::ViewRobot(RobotId::from(node.clone())), self.node(node, heard, &statuses)))
                 .collect::<Vec<_>>()
         }));
         views.extend(self.replica.read(|ledger| {
@@ -60,8 +61,9 @@ impl Window<'_> {
     }
 
     fn fleet(&self) -> Value {
+        let statuses = self.knowledge.statuses();
         self.knowledge.read(|base| {
-            let nodes: Vec<Value> = base.iter().map(|(node, heard)| self.node(node, heard)).collect();
+            let nodes: Vec<Value> = base.iter().map(|(node, heard)| self.node(node, heard, &statuses)).collect();
             let members = base.iter().map(|(node, _)| {
                 let verdict = self.ensemble.judge(node, self.node, base, self.now);
                 json!({ "node": node, "member": verdict.member, "reason": verdict.reason, "age_ms": verdict.age_ms })
@@ -76,7 +78,8 @@ impl Window<'_> {
         })
     }
 
-    fn node(&self, node: &NodeId, heard: &Heard) -> Value {
+    /// One node. The statuses come from outside: knowledge is locked while its records are looked at.
+    fn node(&self, node: &NodeId, heard: &Heard, statuses: &BTreeMap<NodeId, Status>) -> Value {
         let record = &heard.record;
         let held = self.replica.read(|ledger| {
             let held = ledger.held_by(&RobotId::from(node.clone()));
@@ -84,7 +87,7 @@ impl Window<'_> {
         });
         json!({
             "node": node,
-            "alive": self.knowledge.alive(node),
+            "alive": matches!(statuses.get(node), Some(Status::Alive { .. })),
             "age_ms": heard.age(self.now).as_millis(),
             "seen_by": self.node,
             "incarnation": record.stamp.incarnation,

@@ -557,7 +557,8 @@ mod tests {
 
     #[test]
     fn what_is_no_tree_is_told_precisely() {
-        let cases: [(&dyn Fn(&mut serde_json::Value), &[&str]); 9] = [
+        type Change<'c> = &'c dyn Fn(&mut serde_json::Value);
+        let cases: [(Change<'_>, &[&str]); 9] = [
             (
                 &|n| n["1"]["children"] = ["2", "3", "4", "5", "9"].into(),
                 &["node 1 (m): its child \"9\" does not exist"],

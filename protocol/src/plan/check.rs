@@ -22,9 +22,10 @@
 //! - (b) In a joint task, each role sends `ready` to each other one and hears `ready` from each before it begins.
 //! - (c) Neither graph has a cycle.
 //! - (d) If the mission puts `T` before `D`, each part of `T` ends before each part of `D` begins.
-//! - (e) Two joint tasks that share a role are ordered by `<`.
-//! - (f) If `T < D`: the part of a role `t` in `T` ends before the part of `s` in `D` *opens*, that is, before its task
+//! - (e) If `T < D`: the part of a role `t` in `T` ends before the part of `s` in `D` *opens*, that is, before its task
 //!   begins or, if `D` is joint, before its first `ready` is sent; if `s` is `t`, or `t` takes no part in `D`.
+//!
+//! Two joint tasks that share a role are always ordered by `<`: the mission's order orders them, and (d) holds.
 //!
 //! # Why nobody waits for ever
 //!
@@ -42,15 +43,15 @@
 //! `T` the first unended task with `T < J` or `T = J`. All before `T` has ended; so some role `u` of `T`, which has not
 //! opened its part, is committed to a joint `K`, and `K ≠ T`. `K` is not before `J` in the sequence.
 //!
-//! - If `T < K`, by (f) with `s = t = u`, `u` ended its part in `T` before it committed itself to `K`. It did not.
-//! - Else, if `T` is joint, it shares `u` with `K`, and by (e) `K < T`. So `K < J` or `K < T = J`: `K` is before `J`.
-//! - Else `T` is not joint, hence `T < J`. If `u` takes no part in `J`, by (f) `T` ended before `r` committed itself to
-//!   `J`. It did not. If `u` does, `J` and `K` share it; `J = K` is the first case; by (e) either `J < K`, and so
+//! - If `T < K`, by (e) with `s = t = u`, `u` ended its part in `T` before it committed itself to `K`. It did not.
+//! - Else, if `T` is joint, it shares `u` with `K`, and by the last remark `K < T`. So `K < J` or `K < T = J`: `K` is before `J`.
+//! - Else `T` is not joint, hence `T < J`. If `u` takes no part in `J`, by (e) `T` ended before `r` committed itself to
+//!   `J`. It did not. If `u` does, `J` and `K` share it; `J = K` is the first case; else either `J < K`, and so
 //!   `T < K`, the first case again, or `K < J`, and `K` is before `J`.
 //!
 //! Every case contradicts the choice, so there is no such state. Each step ends once, so every run ends.
 //!
-//! Without (f) this fails. Take, in no order, first `A` (`r`) then `J` (`s`, `x`), and first `B` (`s`) then `K` (`r`, `y`).
+//! Without (e) this fails. Take, in no order, first `A` (`r`) then `J` (`s`, `x`), and first `B` (`s`) then `K` (`r`, `y`).
 //! If `r` may stand ready for `K` before it has heard of `B` (since `y` would wait for it), and `s` for `J`, then `r` waits
 //! for `y`, `y` for `B` of `s`, `s` for `x`, `x` for `A` of `r`.
 
@@ -159,9 +160,6 @@ pub enum DivisionFault {
     /// Steps that wait for each other.
     #[error("these tasks wait for one another: {tasks}")]
     Cycle { tasks: String },
-    /// Joint tasks whose partners may choose differently.
-    #[error("role {role} takes part in the joint tasks {first} and {second}, and either may come first")]
-    Undecided { role: RoleId, first: TaskId, second: TaskId },
     /// An order that is not kept.
     #[error("role {role} may begin {task} before role {other} has ended {earlier}")]
     OutOfOrder { role: RoleId, task: TaskId, other: RoleId, earlier: TaskId },
@@ -304,7 +302,6 @@ impl<'a> Product<'a> {
         let ended = self.ended_before(&steps, &sequence, &numbers);
         self.check_done(&nodes, &ended, &numbers, &mut faults);
         let Some(before) = self.task_order(&steps, &numbers, &mut faults) else { return faults };
-        self.check_joint(&before, &mut faults);
         self.check_order(&before, &parts, &nodes, &ended, &mut faults);
         faults
     }
@@ -482,22 +479,7 @@ impl<'a> Product<'a> {
         DivisionFault::Cycle { tasks: listed(tasks.into_iter().map(|task| self.order.id(task))) }
     }
 
-    /// (e)
-    fn check_joint(&self, before: &[Bits], faults: &mut Vec<DivisionFault>) {
-        let joint: Vec<usize> = (0..self.order.len()).filter(|task| self.order.spec(*task).is_joint()).collect();
-        for (at, &second) in joint.iter().enumerate() {
-            for &first in &joint[..at] {
-                let shared = self.order.spec(first).roles.iter().find(|r| self.order.spec(second).roles.contains(r));
-                let decided = before[second].contains(first) || before[first].contains(second);
-                if let (Some(role), false) = (shared, decided) {
-                    let (first, second) = (self.order.id(first).clone(), self.order.id(second).clone());
-                    faults.push(DivisionFault::Undecided { role: role.clone(), first, second });
-                }
-            }
-        }
-    }
-
-    /// (d) and (f)
+    /// (d) and (e)
     fn check_order(
         &self,
         before: &[Bits],

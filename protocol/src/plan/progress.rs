@@ -8,14 +8,16 @@ use super::local::{LocalPlan, Signal, SignalKind, Step, StepAction, StepIndex};
 use crate::ids::TaskId;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeSet;
+use std::sync::Arc;
 
-/// A role's progress in its plan. Survives as text or bytes, and is checked when it is read back.
+/// A role's progress in its plan. Survives as text or bytes, and is checked when it is read back; cheap to clone.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(try_from = "Kept", into = "Kept")]
 pub struct PlanProgress {
-    plan: LocalPlan,
+    plan: Arc<LocalPlan>,
     ended: BTreeSet<StepIndex>,
-    heard: BTreeSet<Signal>,
+    /// The waits whose signal has been heard.
+    heard: BTreeSet<StepIndex>,
 }
 
 /// The form in which progress is kept.
@@ -73,14 +75,16 @@ impl TryFrom<Kept> for PlanProgress {
 
 impl From<PlanProgress> for Kept {
     fn from(progress: PlanProgress) -> Kept {
-        Kept { plan: progress.plan, ended: progress.ended, heard: progress.heard }
+        let heard = waits(&progress.plan).filter(|(step, _)| progress.heard.contains(step));
+        let heard = heard.map(|(_, signal)| signal.clone()).collect();
+        Kept { plan: Arc::unwrap_or_clone(progress.plan), ended: progress.ended, heard }
     }
 }
 
 impl PlanProgress {
     /// Nothing has ended yet.
     pub fn new(plan: LocalPlan) -> Self {
-        Self { plan, ended: BTreeSet::new(), heard: BTreeSet::new() }
+        Self { plan: Arc::new(plan), ended: BTreeSet::new(), heard: BTreeSet::new() }
     }
 
     /// Takes up where somebody left off. A wait that has ended counts as heard.
@@ -90,24 +94,23 @@ impl PlanProgress {
     pub fn restore(
         plan: LocalPlan,
         ended: BTreeSet<StepIndex>,
-        mut heard: BTreeSet<Signal>,
+        heard: BTreeSet<Signal>,
     ) -> Result<Self, ProgressError> {
         for &step in &ended {
-            let Some(Step { action, after }) = plan.steps.get(step as usize) else {
+            let Some(Step { after, .. }) = plan.steps.get(step as usize) else {
                 return Err(ProgressError::NoSuchStep { step, steps: plan.steps.len() });
             };
             if let Some(&before) = after.iter().find(|before| !ended.contains(before)) {
                 return Err(ProgressError::OutOfOrder { step, before });
-            }
-            if let StepAction::Wait(signal) = action {
-                heard.insert(signal.clone());
             }
         }
         let awaited: BTreeSet<&Signal> = waits(&plan).map(|(_, signal)| signal).collect();
         if let Some(signal) = heard.iter().find(|signal| !awaited.contains(signal)) {
             return Err(ProgressError::NotAwaited { signal: signal.clone() });
         }
-        Ok(Self { plan, ended, heard })
+        let known = waits(&plan).filter(|(step, signal)| ended.contains(step) || heard.contains(signal));
+        let heard = known.map(|(step, _)| step).collect();
+        Ok(Self { plan: Arc::new(plan), ended, heard })
     }
 
     /// The plan.
@@ -150,12 +153,12 @@ impl PlanProgress {
     pub fn permitted(&self) -> Vec<StepIndex> {
         let committed = self.committed();
         let free = |task: &TaskId| committed.is_none_or(|joint| joint == task);
-        let may = |step: &Step| match &step.action {
+        let may = |index: StepIndex, step: &Step| match &step.action {
             StepAction::Task { id, .. } => free(id),
             StepAction::Send(signal) => signal.kind == SignalKind::Done || free(&signal.task),
-            StepAction::Wait(signal) => self.heard.contains(signal),
+            StepAction::Wait(_) => self.heard.contains(&index),
         };
-        self.open().filter(|(_, step)| may(step)).map(|(index, _)| index).collect()
+        self.open().filter(|(index, step)| may(*index, step)).map(|(index, _)| index).collect()
     }
 
     /// The step to perform next: what others may be waiting for, then what has been heard, then the first task in the order
@@ -196,14 +199,15 @@ impl PlanProgress {
     /// A signal has arrived. Returns whether that is news: a signal that was heard before, or that is not for this plan,
     /// changes nothing.
     pub fn hear(&mut self, signal: &Signal) -> bool {
-        waits(&self.plan).any(|(_, awaited)| awaited == signal) && self.heard.insert(signal.clone())
+        let wait = waits(&self.plan).find(|(_, awaited)| *awaited == signal).map(|(step, _)| step);
+        wait.is_some_and(|step| self.heard.insert(step))
     }
 
     /// The signals whose time has come and which have not been heard: what to ask others for.
     pub fn awaiting(&self) -> Vec<&Signal> {
         self.open()
-            .filter_map(|(_, step)| match &step.action {
-                StepAction::Wait(signal) if !self.heard.contains(signal) => Some(signal),
+            .filter_map(|(index, step)| match &step.action {
+                StepAction::Wait(signal) if !self.heard.contains(&index) => Some(signal),
                 StepAction::Wait(_) | StepAction::Send(_) | StepAction::Task { .. } => None,
             })
             .collect()
@@ -225,9 +229,9 @@ impl PlanProgress {
     }
 }
 
-fn waits(plan: &LocalPlan) -> impl Iterator<Item = (usize, &Signal)> {
+fn waits(plan: &LocalPlan) -> impl Iterator<Item = (StepIndex, &Signal)> {
     plan.steps.iter().enumerate().filter_map(|(index, step)| match &step.action {
-        StepAction::Wait(signal) => Some((index, signal)),
+        StepAction::Wait(signal) => Some((index as StepIndex, signal)),
         StepAction::Send(_) | StepAction::Task { .. } => None,
     })
 }

@@ -2,7 +2,7 @@
 
 use consort_protocol::ids::{RoleId, TaskId, TaskType};
 use consort_protocol::mission::{Body, Method, Mission, Order, Role, RoleKind, TaskIndex, TaskNode, TaskSpec};
-use consort_protocol::plan::{Division, PlanProgress, Signal, SignalKind, StepAction, StepIndex};
+use consort_protocol::plan::{Division, PlanProgress, Signal, StepAction, StepIndex};
 use std::collections::{BTreeMap, BTreeSet, HashSet};
 
 /// A tree of tasks: what the order of a mission is, said once more in its plainest form.
@@ -128,24 +128,22 @@ pub(crate) struct Team<'d> {
     before: &'d [Vec<bool>],
     robots: Vec<PlanProgress>,
     doing: Vec<Option<StepIndex>>,
-    on_the_way: Vec<(usize, &'d Signal)>,
+    on_the_way: BTreeSet<(usize, &'d Signal)>,
     division: &'d Division,
 }
 
 /// What tells one state from another.
-pub(crate) type Key = Vec<(BTreeSet<StepIndex>, Option<StepIndex>, Vec<Signal>)>;
+pub(crate) type Key<'d> = (Vec<(BTreeSet<StepIndex>, Option<StepIndex>)>, BTreeSet<(usize, &'d Signal)>);
 
 impl<'d> Team<'d> {
     pub(crate) fn of(division: &'d Division, before: &'d [Vec<bool>]) -> Self {
         let robots: Vec<PlanProgress> = division.plans.values().cloned().map(PlanProgress::new).collect();
-        Team { before, doing: vec![None; robots.len()], robots, on_the_way: vec![], division }
+        Team { before, doing: vec![None; robots.len()], robots, on_the_way: BTreeSet::new(), division }
     }
 
-    pub(crate) fn key(&self) -> Key {
-        let mut key: Key = self.robots.iter().zip(&self.doing).map(|(r, d)| (r.ended().clone(), *d, vec![])).collect();
-        self.on_the_way.iter().for_each(|(to, signal)| key[*to].2.push((*signal).clone()));
-        key.iter_mut().for_each(|(_, _, on_the_way)| on_the_way.sort());
-        key
+    pub(crate) fn key(&self) -> Key<'d> {
+        let robots = self.robots.iter().zip(&self.doing).map(|(robot, doing)| (robot.ended().clone(), *doing));
+        (robots.collect(), self.on_the_way.clone())
     }
 
     pub(crate) fn events(&self) -> Vec<Event<'d>> {
@@ -179,7 +177,7 @@ impl<'d> Team<'d> {
             Event::Hear(to, signal) => {
                 assert!(self.robots[to].hear(signal), "{signal} was awaited and is news");
                 assert!(!self.robots[to].hear(signal), "{signal} is news once");
-                self.on_the_way.retain(|(robot, waiting)| (*robot, *waiting) != (to, signal));
+                self.on_the_way.remove(&(to, signal));
             }
             Event::Finish(robot) => {
                 let step = self.doing[robot].take().expect("it does a task");
@@ -196,7 +194,7 @@ impl<'d> Team<'d> {
                     }
                     StepAction::Send(signal) => {
                         let to = self.index(&signal.to);
-                        self.on_the_way.push((to, signal));
+                        self.on_the_way.insert((to, signal));
                     }
                     StepAction::Wait(_) => {}
                 }
@@ -226,11 +224,7 @@ impl<'d> Team<'d> {
             };
             let ended = progress.ended().iter().any(|step| of_it(*step));
             let ready = progress.committed() == Some(id) && self.doing[robot].is_none_or(of_it);
-            let told = spec.roles.iter().filter(|other| *other != partner).all(|other| {
-                let (kind, task) = (SignalKind::Ready, id.clone());
-                progress.has_sent(&Signal { kind, task, from: partner.clone(), to: other.clone() })
-            });
-            if !(ended || ready && told) {
+            if !(ended || ready) {
                 return Err(format!("{id} begins while {partner} does not stand ready"));
             }
         }
@@ -260,7 +254,7 @@ pub(crate) enum Explored {
 /// Visits every state that can be reached, up to a number of them.
 pub(crate) fn explore(division: &Division, before: &[Vec<bool>], most: usize) -> Explored {
     let start = Team::of(division, before);
-    let mut seen: HashSet<Key> = [start.key()].into();
+    let mut seen: HashSet<Key<'_>> = [start.key()].into();
     let mut open = vec![start];
     while let Some(team) = open.pop() {
         let events = team.events();
@@ -304,9 +298,12 @@ pub(crate) fn without_step(division: &Division, role: &RoleId, step: usize) -> D
     division
 }
 
+/// Where a step stands: whose, and its number.
+pub(crate) type Place = (RoleId, usize);
+
 /// Every signal, with the places of its send and its wait.
-pub(crate) fn signals(division: &Division) -> Vec<(Signal, (RoleId, usize), (RoleId, usize))> {
-    let mut places: BTreeMap<Signal, [Option<(RoleId, usize)>; 2]> = BTreeMap::new();
+pub(crate) fn signals(division: &Division) -> Vec<(Signal, Place, Place)> {
+    let mut places: BTreeMap<Signal, [Option<Place>; 2]> = BTreeMap::new();
     for (role, plan) in &division.plans {
         for (index, step) in plan.steps.iter().enumerate() {
             let (signal, which) = match &step.action {

@@ -82,9 +82,7 @@ impl Blackboard {
         let entry = &mut self.entries[id.0];
         let value = value.convert(entry.port_type).map_err(|source| entry.mistyped(source))?;
         for constraint in &entry.constraints {
-            constraint.check(&value).map_err(|problem| {
-                entry.mistyped(ValueError { value: value.to_string(), wanted: entry.port_type, problem })
-            })?;
+            constraint.check(&value).map_err(|source| entry.mistyped(source))?;
         }
         entry.value = Some(value);
         Ok(())

@@ -58,7 +58,7 @@ impl<C> Blueprint<C> {
     pub(crate) fn of(spec: &TreeSpec, registry: &Registry<C>) -> Result<Blueprint<C>, TreeError> {
         let Some(root) = spec.trees.get(&spec.main) else {
             let known = super::ports::listed(spec.trees.keys().map(String::as_str));
-            let problem = Problem::UnknownTree { tree: spec.main.clone(), known };
+            let problem = Box::new(Problem::UnknownTree { tree: spec.main.clone(), known });
             return Err(TreeError { source: spec.source.clone(), line: None, node: None, problem });
         };
         let mut expansion = Expansion::new(spec, registry);

@@ -14,7 +14,7 @@ pub struct TreeError {
     /// The tree and the node, where it is about one.
     pub node: Option<String>,
     /// What is wrong, and what is allowed.
-    pub problem: Problem,
+    pub problem: Box<Problem>,
 }
 
 impl fmt::Display for TreeError {
@@ -30,11 +30,7 @@ impl fmt::Display for TreeError {
     }
 }
 
-impl std::error::Error for TreeError {
-    fn source(&self) -> Option<&(dyn std::error::Error + 'static)> {
-        Some(&self.problem)
-    }
-}
+impl std::error::Error for TreeError {}
 
 /// The kinds of mistake in a description.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]

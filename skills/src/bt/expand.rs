@@ -61,7 +61,7 @@ impl<'a, C> Expansion<'a, C> {
                 source: self.spec.source.clone(),
                 line: None,
                 node: None,
-                problem: Problem::KeyValue(error),
+                problem: Box::new(Problem::KeyValue(error)),
             })?;
         }
         let keys = self.scopes.swap_remove(0).keys;
@@ -257,7 +257,7 @@ impl<'a, C> Expansion<'a, C> {
             Some(name) => format!("{tree}/{} ({name})", node.id),
             None => format!("{tree}/{}", node.id),
         };
-        TreeError { source: self.spec.source.clone(), line: node.line, node: Some(what), problem }
+        TreeError { source: self.spec.source.clone(), line: node.line, node: Some(what), problem: Box::new(problem) }
     }
 }
 

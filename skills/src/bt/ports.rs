@@ -36,16 +36,16 @@ pub enum Constraint {
 }
 
 impl Constraint {
-    /// `Err` says what is allowed.
-    pub(crate) fn check(&self, value: &Value) -> Result<(), String> {
+    pub(crate) fn check(&self, value: &Value) -> Result<(), ValueError> {
+        let refuse = |allowed| Err(ValueError::NotAllowed { value: value.to_string(), allowed });
         match self {
             Constraint::None => Ok(()),
             Constraint::OneOf(texts) if texts.contains(&value.to_string()) => Ok(()),
-            Constraint::OneOf(texts) => Err(format!("allowed are {}", texts.join(", "))),
+            Constraint::OneOf(texts) => refuse(format!("allowed are {}", texts.join(", "))),
             Constraint::Range(low, high) => match value {
                 Value::Integer(n) if (*low..=*high).contains(&(*n as f64)) => Ok(()),
                 Value::Number(n) if (*low..=*high).contains(n) => Ok(()),
-                _ => Err(format!("allowed is {low} to {high}")),
+                _ => refuse(format!("allowed is {low} to {high}")),
             },
         }
     }
@@ -101,8 +101,7 @@ impl PortSpec {
     /// Takes the text of a literal binding.
     pub(crate) fn parse(&self, text: &str) -> Result<Value, ValueError> {
         let value = self.port_type.parse(text)?;
-        let refuse = |problem| ValueError { value: text.to_owned(), wanted: self.port_type, problem };
-        self.constraint.check(&value).map_err(refuse)?;
+        self.constraint.check(&value)?;
         Ok(value)
     }
 }

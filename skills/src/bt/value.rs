@@ -57,16 +57,27 @@ pub enum PortType {
     List,
 }
 
-/// Why a value is not of the type asked for. Nothing was changed.
+/// Why a value will not do. Nothing was changed.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error("{value:?} is not {wanted}: {problem}")]
-pub struct ValueError {
-    /// The value, as text.
-    pub value: String,
-    /// The type asked for.
-    pub wanted: PortType,
-    /// What is wrong, or what is allowed.
-    pub problem: String,
+pub enum ValueError {
+    /// It is not of the type asked for.
+    #[error("{value:?} is not {wanted}: {problem}")]
+    Type {
+        /// The value, as text.
+        value: String,
+        /// The type asked for.
+        wanted: PortType,
+        /// What is wrong, or what is allowed.
+        problem: String,
+    },
+    /// It is of the right type, but not one of those allowed.
+    #[error("{value:?} will not do: {allowed}")]
+    NotAllowed {
+        /// The value, as text.
+        value: String,
+        /// What is allowed, in words.
+        allowed: String,
+    },
 }
 
 impl PortType {
@@ -92,7 +103,7 @@ impl PortType {
     /// # Errors
     /// [`ValueError`] names the text and what is allowed.
     pub fn parse(self, text: &str) -> Result<Value, ValueError> {
-        let refuse = |problem: String| ValueError { value: text.to_owned(), wanted: self, problem };
+        let refuse = |problem: String| ValueError::Type { value: text.to_owned(), wanted: self, problem };
         let number = |text: &str| match text.trim().parse::<f64>() {
             Ok(number) if number.is_finite() => Ok(number),
             _ => Err(refuse("allowed is a finite number such as 2.5".to_owned())),
@@ -185,7 +196,7 @@ impl Value {
             (Value::Integer(n), PortType::Number) => Ok(Value::Number(n as f64)),
             (value, wanted) => {
                 let problem = format!("it is {}", value.port_type());
-                Err(ValueError { value: value.to_string(), wanted, problem })
+                Err(ValueError::Type { value: value.to_string(), wanted, problem })
             }
         }
     }
@@ -282,7 +293,7 @@ mod tests {
             Value::Place(PlaceId::new("IC Room 6").unwrap()),
             Value::Robot(RobotId::new("r1").unwrap()),
             Value::Role(RoleId::new("nurse").unwrap()),
-            Value::Pose(Pose::new(1.0, -2.5, 3.14)),
+            Value::Pose(Pose::new(1.0, -2.5, 1.5)),
             Value::Seconds(Seconds::new(2.0).unwrap()),
             Value::List(vec![Value::from("a"), Value::from("b")]),
             Value::List(Vec::new()),

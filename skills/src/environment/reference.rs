@@ -68,12 +68,12 @@ mod tests {
     #[test]
     fn the_published_form_is_read() {
         let text = r#"{"units": "m, rad",
-            "nodes": [{"label": "A", "x": 1, "y": 2.5, "yaw": null}, {"label": "B", "x": 0, "y": 0, "yaw": 3.14}],
+            "nodes": [{"label": "A", "x": 1, "y": 2.5, "yaw": null}, {"label": "B", "x": 0, "y": 0, "yaw": 1.5}],
             "edges": [{"a": "A", "b": "B", "length_m": 4.5}]}"#;
         let map = TopologicalMap::from_reference_json(text).unwrap();
         let place = |name| PlaceId::new(name).unwrap();
         assert_eq!(map.places[&place("A")], Pose::new(1.0, 2.5, 0.0));
-        assert_eq!(map.places[&place("B")], Pose::new(0.0, 0.0, 3.14));
+        assert_eq!(map.places[&place("B")], Pose::new(0.0, 0.0, 1.5));
         assert_eq!(map.edges, [Edge { a: place("A"), b: place("B"), length_m: 4.5, one_way: false }]);
     }
 

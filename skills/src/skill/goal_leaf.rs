@@ -18,14 +18,14 @@ impl GoalLeaf {
     ///
     /// # Errors
     /// [`RegistryError`] where the name is taken.
-    pub fn register<C: 'static>(
+    pub fn register<C>(
         registry: &mut Registry<C>,
         id: &str,
         ports: impl IntoIterator<Item = PortSpec>,
         make: impl Fn(&C, &mut LeafContext<'_, '_>) -> Result<Goal, Cause> + Send + Sync + Clone + 'static,
     ) -> Result<(), RegistryError>
     where
-        C: Clone + Send + Sync,
+        C: Clone + Send + Sync + 'static,
     {
         registry.register(Manifest::new(id, NodeKind::Action, ports), move |context: &C| {
             let (make, context) = (make.clone(), context.clone());

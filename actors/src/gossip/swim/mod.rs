@@ -61,6 +61,13 @@ impl Swim {
     /// A timer is due. An error is ordinary after the process was frozen for a while; foca goes on.
     pub(super) fn wake(&mut self, timer: Timer) -> Result<Vec<SwimAction>, String> {
         let mut actions = vec![];
+        if let foca::Timer::ChangeSuspectToDown { member_id, incarnation, .. } = &timer
+            && !self.unanswered(member_id, *incarnation)
+        {
+            // foca 2.0.0 leaves such a member alone, but tells it that it is down all the same, upon which it would
+            // come back under a new identity for nothing.
+            return Ok(actions);
+        }
         let result = self.collect(&mut actions, |foca, runtime| foca.handle_timer(timer, runtime));
         if let Err(problem) = result {
             tracing::debug!(%problem, "a probe ran late");
@@ -83,12 +90,7 @@ impl Swim {
 
     /// Judges a suspect down, unless it has answered.
     pub(super) fn condemn(&mut self, suspicion: &Suspicion) -> Result<Vec<SwimAction>, String> {
-        let unanswered = |member: &&Member<SwimId>| {
-            *member.id() == suspicion.id
-                && member.incarnation() == suspicion.incarnation
-                && member.state() == State::Suspect
-        };
-        if self.foca.iter_members().find(unanswered).is_none() {
+        if !self.unanswered(&suspicion.id, suspicion.incarnation) {
             return Ok(vec![]);
         }
         self.spread(Member::new(suspicion.id.clone(), suspicion.incarnation, State::Down))
@@ -107,6 +109,12 @@ impl Swim {
     /// Tells a few members that this node goes.
     pub(super) fn leave(&mut self) -> Result<Vec<SwimAction>, String> {
         self.act(|foca, runtime| foca.leave_cluster(runtime))
+    }
+
+    /// Whether a member is still suspected, and has not raised its count of answers since.
+    fn unanswered(&self, id: &SwimId, incarnation: foca::Incarnation) -> bool {
+        let mut members = self.foca.iter_members();
+        members.any(|m| m.id() == id && m.incarnation() == incarnation && m.state() == State::Suspect)
     }
 
     fn spread(&mut self, update: Member<SwimId>) -> Result<Vec<SwimAction>, String> {

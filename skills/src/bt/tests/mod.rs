@@ -1,1 +1,156 @@
+//! The engine's tests: a fake child plays a written list of statuses (as py_trees tests its composites), and notes when
+//! it is ticked and halted.
 
+mod checks;
+mod composites;
+mod decorators;
+mod scopes;
+mod xml;
+
+use super::*;
+use crate::actions::{Goal, GoalId, GoalStatus, RobotActions, Telemetry};
+use consort_protocol::units::WorldTime;
+use std::collections::VecDeque;
+use std::sync::{Arc, Mutex};
+
+/// What happened to the fake children: `a` when `a` was ticked, `a!` when it was halted.
+#[derive(Clone, Default)]
+struct Log(Arc<Mutex<Vec<String>>>);
+
+impl Log {
+    fn note(&self, what: String) {
+        self.0.lock().unwrap().push(what);
+    }
+
+    /// What happened since the last call.
+    fn take(&self) -> String {
+        std::mem::take(&mut *self.0.lock().unwrap()).join(" ")
+    }
+}
+
+/// A body that is never asked for anything.
+struct NoBody;
+
+impl RobotActions for NoBody {
+    fn send_goal(&mut self, goal: Goal) -> GoalId {
+        panic!("nobody sends {goal:?} here")
+    }
+    fn status(&self, _: GoalId) -> Option<GoalStatus> {
+        None
+    }
+    fn cancel(&mut self, goal: GoalId) {
+        panic!("nobody sent {goal:?}")
+    }
+    fn telemetry(&self) -> Option<&Telemetry> {
+        None
+    }
+}
+
+/// Answers from its port `plays`, a letter a tick: `R`, `S`, `F`; the last one for ever.
+struct Play {
+    name: String,
+    left: Option<VecDeque<char>>,
+    log: Log,
+}
+
+impl Leaf for Play {
+    fn tick(&mut self, context: &mut LeafContext<'_, '_>) -> Result<Status, Cause> {
+        if self.left.is_none() {
+            self.name = context.read("as")?;
+            self.left = Some(context.read::<String>("plays")?.chars().collect());
+        }
+        self.log.note(self.name.clone());
+        let left = self.left.as_mut().expect("it was just filled");
+        let letter = if left.len() > 1 { left.pop_front() } else { left.front().copied() };
+        match letter {
+            Some('R') => Ok(Status::Running),
+            Some('S') => Ok(Status::Success),
+            Some('F') => Err(Cause::new(format!("{} says no", self.name))),
+            other => panic!("{other:?} is no status"),
+        }
+    }
+
+    fn halt(&mut self, _: &mut LeafContext<'_, '_>) {
+        self.log.note(format!("{}!", self.name));
+    }
+}
+
+fn registry() -> Registry<Log> {
+    let mut registry = Registry::new();
+    let text = |name| PortSpec::input(name, PortType::Text);
+    let manifest = Manifest::new("Play", NodeKind::Action, [text("as"), text("plays")]);
+    let make = |log: &Log| -> Box<dyn Leaf> { Box::new(Play { name: String::new(), left: None, log: log.clone() }) };
+    registry.register(manifest, make).unwrap();
+    let place = [PortSpec::input("place", PortType::Place)];
+    registry.condition("IsHome", place, |leaf| Ok(leaf.read::<String>("place")? == "Home")).unwrap();
+    let ports = [PortSpec::input("value", PortType::Any), PortSpec::output("to", PortType::Any)];
+    registry
+        .register(Manifest::new("Copy", NodeKind::Action, ports), |_| {
+            Box::new(Instant(|leaf: &mut LeafContext<'_, '_>| {
+                let value: Value = leaf.read("value")?;
+                leaf.write("to", value)?;
+                Ok(true)
+            }))
+        })
+        .unwrap();
+    registry
+}
+
+/// A child called `name` that plays these statuses.
+fn play(name: &str, plays: &str) -> NodeSpec {
+    NodeSpec::new("Play").port("as", name).port("plays", plays)
+}
+
+/// A tree under test, on a clock of its own.
+struct Stage {
+    tree: Tree,
+    log: Log,
+    now: WorldTime,
+}
+
+impl Stage {
+    fn set(root: NodeSpec) -> Stage {
+        Stage::of(&TreeSpec::single("main", root))
+    }
+
+    fn of(spec: &TreeSpec) -> Stage {
+        let log = Log::default();
+        let tree = registry().check(spec).unwrap_or_else(|error| panic!("{error}")).start(&log);
+        Stage { tree, log, now: WorldTime::ZERO }
+    }
+
+    /// Ticks once: the status's letter, and what happened.
+    fn tick(&mut self) -> (char, String) {
+        let status = match self.tree.tick(&mut NoBody, self.now) {
+            Status::Running => 'R',
+            Status::Success => 'S',
+            Status::Failure => 'F',
+        };
+        (status, self.log.take())
+    }
+
+    /// Ticks as often as there are expectations.
+    fn expect(&mut self, expected: &[(char, &str)]) {
+        for (number, (status, log)) in expected.iter().enumerate() {
+            assert_eq!(self.tick(), (*status, (*log).to_owned()), "tick {}", number + 1);
+        }
+    }
+
+    fn halt(&mut self) -> String {
+        self.tree.halt(&mut NoBody, self.now);
+        self.log.take()
+    }
+
+    fn at(&mut self, seconds: f64) -> &mut Stage {
+        self.now = WorldTime::from_secs(seconds);
+        self
+    }
+}
+
+/// Why a description is refused.
+fn refusal(spec: &TreeSpec) -> String {
+    match registry().check(spec) {
+        Ok(_) => panic!("it was accepted"),
+        Err(error) => error.to_string(),
+    }
+}

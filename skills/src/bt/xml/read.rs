@@ -29,7 +29,7 @@ pub fn read_xml(source: &str, text: &str) -> Result<TreeSpec, TreeError> {
         source: source.to_owned(),
         line,
         node: None,
-        problem: Problem::Syntax(problem),
+        problem: Box::new(Problem::Syntax(problem)),
     };
     if text.len() > MAX_BYTES {
         return Err(refuse(None, format!("the file has {} bytes; allowed are {MAX_BYTES}", text.len())));
@@ -38,17 +38,19 @@ pub fn read_xml(source: &str, text: &str) -> Result<TreeSpec, TreeError> {
     let options = ParsingOptions { allow_dtd: false, nodes_limit: (4 * MAX_NODES) as u32, ..ParsingOptions::default() };
     let document = Document::parse_with_options(text, options)
         .map_err(|error| refuse(Some(error.pos().row), format!("this is not XML as read here: {error}")))?;
-    Reader { source, document: &document }.root()
+    // Asking the document for each line would search the text anew each time.
+    let lines = text.bytes().enumerate().filter(|(_, byte)| *byte == b'\n').map(|(at, _)| at).collect();
+    Reader { source, lines }.root(document.root_element())
 }
 
-struct Reader<'a, 'x> {
+struct Reader<'a> {
     source: &'a str,
-    document: &'a Document<'x>,
+    /// Where the lines end, in bytes.
+    lines: Vec<usize>,
 }
 
-impl Reader<'_, '_> {
-    fn root(&self) -> Result<TreeSpec, TreeError> {
-        let root = self.document.root_element();
+impl Reader<'_> {
+    fn root(&self, root: Node<'_, '_>) -> Result<TreeSpec, TreeError> {
         if root.tag_name().name() != "root" {
             return Err(self.refuse(root, format!("the file begins with <{}>, not <root>", root.tag_name().name())));
         }
@@ -148,7 +150,8 @@ impl Reader<'_, '_> {
     }
 
     fn line(&self, element: Node<'_, '_>) -> u32 {
-        self.document.text_pos_at(element.range().start).row
+        // A text below `MAX_BYTES` has fewer lines than that.
+        self.lines.partition_point(|end| *end < element.range().start) as u32 + 1
     }
 
     fn refuse(&self, element: Node<'_, '_>, problem: String) -> TreeError {
@@ -156,6 +159,11 @@ impl Reader<'_, '_> {
     }
 
     fn error(&self, element: Node<'_, '_>, problem: Problem) -> TreeError {
-        TreeError { source: self.source.to_owned(), line: Some(self.line(element)), node: None, problem }
+        TreeError {
+            source: self.source.to_owned(),
+            line: Some(self.line(element)),
+            node: None,
+            problem: Box::new(problem),
+        }
     }
 }

@@ -90,7 +90,7 @@ fn a_body_on_a_leg_goes_on_or_turns_back_whichever_is_shorter() {
     assert_eq!(legs("W", 4.0, 0.0, "E").unwrap(), ["M", "E"], "on the leg to M");
     assert_eq!(legs("W", 4.0, 0.0, "W").unwrap(), ["W"], "turns back");
     assert_eq!(legs("M", 10.0, -8.0, "E").unwrap(), ["M", "E"], "out of the dead end");
-    assert_eq!(legs("E", 15.0, 0.0, "W").unwrap(), ["M", "W"], "on the way to M, not through the one-way door");
+    assert_eq!(legs("E", 15.0, 0.0, "W").unwrap(), ["E", "W"], "back, and through the one-way door");
     assert_eq!(legs("W", 3.0, 7.0, "E").unwrap(), ["W", "M", "E"], "off every leg");
     assert_eq!(legs("E", 20.0, 0.0, "E").unwrap(), Vec::<String>::new(), "there");
     assert!(legs("W", 4.0, 0.0, "I").is_err());

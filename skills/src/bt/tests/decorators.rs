@@ -1,0 +1,113 @@
+//! Decorators, and time.
+
+use super::*;
+
+#[test]
+fn an_inverter_turns_final_answers_round() {
+    Stage::set(inverter(play("a", "RSF"))).expect(&[('R', "a"), ('F', "a"), ('S', "a")]);
+}
+
+#[test]
+fn forced_answers_wait_for_the_child() {
+    Stage::set(NodeSpec::new("ForceSuccess").child(play("a", "RF"))).expect(&[('R', "a"), ('S', "a")]);
+    Stage::set(NodeSpec::new("ForceFailure").child(play("a", "RS"))).expect(&[('R', "a"), ('F', "a")]);
+}
+
+#[test]
+fn a_retry_tries_as_often_as_it_may() {
+    Stage::set(retry(3, play("a", "FFS"))).expect(&[('S', "a a a")]);
+    Stage::set(retry(3, play("a", "FRFFS"))).expect(&[('R', "a a"), ('F', "a a"), ('S', "a")]);
+    Stage::set(retry(0, play("a", "S"))).expect(&[('F', "")]);
+}
+
+#[test]
+fn a_halted_retry_counts_afresh() {
+    let mut stage = Stage::set(retry(2, play("a", "FRFFF")));
+    stage.expect(&[('R', "a a")]);
+    assert_eq!(stage.halt(), "a!");
+    stage.expect(&[('F', "a a")]);
+}
+
+#[test]
+fn a_repeat_ends_with_the_first_failure() {
+    Stage::set(repeat(3, play("a", "SRSS"))).expect(&[('R', "a a"), ('S', "a a")]);
+    Stage::set(repeat(3, play("a", "SF"))).expect(&[('F', "a a")]);
+}
+
+#[test]
+fn a_loop_without_end_takes_one_turn_a_tick_and_asks_to_be_woken() {
+    let mut stage = Stage::set(NodeSpec::new("Repeat").port("num_cycles", "-1").child(play("a", "S")));
+    stage.at(5.0).expect(&[('R', "a"), ('R', "a")]);
+    assert_eq!(stage.tree.wake_at(), Some(WorldTime::from_secs(5.0)));
+}
+
+#[test]
+fn loops_within_loops_cannot_hold_up_a_tick() {
+    let many = |child| NodeSpec::new("Repeat").port("num_cycles", "2000000000").child(child);
+    let mut stage = Stage::set(many(many(many(NodeSpec::new("AlwaysSuccess")))));
+    stage.expect(&[('R', ""), ('R', "")]);
+}
+
+#[test]
+fn a_long_loop_goes_on_at_the_next_tick() {
+    let mut stage = Stage::set(repeat(MAX_TURNS + 500, play("a", "S")));
+    let (status, log) = stage.tick();
+    assert_eq!((status, log.split(' ').count()), ('R', MAX_TURNS as usize));
+    let (status, log) = stage.tick();
+    assert_eq!((status, log.split(' ').count()), ('S', 500));
+}
+
+#[test]
+fn a_timeout_halts_its_child_on_world_time() {
+    let mut stage = Stage::set(timeout(1500, play("a", "R")));
+    stage.at(10.0).expect(&[('R', "a")]);
+    assert_eq!(stage.tree.wake_at(), Some(WorldTime::from_secs(11.5)));
+    stage.at(11.4).expect(&[('R', "a")]);
+    stage.at(11.5).expect(&[('F', "a!")]);
+    assert_eq!(stage.tree.cause().unwrap().text, "Timeout: not done by 11.5 s of world time, when its limit ended");
+    stage.at(12.0).expect(&[('R', "a")]);
+    stage.at(13.4).expect(&[('R', "a")]);
+}
+
+#[test]
+fn a_timeout_of_nothing_is_no_limit() {
+    let mut stage = Stage::set(timeout(0, play("a", "R")));
+    stage.at(0.0).expect(&[('R', "a")]);
+    stage.at(1.0e6).expect(&[('R', "a")]);
+}
+
+#[test]
+fn a_sleep_ends_on_world_time() {
+    let mut stage = Stage::set(NodeSpec::new("Sleep").port("msec", "2000"));
+    stage.at(1.0).expect(&[('R', "")]);
+    assert_eq!(stage.tree.wake_at(), Some(WorldTime::from_secs(3.0)));
+    stage.at(3.0).expect(&[('S', ""), ('R', "")]);
+}
+
+fn for_each(queue: &str, child: NodeSpec) -> NodeSpec {
+    NodeSpec::new("LoopString").port("queue", queue).port("value", "{each}").child(child)
+}
+
+#[test]
+fn a_loop_over_a_list_hands_each_element_to_its_child() {
+    let child = NodeSpec::new("Play").port("as", "{each}").port("plays", "S");
+    let mut stage = Stage::set(for_each(
+        "x;y;z",
+        sequence([child, NodeSpec::new("Copy").port("value", "{each}").port("to", "{last}")]),
+    ));
+    // The fake keeps the name it had at its first tick.
+    stage.expect(&[('S', "x x x")]);
+    assert_eq!(stage.tree.get::<String>("last").unwrap().as_deref(), Some("z"));
+}
+
+#[test]
+fn a_loop_over_a_list_fails_with_its_child_and_starts_afresh() {
+    let mut stage = Stage::set(for_each("x;y", play("a", "SRFSS")));
+    stage.expect(&[('R', "a a"), ('F', "a"), ('S', "a a")]);
+}
+
+#[test]
+fn a_loop_over_nothing_answers_as_told() {
+    Stage::set(for_each("", play("a", "S"))).expect(&[('S', "")]);
+    Stage::set(for_each("", play("a", "S")).port("if_empty", "FAILURE")).expect(&[('F', "")]);
+}

@@ -1,0 +1,165 @@
+//! The library: what it holds, what it refuses, and how users extend it.
+
+use super::*;
+use consort_protocol::mission::Domain;
+use consort_skills::bt::xml::{read_xml, write_xml};
+use consort_skills::bt::{Cause, Leaf, LeafContext, Manifest, NodeKind, Status};
+use std::path::PathBuf;
+
+fn library() -> SkillLibrary {
+    SkillLibrary::standard(environment())
+}
+
+fn refusal(task: &TaskSpec) -> String {
+    match library().load(task, &context()) {
+        Ok(_) => panic!("it was loaded"),
+        Err(error) => error.to_string(),
+    }
+}
+
+fn task_type(name: &str) -> TaskType {
+    TaskType::new(name).unwrap()
+}
+
+#[test]
+fn every_tree_in_the_folder_is_a_skill_and_survives_being_written() {
+    let library = library();
+    let folder = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("trees");
+    let mut names = Vec::new();
+    for entry in std::fs::read_dir(folder).unwrap() {
+        let path = entry.unwrap().path();
+        let name = path.file_stem().unwrap().to_str().unwrap().to_owned();
+        let spec = read_xml(&name, &std::fs::read_to_string(&path).unwrap()).unwrap();
+        assert_eq!(spec.main, name);
+        let written = write_xml(&spec, library.registry());
+        let again = read_xml(&name, &written).unwrap_or_else(|error| panic!("{error}"));
+        library.registry().check(&again).unwrap_or_else(|error| panic!("{error}"));
+        names.push(name);
+    }
+    names.sort();
+    let known: Vec<&str> = library.task_types().map(TaskType::as_str).collect();
+    assert_eq!(names, known);
+}
+
+#[test]
+fn the_models_in_the_files_are_those_of_the_leaves() {
+    let library = library();
+    for skill in library.task_types() {
+        let path = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join(format!("trees/{skill}.xml"));
+        let file = std::fs::read_to_string(path).unwrap();
+        let written = write_xml(&read_xml("file", &file).unwrap(), library.registry());
+        let models = |text: &str| -> Vec<String> {
+            let (_, models) = text.split_once("<TreeNodesModel>").unwrap();
+            let (models, _) = models.split_once("</TreeNodesModel>").unwrap();
+            models.split_inclusive("</Action>").map(|model| model.trim().to_owned()).filter(|m| !m.is_empty()).collect()
+        };
+        for model in models(&file) {
+            assert!(models(&written).contains(&model), "{skill}: {model}\nis none of\n{written}");
+        }
+    }
+}
+
+#[test]
+fn what_the_domain_requires_of_a_task_is_what_its_skill_requires() {
+    let (library, domain) = (library(), Domain::hospital());
+    for skill in library.task_types() {
+        let schema = domain.get(skill).unwrap_or_else(|| panic!("the domain lacks {skill}"));
+        for input in library.parameters(skill).unwrap() {
+            let parameter = schema.parameters.get(&input.key);
+            let parameter = parameter.unwrap_or_else(|| panic!("the domain's {skill} lacks {}", input.key));
+            assert_eq!(parameter.required, input.required, "{skill} {}", input.key);
+        }
+    }
+}
+
+#[test]
+fn a_missing_skill_names_those_there_are() {
+    assert_eq!(
+        refusal(&task("juggle", &[])),
+        "there is no skill for juggle; there are some for approach_person, approach_robot, authenticate_person, deposit, \
+         navigation, operate_drawer, pick_up, wait"
+    );
+}
+
+#[test]
+fn parameters_are_checked_before_the_body_is_asked_for_anything() {
+    assert_eq!(
+        refusal(&task("navigation", &[("too", "C"), ("via", "B")])),
+        "navigation needs the parameter `to` (a place); the task gives too, via"
+    );
+    assert_eq!(
+        refusal(&task("operate_drawer", &[("action", "shut")])),
+        "operate_drawer: {action}: \"shut\" will not do: allowed are open, close"
+    );
+    assert!(refusal(&task("wait", &[("seconds", "soon")])).starts_with("wait: {seconds}: \"soon\" is not a duration"));
+    assert!(refusal(&task("approach_robot", &[("robot_role", "a/b")])).contains("is not a role"));
+}
+
+/// A leaf of a user's making.
+struct Sing {
+    verses: i64,
+}
+
+impl Leaf for Sing {
+    fn tick(&mut self, context: &mut LeafContext<'_, '_>) -> Result<Status, Cause> {
+        self.verses -= 1;
+        match self.verses {
+            0 => Ok(Status::Success),
+            verses if verses < 0 => panic!("sang {} verses too many at {}", -verses, context.now().as_secs()),
+            _ => Ok(Status::Running),
+        }
+    }
+
+    fn halt(&mut self, _: &mut LeafContext<'_, '_>) {}
+}
+
+fn singing(verses: i64) -> SkillLibrary {
+    let mut library = library();
+    let manifest = Manifest::new("Sing", NodeKind::Action, []);
+    library.extend(|registry| registry.register(manifest, move |_| Box::new(Sing { verses }))).unwrap();
+    let xml = r#"<root BTCPP_format="4"><BehaviorTree ID="serenade">
+        <Sequence><FindPerson person_role="{to}" role="{role}"/><ApproachPerson role="{role}"/><Sing/></Sequence>
+        </BehaviorTree></root>"#;
+    library.register_xml(task_type("serenade"), "serenade.xml", xml).unwrap_or_else(|error| panic!("{error}"));
+    library
+}
+
+#[test]
+fn users_add_skills_of_their_own_leaves_and_ours() {
+    let library = singing(2);
+    assert!(library.task_types().any(|known| known.as_str() == "serenade"));
+    let mut skill = library.load(&task("serenade", &[("to", "nurse")]), &context()).unwrap_or_else(|e| panic!("{e}"));
+    let mut body = ScriptedBody::at("A");
+    assert_eq!(run(&mut skill, &mut body), SkillStatus::Succeeded);
+    assert_eq!(body.sent(), ["approach person nurse"]);
+}
+
+#[test]
+fn a_panic_in_a_users_leaf_unwinds_to_whoever_ticks() {
+    let mut skill =
+        singing(0).load(&task("serenade", &[("to", "nurse")]), &context()).unwrap_or_else(|e| panic!("{e}"));
+    let mut body = ScriptedBody::at("A");
+    assert_eq!(skill.tick(&mut body), SkillStatus::Running);
+    body.end_goal();
+    let caught = std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| skill.tick(&mut body)));
+    let message = caught.unwrap_err();
+    assert_eq!(message.downcast_ref::<String>().unwrap(), "sang 1 verses too many at 0");
+}
+
+#[test]
+fn a_tree_with_a_mistake_leaves_the_library_as_it_was() {
+    let mut library = library();
+    let xml = r#"<root BTCPP_format="4"><BehaviorTree ID="w"><Wait/></BehaviorTree></root>"#;
+    let error = library.register_xml(task_type("wait"), "mine.xml", xml).unwrap_err().to_string();
+    assert_eq!(error, "mine.xml:1: w/Wait: port `seconds` (a duration in seconds) is missing");
+    library.load(&task("wait", &[("seconds", "1")]), &context()).unwrap_or_else(|e| panic!("{e}"));
+}
+
+#[test]
+fn a_library_is_shared_and_a_skill_is_handed_to_another_thread() {
+    fn shared<T: Send + Sync + 'static>() {}
+    fn sent<T: Send + 'static>() {}
+    shared::<SkillLibrary>();
+    shared::<consort_skills::descriptor::Estimator>();
+    sent::<ActiveSkill>();
+}

@@ -1,0 +1,72 @@
+//! The skills that come with the library, on a body that plays a written script.
+
+mod body;
+mod drives;
+mod library;
+mod meetings;
+
+use body::ScriptedBody;
+use consort_protocol::ids::{PlaceId, RobotId, RoleId, TaskType};
+use consort_protocol::mission::TaskSpec;
+use consort_protocol::pose::Pose;
+use consort_skills::actions::{ActionError, ErrorCode};
+use consort_skills::environment::{Edge, Environment, Routes, TopologicalMap};
+use consort_skills::library::{ActiveSkill, SkillContext, SkillLibrary, SkillStatus};
+
+fn place(name: &str) -> PlaceId {
+    PlaceId::new(name).unwrap()
+}
+
+fn role(name: &str) -> RoleId {
+    RoleId::new(name).unwrap()
+}
+
+/// A – B – C in a line with 10 m between, and D apart.
+fn environment() -> Environment {
+    let names = [("A", 0.0), ("B", 10.0), ("C", 20.0), ("D", 90.0)];
+    let edge = |a, b| Edge { a: place(a), b: place(b), length_m: 10.0, one_way: false };
+    let map = TopologicalMap {
+        places: names.map(|(name, x)| (place(name), Pose::new(x, 0.0, 0.0))).into(),
+        edges: vec![edge("A", "B"), edge("B", "C")],
+    };
+    Environment::new().with(Routes::new(&map).unwrap())
+}
+
+/// A task of role r1.
+fn task(task_type: &str, parameters: &[(&str, &str)]) -> TaskSpec {
+    TaskSpec {
+        task_type: TaskType::new(task_type).unwrap(),
+        roles: vec![role("r1")],
+        parameters: parameters.iter().map(|(name, value)| (name.to_string(), value.to_string())).collect(),
+        reaches: [].into(),
+    }
+}
+
+/// Robot ada is r1, arm is lab_arm.
+fn context() -> SkillContext {
+    let holder = |name, robot| (role(name), RobotId::new(robot).unwrap());
+    SkillContext { holders: [holder("r1", "ada"), holder("lab_arm", "arm")].into() }
+}
+
+fn skill(task: &TaskSpec) -> ActiveSkill {
+    SkillLibrary::standard(environment()).load(task, &context()).unwrap_or_else(|error| panic!("{error}"))
+}
+
+/// Ticks, and lets the body end what it does, until the skill ends.
+fn run(skill: &mut ActiveSkill, body: &mut ScriptedBody) -> SkillStatus {
+    for _ in 0..100 {
+        match skill.tick(body) {
+            SkillStatus::Running => body.end_goal(),
+            ended => return ended,
+        }
+    }
+    panic!("it still runs after 100 ticks; sent {:?}", body.sent());
+}
+
+fn failed(cause: &str) -> SkillStatus {
+    SkillStatus::Failed { cause: cause.to_owned() }
+}
+
+fn error(code: ErrorCode, message: &str) -> ActionError {
+    ActionError { code, message: message.to_owned() }
+}

@@ -1,0 +1,100 @@
+//! Skills that deal with people, other robots and drawers.
+
+use super::*;
+
+/// What a task makes the body do when all goes well.
+fn sent(task: &TaskSpec) -> Vec<String> {
+    let mut body = ScriptedBody::at("A");
+    assert_eq!(run(&mut skill(task), &mut body), SkillStatus::Succeeded);
+    body.sent()
+}
+
+#[test]
+fn each_skill_asks_the_body_for_what_its_task_says() {
+    for (task, expected) in [
+        (task("approach_person", &[("person_role", "nurse")]), "approach person nurse"),
+        (task("authenticate_person", &[("person_role", "nurse")]), "authenticate nurse"),
+        (task("operate_drawer", &[("action", "open")]), "drawer true"),
+        (task("operate_drawer", &[("action", "close")]), "drawer false"),
+        (task("approach_robot", &[("robot_role", "lab_arm")]), "approach robot arm"),
+        (task("pick_up", &[("from_role", "r1"), ("item", "sample")]), "pick up from ada"),
+        (task("deposit", &[("into_role", "lab_arm")]), "deposit into arm"),
+        (task("deposit", &[]), "deposit"),
+    ] {
+        assert_eq!(sent(&task), [expected]);
+    }
+}
+
+#[test]
+fn a_joint_task_says_by_itself_which_person_is_meant() {
+    let joint = TaskSpec { roles: vec![role("r1"), role("nurse")], ..task("approach_person", &[]) };
+    assert_eq!(sent(&joint), ["approach person nurse"]);
+}
+
+#[test]
+fn a_person_who_is_not_named_is_asked_for() {
+    let ended = run(&mut skill(&task("approach_person", &[])), &mut ScriptedBody::at("A"));
+    let cause =
+        "FindPerson: the task does not say which person is meant: give `person_role`, or do it jointly with one person";
+    assert_eq!(ended, failed(cause));
+}
+
+#[test]
+fn an_approach_is_tried_again_after_a_pause() {
+    let away = || Err(error(ErrorCode::OutOfReach, "nurse is not at A"));
+    let mut body = ScriptedBody::at("A").playing([away(), Ok(()), Ok(())]);
+    let task = task("approach_person", &[("person_role", "nurse")]);
+    assert_eq!(run(&mut skill(&task), &mut body), SkillStatus::Succeeded);
+    assert_eq!(body.sent(), ["approach person nurse", "wait 1.00 s", "approach person nurse"]);
+}
+
+#[test]
+fn an_approach_fails_after_three_tries_with_the_last_reason() {
+    for (task_type, parameter, leaf) in [
+        ("approach_person", ("person_role", "nurse"), "ApproachPerson"),
+        ("approach_robot", ("robot_role", "lab_arm"), "ApproachRobot"),
+    ] {
+        let away = |message| Err(error(ErrorCode::OutOfReach, message));
+        let script = [away("not here"), Ok(()), away("not here"), Ok(()), away("gone home"), Ok(())];
+        let mut body = ScriptedBody::at("A").playing(script);
+        let ended = run(&mut skill(&task(task_type, &[parameter])), &mut body);
+        assert_eq!(ended, failed(&format!("{leaf}: out of reach: gone home")));
+        assert_eq!(body.sent().iter().filter(|goal| goal.starts_with("approach")).count(), 3);
+    }
+}
+
+#[test]
+fn a_person_who_is_somebody_else_is_not_asked_twice() {
+    let no = Err(error(ErrorCode::NotAuthenticated, "nurse declined"));
+    let mut body = ScriptedBody::at("A").playing([no]);
+    let ended = run(&mut skill(&task("authenticate_person", &[("person_role", "nurse")])), &mut body);
+    assert_eq!(ended, failed("AuthenticatePerson: not authenticated: nurse declined"));
+    assert_eq!(body.sent().len(), 1);
+}
+
+#[test]
+fn a_role_that_no_robot_holds_is_named_with_those_that_are_held() {
+    for (task, leaf) in [
+        (task("approach_robot", &[("robot_role", "r9")]), "FindHolder"),
+        (task("pick_up", &[("from_role", "r9")]), "FindHolder"),
+        (task("deposit", &[("into_role", "r9")]), "Deposit"),
+    ] {
+        let mut body = ScriptedBody::at("A");
+        let cause = format!("{leaf}: no robot holds role r9; held are lab_arm by arm, r1 by ada");
+        assert_eq!(run(&mut skill(&task), &mut body), failed(&cause));
+        assert_eq!(body.sent(), Vec::<String>::new());
+    }
+}
+
+#[test]
+fn a_halted_skill_sends_again_only_when_the_body_has_let_go() {
+    let mut body = ScriptedBody::at("A");
+    let mut skill = skill(&task("operate_drawer", &[("action", "open")]));
+    skill.tick(&mut body);
+    skill.halt(&mut body);
+    assert_eq!(skill.tick(&mut body), SkillStatus::Running);
+    assert_eq!(body.sent(), ["drawer true"]);
+    body.stand_still();
+    assert_eq!(run(&mut skill, &mut body), SkillStatus::Succeeded);
+    assert_eq!(body.sent(), ["drawer true", "drawer true"]);
+}
