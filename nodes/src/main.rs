@@ -1,5 +1,5 @@
 //! The one binary of Consort: `consort --help` teaches the rest.
 
 fn main() -> std::process::ExitCode {
-    std::process::ExitCode::SUCCESS
+    consort_nodes::cli::run()
 }

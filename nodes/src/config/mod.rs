@@ -17,7 +17,7 @@ pub use bus::BusConfig;
 pub use fleet::{AuctionConfig, DEFAULT_FLEET, FleetConfig, FleetRef, LeaseConfig, LimitsConfig};
 pub use problem::{Problem, Problems};
 pub use read::{ConfigFile, from_text, load, to_toml};
-pub use robot::RobotConfig;
+pub use robot::{RobotConfig, useful_charge};
 pub use station::StationConfig;
 pub use world::WorldConfig;
 

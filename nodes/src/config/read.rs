@@ -51,40 +51,37 @@ pub fn from_text<C: ConfigFile>(text: &str, file: &str) -> Result<C, Problems> {
     let mut table = DeTable::parse(text).map_err(|error| {
         Problems::from(Problem { file: file.to_owned(), at: place(error.span()), what: error.message().to_owned() })
     })?;
-    let mut unknown = vec![];
+    let mut problems: Vec<Problem> = vec![];
     let config = loop {
         let error = match C::deserialize(Deserializer::from(table.clone())) {
-            Ok(config) => break Ok(config),
+            Ok(config) => break Some(config),
             Err(error) => error,
         };
-        let key = unknown_key(error.message());
-        let what = match &key {
+        let what = match unknown_key(error.message()) {
             Some((key, allowed)) => {
-                let allowed = Allowed::instead_of(key, allowed);
+                let allowed = Allowed::instead_of(&key, allowed);
                 format!("unknown key `{key}` in a {} file; {allowed}", C::KIND)
             }
             None => error.message().replace("missing field", "missing key"),
         };
-        let problem = Problem { file: file.to_owned(), at: place(error.span()), what };
-        // Once an unknown key has been told of, the rest of the file is read without it.
-        if key.is_some() && error.span().is_some_and(|span| remove(table.get_mut(), &span)) {
-            unknown.push(problem);
-        } else {
-            break Err(problem);
+        // What is missing may be what was misspelt, or has been taken out below.
+        if problems.is_empty() || !what.starts_with("missing") {
+            problems.push(Problem { file: file.to_owned(), at: place(error.span()), what });
+        }
+        // Once a mistake has been told of, the rest of the file is read without it.
+        if !error.span().is_some_and(|span| remove(table.get_mut(), &span)) {
+            break None;
         }
     };
+    problems.sort_by_key(|problem| problem.at);
     match config {
-        Ok(config) => {
-            unknown.extend(config.problems().into_iter().map(|what| Problem::of(file, what)));
-            Problems::unless_none(unknown).map(|()| config)
-        }
-        Err(problem) => {
-            // What is missing may be what was misspelt.
-            if unknown.is_empty() || !problem.what.starts_with("missing") {
-                unknown.push(problem);
+        Some(config) => {
+            if problems.is_empty() {
+                problems.extend(config.problems().into_iter().map(|what| Problem::of(file, what)));
             }
-            Err(Problems(unknown))
+            Problems::unless_none(problems).map(|()| config)
         }
+        None => Err(Problems(problems)),
     }
 }
 
@@ -108,24 +105,89 @@ fn unknown_key(message: &str) -> Option<(String, Vec<String>)> {
 }
 
 fn line_and_column(text: &str, offset: usize) -> (usize, usize) {
-    let before = &text[..text.floor_char_boundary(offset)];
+    let before = text.get(..offset).unwrap_or(text);
     let line = before.matches('\n').count() + 1;
     let column = before.rsplit('\n').next().unwrap_or_default().chars().count() + 1;
     (line, column)
 }
 
-/// Takes the entry whose key stands at `span` out of the table, or out of one below.
+/// Takes the entry whose key or value stands at `span` out of the table, or out of one below.
 fn remove(table: &mut DeTable<'_>, span: &Range<usize>) -> bool {
-    let key = table.keys().find(|key| key.span() == *span).cloned();
-    if let Some(key) = key {
+    let here = table.iter().find(|(key, value)| key.span() == *span || value.span() == *span);
+    if let Some(key) = here.map(|(key, _)| key.clone()) {
         return table.remove(&key).is_some();
     }
-    fn within(value: &mut Spanned<DeValue<'_>>, span: &Range<usize>) -> bool {
-        match value.get_mut() {
-            DeValue::Table(table) => remove(table, span),
-            DeValue::Array(list) => list.iter_mut().any(|value| within(value, span)),
-            _ => false,
-        }
+    table.iter_mut().any(|(_, value)| remove_within(value, span))
+}
+
+fn remove_within(value: &mut Spanned<DeValue<'_>>, span: &Range<usize>) -> bool {
+    match value.get_mut() {
+        DeValue::Table(table) => remove(table, span),
+        DeValue::Array(list) => match list.iter().position(|value| value.span() == *span) {
+            Some(index) => {
+                list.remove(index);
+                true
+            }
+            None => list.iter_mut().any(|value| remove_within(value, span)),
+        },
+        _ => false,
     }
-    table.iter_mut().any(|(_, value)| within(value, span))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::{FleetConfig, RobotConfig, WorldConfig};
+    use super::*;
+
+    fn said<C: ConfigFile>(text: &str) -> Vec<String> {
+        let problems = from_text::<C>(text, "f.toml").err().map(|problems| problems.0).unwrap_or_default();
+        problems.iter().map(ToString::to_string).collect()
+    }
+
+    #[test]
+    fn every_mistake_is_told_of_with_line_and_what_is_allowed() {
+        let text = "nam = \"x\"\nmap = \"hospital\"\n[lease]\nlase_ms = 3\n[limits]\ncharge_min = 3\n";
+        assert_eq!(
+            said::<FleetConfig>(text),
+            [
+                "f.toml:1:1: unknown key `nam` in a fleet file; allowed: name, map, bootstrap_expect, link_lease_ms, \
+                 limits, lease, auction, ensemble; did you mean `name`?",
+                "f.toml:4:1: unknown key `lase_ms` in a fleet file; allowed: lease_ms, grace_ms; did you mean `lease_ms`?",
+                "f.toml:6:14: 3 is not a battery share: allowed is a number from 0 (empty) to 1 (full)",
+            ]
+        );
+    }
+
+    #[test]
+    fn keys_in_lists_of_tables_are_known_too() {
+        let text = "[[robot]]\nid = \"a\"\nplace = \"Dock\"\nspeed_mps = 1\nbattery = 1\ndischarge_share_per_s = 0\nwheels = 3\n";
+        let said = said::<WorldConfig>(text);
+        assert_eq!(said.len(), 1);
+        assert!(
+            said[0].starts_with("f.toml:7:1: unknown key `wheels` in a world file; allowed: id, place, "),
+            "{said:?}"
+        );
+    }
+
+    #[test]
+    fn what_is_missing_and_what_makes_no_sense_is_told() {
+        assert_eq!(said::<RobotConfig>("name = \"a\"\nskills = []"), ["f.toml:1:1: missing key `place`"]);
+        let text = "name = \"a\"\nplace = \"Dock\"\nskills = [\"navigation\", \"fly\"]\n[bus]\nconnect = [\"udp/x\"]";
+        let said = said::<RobotConfig>(text);
+        assert!(said[0].starts_with("f.toml: skills: there are no tasks of type `fly`; allowed: "), "{said:?}");
+        assert_eq!(said[1], "f.toml: speed_mps: is missing, and the robot has the skill `navigation`");
+        assert!(said[2].starts_with("f.toml: bus.connect: \"udp/x\": the protocol is tcp"), "{said:?}");
+    }
+
+    #[test]
+    fn what_is_printed_reads_back_the_same() {
+        let mut robot: RobotConfig =
+            from_text("name = \"a\"\nplace = \"Dock\"\nskills = [\"pick_up\"]\nfleet = \"x/fleet.toml\"", "f.toml")
+                .unwrap();
+        robot.settle(Path::new("/etc/consort"));
+        assert_eq!(robot.fleet, super::super::FleetRef::File("/etc/consort/x/fleet.toml".into()));
+        assert_eq!(from_text::<RobotConfig>(&to_toml(&robot), "f.toml").unwrap(), robot);
+        robot.fleet = super::super::FleetRef::default();
+        assert_eq!(from_text::<RobotConfig>(&to_toml(&robot), "f.toml").unwrap(), robot);
+    }
 }

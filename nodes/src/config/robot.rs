@@ -29,7 +29,7 @@ pub struct RobotConfig {
     #[serde(default = "nothing")]
     pub discharge_share_per_s: SharePerSecond,
     /// Below this charge it takes no work, as a share. Default 0.08, as in the published evaluation.
-    #[serde(default = "useful")]
+    #[serde(default = "useful_charge")]
     pub useful_charge: BatteryShare,
     /// Whether it stays where it is; such nodes are preferred as keepers of the ledger. Default: it does not.
     #[serde(default)]
@@ -57,7 +57,7 @@ fn nothing() -> SharePerSecond {
 }
 
 /// The charge below which a robot takes no work, where nothing else is said.
-pub(crate) fn useful() -> BatteryShare {
+pub fn useful_charge() -> BatteryShare {
     BatteryShare::new(0.08).expect("0.08 is a share")
 }
 
@@ -71,7 +71,7 @@ impl RobotConfig {
             speed_mps: None,
             battery: full(),
             discharge_share_per_s: nothing(),
-            useful_charge: useful(),
+            useful_charge: useful_charge(),
             stationary: false,
             mains_powered: false,
             may_vote: true,
