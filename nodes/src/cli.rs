@@ -1,6 +1,7 @@
 //! The command line.
 
 use crate::command::{cancel, check, dry_run, fleet, missions, robot, station, submit, world};
+use crate::demo;
 use crate::exit::Failure;
 use crate::output;
 use clap::{Parser, Subcommand};
@@ -21,6 +22,9 @@ pub struct Cli {
 
 const AFTER_HELP: &str = "\
 Examples:
+  # the main job, from beginning to end
+  consort demo
+
   # what an auction would decide, without a fleet
   consort dry-run lab-samples --map hospital --workers nodes/examples/workers.toml --set room='IC Room 6'
 
@@ -41,6 +45,8 @@ or files are wrong; 3 no node was reached, or nobody coordinates.";
 
 #[derive(Debug, Subcommand)]
 enum Command {
+    /// Play the main job: a fleet delivers lab samples and survives the death of its coordinator
+    Demo(demo::Args),
     /// Run the node of a robot
     Robot(robot::Args),
     /// Run a node without a robot, which keeps the ledger and may coordinate
@@ -64,6 +70,7 @@ enum Command {
 /// Runs the program.
 pub fn run() -> ExitCode {
     let done = match Cli::parse().command {
+        Command::Demo(args) => demo::run(args),
         Command::Robot(args) => robot::run(args),
         Command::Station(args) => station::run(args),
         Command::World(args) => world::run(args),

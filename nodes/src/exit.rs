@@ -15,6 +15,9 @@ pub enum Failure {
     /// 3: nothing was reached, or nobody coordinates.
     #[error("{0}")]
     Unreached(String),
+    /// 130: somebody pressed Ctrl-C.
+    #[error("interrupted")]
+    Interrupted,
     /// 0: whoever read our output has closed it, as `head` does.
     #[error("the output was closed")]
     OutputClosed,
@@ -28,6 +31,7 @@ impl Failure {
             Failure::Unsuccessful(_) => 1,
             Failure::Usage(_) => 2,
             Failure::Unreached(_) => 3,
+            Failure::Interrupted => 130,
         })
     }
 }

@@ -8,6 +8,7 @@ pub mod cli;
 pub mod client;
 pub mod command;
 pub mod config;
+pub mod demo;
 pub mod dry_run;
 pub mod exit;
 pub mod floor;

@@ -1,5 +1,6 @@
 //! A node on Zenoh, from its start until it is told to end.
 
+use crate::command::flags::RunFlags;
 use crate::config::{BusConfig, FleetConfig, Problems};
 use crate::exit::Failure;
 use crate::wiring::bus_settings;
@@ -45,17 +46,17 @@ pub fn start_log(filter: Option<String>, default: &str) -> Result<(), Failure> {
     Ok(())
 }
 
-/// Runs a node until Ctrl-C or SIGTERM, or until an actor of it fails. `settings` is called once, within the runtime.
+/// Runs a node until Ctrl-C or SIGTERM, until its standard input closes if that is asked for, or until an actor of it fails. `settings` is called once, within the runtime.
 ///
 /// # Errors
 /// [`Failure::Usage`] if it cannot start as configured, [`Failure::Unsuccessful`] if it fails.
 pub fn node(
-    log: Option<String>,
+    run: RunFlags,
     bus: &BusConfig,
     fleet: &FleetConfig,
     settings: impl FnOnce() -> Result<NodeSettings, Problems>,
 ) -> Result<(), Failure> {
-    start_log(log, LOG)?;
+    start_log(run.log, LOG)?;
     runtime()?.block_on(async {
         // Before anything is started: a signal that comes early is not lost.
         let mut terminate = signal(SignalKind::terminate()).map_err(|problem| no_signal(&problem))?;
@@ -74,6 +75,7 @@ pub fn node(
         let signal = tokio::select! {
             _ = terminate.recv() => Some("SIGTERM"),
             _ = interrupt.recv() => Some("Ctrl-C"),
+            () = stdin_closed(run.until_stdin_closes) => Some("end of input"),
             () = node.ended() => None,
         };
         let Some(signal) = signal else {
@@ -92,6 +94,20 @@ pub fn node(
         }
         Ok(())
     })
+}
+
+/// Waits until the standard input is closed, if that is of interest.
+async fn stdin_closed(of_interest: bool) {
+    if !of_interest {
+        return std::future::pending().await;
+    }
+    let (closed, heard) = tokio::sync::oneshot::channel();
+    std::thread::spawn(move || {
+        // A read that fails says as much as an end.
+        let _ = std::io::copy(&mut std::io::stdin(), &mut std::io::sink());
+        let _ = closed.send(());
+    });
+    let _ = heard.await;
 }
 
 fn no_signal(problem: &std::io::Error) -> Failure {

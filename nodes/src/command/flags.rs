@@ -42,6 +42,9 @@ pub struct RunFlags {
     /// Print the effective configuration as TOML that can be read back, and do nothing else
     #[arg(long)]
     pub print_config: bool,
+    /// End when the standard input is closed: for whoever starts nodes as children and must not leave any behind
+    #[arg(long, hide = true)]
+    pub until_stdin_closes: bool,
 }
 
 /// Where a node is on the network.

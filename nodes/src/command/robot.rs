@@ -110,5 +110,5 @@ pub fn run(args: Args) -> Result<(), Failure> {
     if args.run.print_config {
         return print_config(&robot);
     }
-    running::node(args.run.log, &robot.bus, &fleet, || robot_node(&robot, &fleet, Life::real()))
+    running::node(args.run, &robot.bus, &fleet, || robot_node(&robot, &fleet, Life::real()))
 }

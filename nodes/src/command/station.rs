@@ -73,5 +73,5 @@ pub fn run(args: Args) -> Result<(), Failure> {
     if args.run.print_config {
         return print_config(&station);
     }
-    running::node(args.run.log, &station.bus, &fleet, || station_node(&station, &fleet, Life::real()))
+    running::node(args.run, &station.bus, &fleet, || station_node(&station, &fleet, Life::real()))
 }

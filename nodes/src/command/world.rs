@@ -68,7 +68,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
     if args.run.print_config {
         return print_config(&world);
     }
-    running::node(args.run.log, &world.bus, &fleet, || {
+    running::node(args.run, &world.bus, &fleet, || {
         world_node(&world, &fleet, Life::real()).map(|(settings, _)| settings)
     })
 }

@@ -179,6 +179,12 @@ impl Default for FleetRef {
     }
 }
 
+impl From<FleetConfig> for FleetRef {
+    fn from(fleet: FleetConfig) -> FleetRef {
+        FleetRef::Table(Box::new(fleet))
+    }
+}
+
 impl FleetRef {
     /// The fleet itself.
     ///

@@ -1,7 +1,8 @@
 //! Who takes part in the demo: robots, arms, nurses and missions, worked out from its flags.
 
 use crate::config::{FleetConfig, FleetRef, RobotConfig, StationConfig, WorldConfig};
-use consort_protocol::ids::{FleetId, NodeId, PlaceId, RequestId, RobotId, RoleId, TaskType};
+use consort_protocol::ensemble::EnsembleSpec;
+use consort_protocol::ids::{EnsembleId, FleetId, NodeId, PlaceId, RequestId, RobotId, RoleId, TaskType};
 use consort_protocol::units::{BatteryShare, MetresPerSecond, SharePerSecond};
 use consort_sim::world::{Person, RobotBody};
 use rand::seq::SliceRandom;
@@ -11,8 +12,20 @@ use std::collections::BTreeSet;
 
 /// The rooms where nurses wait, in the order in which missions take them.
 const ROOMS: [&str; 14] = [
-    "IC Room 6", "PC Room 3", "IC Room 2", "PC Room 8", "IC Room 4", "PC Room 1", "IC Room 1", "PC Room 6", "IC Room 5",
-    "PC Room 2", "IC Room 3", "PC Room 7", "PC Room 4", "PC Room 5",
+    "IC Room 6",
+    "PC Room 3",
+    "IC Room 2",
+    "PC Room 8",
+    "IC Room 4",
+    "PC Room 1",
+    "IC Room 1",
+    "PC Room 6",
+    "IC Room 5",
+    "PC Room 2",
+    "IC Room 3",
+    "PC Room 7",
+    "PC Room 4",
+    "PC Room 5",
 ];
 
 /// Robots' names; the first founds the ledger and usually coordinates first.
@@ -109,8 +122,9 @@ impl Cast {
             cast.push(arm);
         }
         // Three voters survive the death of one.
-        let stations: Vec<StationConfig> =
-            (cast.len()..3).map(|index| StationConfig::new(slug::<NodeId>(&format!("station-{}", index + 1)))).collect();
+        let stations: Vec<StationConfig> = (cast.len()..3)
+            .map(|index| StationConfig::new(slug::<NodeId>(&format!("station-{}", index + 1))))
+            .collect();
 
         let requests: Vec<Request> = (0..missions)
             .map(|index| Request {
@@ -133,6 +147,10 @@ impl Cast {
         let fleet = FleetConfig {
             name: slug::<FleetId>("demo"),
             bootstrap_expect: cast.len() + stations.len(),
+            ensemble: vec![EnsembleSpec::with_any_skill_of(
+                slug::<EnsembleId>("logistics"),
+                BTreeSet::from([slug("operate_drawer"), slug("pick_up")]),
+            )],
             ..FleetConfig::default()
         };
         let world = WorldConfig { seed, speed, robot: bodies, person: people.collect(), ..WorldConfig::default() };

@@ -178,13 +178,17 @@ fn ports(count: usize, first: Option<u16>) -> Result<Vec<u16>, Failure> {
         Some(first) => {
             let last = usize::from(first) + count - 1;
             let Ok(last) = u16::try_from(last) else {
-                return Err(Failure::Usage(format!("--port {first}: {count} ports are needed, up to {last}; allowed is up to 65535")));
+                return Err(Failure::Usage(format!(
+                    "--port {first}: {count} ports are needed, up to {last}; allowed is up to 65535"
+                )));
             };
             let ports: Vec<u16> = (first..=last).collect();
             for port in &ports {
                 if let Err(problem) = TcpListener::bind(("127.0.0.1", *port)) {
                     let help = "choose others with --port, or leave it out to have free ones found";
-                    return Err(Failure::Usage(format!("port {port} of {first} to {last} cannot be had: {problem}; {help}")));
+                    return Err(Failure::Usage(format!(
+                        "port {port} of {first} to {last} cannot be had: {problem}; {help}"
+                    )));
                 }
             }
             Ok(ports)
@@ -195,14 +199,18 @@ fn ports(count: usize, first: Option<u16>) -> Result<Vec<u16>, Failure> {
                 .map(|_| TcpListener::bind(("127.0.0.1", 0)))
                 .collect::<Result<_, _>>()
                 .map_err(failed("no free port on loopback"))?;
-            held.iter().map(|port| port.local_addr().map(|address| address.port())).collect::<Result<_, _>>().map_err(failed("a port"))
+            held.iter()
+                .map(|port| port.local_addr().map(|address| address.port()))
+                .collect::<Result<_, _>>()
+                .map_err(failed("a port"))
         }
     }
 }
 
 fn spawn(program: &Path, folder: &Path, node: &NodeId, kind: &str) -> Result<Child, Failure> {
     let log = folder.join(format!("{node}.log"));
-    let log = File::options().create(true).append(true).open(&log).map_err(failed(format_args!("{}", log.display())))?;
+    let log =
+        File::options().create(true).append(true).open(&log).map_err(failed(format_args!("{}", log.display())))?;
     Command::new(program)
         .arg(kind)
         .arg("--config")
@@ -212,6 +220,8 @@ fn spawn(program: &Path, folder: &Path, node: &NodeId, kind: &str) -> Result<Chi
         .stdout(Stdio::null())
         .stderr(log)
         .kill_on_drop(true)
+        // Ctrl-C on the terminal is for the demo alone, which then ends its children.
+        .process_group(0)
         .spawn()
         .map_err(failed(format_args!("{node} could not be started")))
 }
