@@ -1,6 +1,6 @@
 //! Whether files are right, each judged by what it is.
 
-use crate::config::{self, ConfigFile, FleetConfig, Problem, Problems, RobotConfig, StationConfig, WorldConfig};
+use crate::config::{self, FleetConfig, Problem, Problems, RobotConfig, StationConfig, WorldConfig};
 use crate::{floor, source, wiring};
 use consort_protocol::ids::TaskId;
 use consort_protocol::mission::{Domain, Format, IhtnReading, MissionTemplate, TemplateKind, import_ihtn};

@@ -14,7 +14,7 @@ use tracing::{info, warn};
 use tracing_subscriber::EnvFilter;
 
 /// What is logged where nothing else is said: our own doings, and only the troubles of others.
-const LOG: &str = "info,zenoh=warn,zenoh_transport=warn,zenoh_link_tcp=warn,openraft=warn,ractor=warn";
+const LOG: &str = "info,zenoh=error,openraft=error,ractor=warn";
 
 /// How often a node looks at its links.
 const LOOK: Duration = Duration::from_millis(500);
@@ -57,43 +57,54 @@ pub fn node(
     settings: impl FnOnce() -> Result<NodeSettings, Problems>,
 ) -> Result<(), Failure> {
     start_log(run.log, LOG)?;
-    runtime()?.block_on(async {
-        // Before anything is started: a signal that comes early is not lost.
-        let mut terminate = signal(SignalKind::terminate()).map_err(|problem| no_signal(&problem))?;
-        let mut interrupt = signal(SignalKind::interrupt()).map_err(|problem| no_signal(&problem))?;
-        let settings = settings()?;
-        let zenoh = ZenohBus::open(bus_settings(bus, fleet)).await;
-        let zenoh = zenoh.map_err(|problem| Failure::Usage(problem.to_string()))?;
-        let name = settings.node.clone();
-        info!(node = %name, fleet = %fleet.name, id = zenoh.id(), listening = zenoh.listening().await.join(", "), "open");
-        let mut watch = tokio::task::JoinSet::new();
-        watch.spawn(say_links(zenoh.clone(), bus.connect.clone()));
-        let started = NodeHandle::start(settings, Arc::new(zenoh.clone())).await;
-        let mut node = started.map_err(|problem| Failure::Unsuccessful(format!("{name} did not start: {problem}")))?;
-        info!(node = %name, "started");
+    let runtime = runtime()?;
+    let ended = runtime.block_on(until_told(run.until_stdin_closes, bus, fleet, settings));
+    // Whatever still runs, or hangs, ends with the process.
+    runtime.shutdown_background();
+    ended
+}
 
-        let signal = tokio::select! {
-            _ = terminate.recv() => Some("SIGTERM"),
-            _ = interrupt.recv() => Some("Ctrl-C"),
-            () = stdin_closed(run.until_stdin_closes) => Some("end of input"),
-            () = node.ended() => None,
-        };
-        let Some(signal) = signal else {
-            let what = format!("{name} stopped: an actor of it failed; the log says which, and why");
-            return Err(Failure::Unsuccessful(what));
-        };
-        info!(node = %name, signal, "stops");
-        let goodbye = async {
-            node.stop().await;
-            zenoh.close().await
-        };
-        match tokio::time::timeout(GOODBYE, goodbye).await {
-            Ok(Ok(())) => info!(node = %name, "stopped"),
-            Ok(Err(problem)) => warn!(node = %name, %problem, "stopped; the bus did not close well"),
-            Err(_) => warn!(node = %name, "stopped without having told everybody in {GOODBYE:?}"),
-        }
-        Ok(())
-    })
+async fn until_told(
+    until_stdin_closes: bool,
+    bus: &BusConfig,
+    fleet: &FleetConfig,
+    settings: impl FnOnce() -> Result<NodeSettings, Problems>,
+) -> Result<(), Failure> {
+    // Before anything is started: a signal that comes early is not lost.
+    let mut terminate = signal(SignalKind::terminate()).map_err(|problem| no_signal(&problem))?;
+    let mut interrupt = signal(SignalKind::interrupt()).map_err(|problem| no_signal(&problem))?;
+    let settings = settings()?;
+    let zenoh = ZenohBus::open(bus_settings(bus, fleet)).await;
+    let zenoh = zenoh.map_err(|problem| Failure::Usage(problem.to_string()))?;
+    let name = settings.node.clone();
+    info!(node = %name, fleet = %fleet.name, id = zenoh.id(), listening = zenoh.listening().await.join(", "), "open");
+    let mut watch = tokio::task::JoinSet::new();
+    watch.spawn(say_links(zenoh.clone(), bus.connect.clone()));
+    let started = NodeHandle::start(settings, Arc::new(zenoh.clone())).await;
+    let mut node = started.map_err(|problem| Failure::Unsuccessful(format!("{name} did not start: {problem}")))?;
+    info!(node = %name, "started");
+
+    let signal = tokio::select! {
+        _ = terminate.recv() => Some("SIGTERM"),
+        _ = interrupt.recv() => Some("Ctrl-C"),
+        () = stdin_closed(until_stdin_closes) => Some("end of input"),
+        () = node.ended() => None,
+    };
+    let Some(signal) = signal else {
+        let what = format!("{name} stopped: an actor of it failed; the log says which, and why");
+        return Err(Failure::Unsuccessful(what));
+    };
+    info!(node = %name, signal, "stops");
+    let goodbye = async {
+        node.stop().await;
+        zenoh.close().await
+    };
+    match tokio::time::timeout(GOODBYE, goodbye).await {
+        Ok(Ok(())) => info!(node = %name, "stopped"),
+        Ok(Err(problem)) => warn!(node = %name, %problem, "stopped; the bus did not close well"),
+        Err(_) => warn!(node = %name, "stopped without having told everybody in {GOODBYE:?}"),
+    }
+    Ok(())
 }
 
 /// Waits until the standard input is closed, if that is of interest.
@@ -114,7 +125,7 @@ fn no_signal(problem: &std::io::Error) -> Failure {
     Failure::Unsuccessful(format!("signals cannot be heard: {problem}"))
 }
 
-/// Says to whom the node is linked, whenever that changes, and when it is linked to nobody that whom it tries.
+/// Says to whom the node is linked, whenever that changes, and when it is linked to nobody, whom it tries.
 async fn say_links(bus: ZenohBus, connect: Vec<String>) {
     let mut said: Option<Vec<Link>> = None;
     loop {

@@ -111,27 +111,25 @@ fn line_and_column(text: &str, offset: usize) -> (usize, usize) {
     (line, column)
 }
 
-/// Takes the entry whose key or value stands at `span` out of the table, or out of one below.
+/// Takes the entry whose key or value stands at `span` out of the table, or out of one below; for an element of a list
+/// of plain values, the whole list.
 fn remove(table: &mut DeTable<'_>, span: &Range<usize>) -> bool {
-    let here = table.iter().find(|(key, value)| key.span() == *span || value.span() == *span);
+    let is_here = |value: &Spanned<DeValue<'_>>| match value.get_ref() {
+        DeValue::Array(list) => list.iter().any(|element| element.span() == *span),
+        _ => false,
+    };
+    let here = table.iter().find(|(key, value)| key.span() == *span || value.span() == *span || is_here(value));
     if let Some(key) = here.map(|(key, _)| key.clone()) {
         return table.remove(&key).is_some();
     }
-    table.iter_mut().any(|(_, value)| remove_within(value, span))
-}
-
-fn remove_within(value: &mut Spanned<DeValue<'_>>, span: &Range<usize>) -> bool {
-    match value.get_mut() {
+    table.iter_mut().any(|(_, value)| match value.get_mut() {
         DeValue::Table(table) => remove(table, span),
-        DeValue::Array(list) => match list.iter().position(|value| value.span() == *span) {
-            Some(index) => {
-                list.remove(index);
-                true
-            }
-            None => list.iter_mut().any(|value| remove_within(value, span)),
-        },
+        DeValue::Array(list) => list.iter_mut().any(|element| match element.get_mut() {
+            DeValue::Table(table) => remove(table, span),
+            _ => false,
+        }),
         _ => false,
-    }
+    })
 }
 
 #[cfg(test)]
