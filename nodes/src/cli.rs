@@ -22,12 +22,13 @@ pub struct Cli {
 const AFTER_HELP: &str = "\
 Examples:
   # what an auction would decide, without a fleet
-  consort dry-run lab-samples --map hospital --workers nodes/examples/workers.toml --set room='IC Room 6'
+  consort dry-run lab-samples --workers nodes/examples/workers.toml
 
   # a fleet on one machine, a terminal each
   consort world   --config nodes/examples/world.toml
   consort station --config nodes/examples/station.toml
   consort robot   --config nodes/examples/robot.toml
+  consort robot   --config nodes/examples/arm.toml
   consort submit lab-samples --set room='IC Room 6' --wait
 
   # the same from another machine

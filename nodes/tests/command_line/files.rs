@@ -79,11 +79,8 @@ fn flags_prevail_over_variables_and_variables_over_files() {
     command.env("CONSORT_LEASE_MS", "9000").env("CONSORT_SPEED_MPS", "0.25").env("CONSORT_CONNECT", "tcp/a:1,tcp/b:2");
     let output = command.output().expect("the binary starts");
     let printed: toml::Table = String::from_utf8_lossy(&output.stdout).parse().expect("TOML");
-    let at = |path: &[&str]| {
-        path.iter().fold(Some(toml::Value::Table(printed.clone())), |value, key| {
-            value.and_then(|value| value.get(key).cloned())
-        })
-    };
+    let at =
+        |path: &[&str]| path.iter().try_fold(toml::Value::Table(printed.clone()), |value, key| value.get(key).cloned());
     assert_eq!(at(&["fleet", "lease", "lease_ms"]), Some(7000.into()));
     assert_eq!(at(&["fleet", "lease", "grace_ms"]), Some(2000.into()));
     assert_eq!(at(&["speed_mps"]), Some(0.25.into()));
