@@ -129,7 +129,8 @@ fn no_signal(problem: &std::io::Error) -> Failure {
 async fn say_links(bus: ZenohBus, connect: Vec<String>) {
     let mut said: Option<Vec<Link>> = None;
     loop {
-        let links = bus.links().await;
+        let mut links = bus.links().await;
+        links.retain(|link| link.kind != "client"); // they come and go with every command
         if said.as_ref() != Some(&links) {
             match (links.is_empty(), connect.is_empty()) {
                 (false, _) => info!(links = describe(&links), "linked"),

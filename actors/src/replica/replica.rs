@@ -2,7 +2,7 @@
 
 use super::canvass::{self, Ear};
 use super::journal::Journal;
-use super::network::{self, Heard, Switchboard};
+use super::network::{Heard, Switchboard};
 use super::runtime::seed_elections;
 use super::serve::Service;
 use super::settings::{ReplicaSettings, SettingsError};
