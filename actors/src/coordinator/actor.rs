@@ -269,7 +269,7 @@ impl Reign {
         Ok(Reign {
             term,
             since,
-            watch: Watch::new(settings.terms, since),
+            watch: Watch::new(settings.terms),
             rounds: BTreeMap::new(),
             told: BTreeMap::new(),
             seen,
@@ -310,8 +310,12 @@ impl Reign {
         self.follow_missions(settings, now);
         let todo = settings.replica.read(|ledger| {
             let awards = awards(ledger);
-            self.watch.retain(&awards);
-            self.told.retain(|(epoch, _), _| awards.contains(epoch));
+            for (epoch, robot) in &awards {
+                self.watch.meet(*epoch, robot, now);
+            }
+            let epochs = awards.into_iter().map(|(epoch, _)| epoch).collect();
+            self.watch.retain(&epochs);
+            self.told.retain(|(epoch, _), _| epochs.contains(epoch));
             self.rounds.retain(|mission, _| ledger.mission(mission).is_some_and(|entry| !entry.state.is_end()));
             duties(ledger, &self.watch, &self.rounds, &self.told, now)
         });
@@ -472,9 +476,6 @@ impl Reign {
         let Phase::Proposing(holders) = &round.phase else { return };
         match outcome {
             Ok(Outcome::Awarded { epoch }) => {
-                for robot in holders.values() {
-                    self.watch.contact(epoch, robot, now);
-                }
                 let since = self.seen.get(mission).map(|seen| now.since(seen.since).as_secs_f64() * 1000.0);
                 let (mission, holders) = (mission.clone(), holders.clone());
                 settings.events.tell(Happening::Awarded { mission, holders, epoch, after_ms: since });
