@@ -323,22 +323,25 @@ pub struct Watch {
     /// When this coordinator took over: an award it has not heard from since may have been renewed just before.
     since: NodeTime,
     contacts: BTreeMap<Epoch, BTreeMap<RobotId, NodeTime>>,
+    /// When this coordinator first saw each award in the ledger: nobody can have been in contact under it before.
+    seen: BTreeMap<Epoch, NodeTime>,
 }
 
 impl Watch {
     /// Begins with the coordinator's leadership.
     pub fn new(terms: LeaseTerms, since: NodeTime) -> Self {
-        Watch { terms, since, contacts: BTreeMap::new() }
+        Watch { terms, since, contacts: BTreeMap::new(), seen: BTreeMap::new() }
     }
 
-    /// A report of this award was answered with a renewal, or the award was committed, at `now`.
+    /// A report of this award was answered with a renewal at `now`.
     pub fn contact(&mut self, epoch: Epoch, robot: &RobotId, now: NodeTime) {
         self.contacts.entry(epoch).or_default().insert(robot.clone(), now);
     }
 
     /// How long the holder has been out of contact, as far as this coordinator can know.
     pub fn silence(&self, epoch: Epoch, robot: &RobotId, now: NodeTime) -> Duration {
-        let last = self.contacts.get(&epoch).and_then(|robots| robots.get(robot)).copied().unwrap_or(self.since);
+        let contact = self.contacts.get(&epoch).and_then(|robots| robots.get(robot));
+        let last = contact.or(self.seen.get(&epoch)).copied().unwrap_or(self.since);
         now.since(last.max(self.since))
     }
 
@@ -347,9 +350,13 @@ impl Watch {
         self.silence(epoch, robot, now) > self.terms.lease + self.terms.grace
     }
 
-    /// Forgets awards that are none of `live`.
-    pub fn retain(&mut self, live: &BTreeSet<Epoch>) {
+    /// Looks at the awards in force: silence under a new one counts from `now`, and the others are forgotten.
+    pub fn follow(&mut self, live: &BTreeSet<Epoch>, now: NodeTime) {
         self.contacts.retain(|epoch, _| live.contains(epoch));
+        self.seen.retain(|epoch, _| live.contains(epoch));
+        for epoch in live {
+            self.seen.entry(*epoch).or_insert(now);
+        }
     }
 }
 
@@ -449,5 +456,16 @@ mod tests {
         watch.contact(epoch, &robot, at(6000));
         assert!(!watch.is_over(epoch, &robot, at(12_000)));
         assert!(watch.is_over(epoch, &robot, at(12_001)));
+    }
+
+    #[test]
+    fn silence_under_a_new_award_counts_from_when_it_was_first_seen() {
+        let epoch = Epoch { term: 1, index: 5 };
+        let robot = RobotId::new("ada").unwrap();
+        let mut watch = Watch::new(LeaseTerms::default(), at(0));
+        watch.follow(&BTreeSet::from([epoch]), at(60_000));
+        watch.follow(&BTreeSet::from([epoch]), at(61_000));
+        assert!(!watch.is_over(epoch, &robot, at(66_000)), "the award is younger than its coordinator");
+        assert!(watch.is_over(epoch, &robot, at(66_001)));
     }
 }

@@ -310,7 +310,7 @@ impl Reign {
         self.follow_missions(settings, now);
         let todo = settings.replica.read(|ledger| {
             let awards = awards(ledger);
-            self.watch.retain(&awards);
+            self.watch.follow(&awards, now);
             self.told.retain(|(epoch, _), _| awards.contains(epoch));
             self.rounds.retain(|mission, _| ledger.mission(mission).is_some_and(|entry| !entry.state.is_end()));
             duties(ledger, &self.watch, &self.rounds, &self.told, now)
@@ -472,9 +472,6 @@ impl Reign {
         let Phase::Proposing(holders) = &round.phase else { return };
         match outcome {
             Ok(Outcome::Awarded { epoch }) => {
-                for robot in holders.values() {
-                    self.watch.contact(epoch, robot, now);
-                }
                 let since = self.seen.get(mission).map(|seen| now.since(seen.since).as_secs_f64() * 1000.0);
                 let (mission, holders) = (mission.clone(), holders.clone());
                 settings.events.tell(Happening::Awarded { mission, holders, epoch, after_ms: since });
