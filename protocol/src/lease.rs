@@ -322,8 +322,6 @@ impl Tenure {
 pub struct Watch {
     terms: LeaseTerms,
     contacts: BTreeMap<Epoch, BTreeMap<RobotId, NodeTime>>,
-    /// When this coordinator first saw each award in the ledger: nobody can have been in contact under it before.
-    seen: BTreeMap<Epoch, NodeTime>,
 }
 
 impl Watch {
@@ -357,13 +355,9 @@ impl Watch {
         self.silence(epoch, robot, now) > self.terms.lease + self.terms.grace
     }
 
-    /// Looks at the awards in force: silence under a new one counts from `now`, and the others are forgotten.
-    pub fn follow(&mut self, live: &BTreeSet<Epoch>, now: NodeTime) {
+    /// Forgets awards that are none of `live`.
+    pub fn retain(&mut self, live: &BTreeSet<Epoch>) {
         self.contacts.retain(|epoch, _| live.contains(epoch));
-        self.seen.retain(|epoch, _| live.contains(epoch));
-        for epoch in live {
-            self.seen.entry(*epoch).or_insert(now);
-        }
     }
 }
 
@@ -466,16 +460,5 @@ mod tests {
         watch.contact(epoch, &robot, at(6000));
         assert!(!watch.is_over(epoch, &robot, at(12_000)));
         assert!(watch.is_over(epoch, &robot, at(12_001)));
-    }
-
-    #[test]
-    fn silence_under_a_new_award_counts_from_when_it_was_first_seen() {
-        let epoch = Epoch { term: 1, index: 5 };
-        let robot = RobotId::new("ada").unwrap();
-        let mut watch = Watch::new(LeaseTerms::default(), at(0));
-        watch.follow(&BTreeSet::from([epoch]), at(60_000));
-        watch.follow(&BTreeSet::from([epoch]), at(61_000));
-        assert!(!watch.is_over(epoch, &robot, at(66_000)), "the award is younger than its coordinator");
-        assert!(watch.is_over(epoch, &robot, at(66_001)));
     }
 }

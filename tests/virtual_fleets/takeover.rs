@@ -39,9 +39,7 @@ async fn carried_out_once(fleet: &mut Fleet, mission: &MissionId) {
     // A coordinator that only came later finds the mission ended, too.
     let seed = fleet.seed;
     let end = |fleet: &Fleet| fleet.ledger(|ledger| ledger.mission(mission).map(|entry| entry.state.clone()));
-    fleet
-        .until("the new coordinator to know", SOON, |fleet| end(fleet) == Some(Some(MissionState::Completed)))
-        .await;
+    fleet.until("the new coordinator to know", SOON, |fleet| end(fleet) == Some(Some(MissionState::Completed))).await;
     let number = fleet.ledger(|ledger| ledger.missions().count());
     assert_eq!(number, Some(1), "seed {seed}: missions in the ledger");
 }
@@ -125,9 +123,7 @@ async fn five_voters_survive_two_coordinators_killed_in_one_mission() {
     for seed in SEEDS {
         let mut fleet = fleet(seed).await;
         let mission = fleet.submit("a", ROOM).await;
-        let began = |task: &'static str| {
-            move |what: &Happening| matches!(what, Happening::TaskBegan { task: of, .. } if of.as_str() == task)
-        };
+        let began = |task: &'static str| move |what: &Happening| matches!(what, Happening::TaskBegan { task: of, .. } if of.as_str() == task);
         fleet.until("the way to the room", SOON, |fleet| fleet.happened(began("navto_room"))).await;
         fleet.kill("aster").await;
         fleet.until("the deposit", SOON, |fleet| fleet.happened(began("deposit"))).await;
