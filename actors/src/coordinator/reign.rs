@@ -21,7 +21,7 @@ use consort_protocol::ledger::{Command, MissionEntry, MissionState, Outcome, Rol
 use consort_protocol::message::{AwardAnswer, AwardNotice, Beacon, Changed, LivePlan, Report};
 use consort_protocol::mission::RoleKind;
 use consort_protocol::units::NodeTime;
-use ractor::{Actor, ActorRef};
+use ractor::ActorRef;
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 use std::time::Duration;
