@@ -1,4 +1,10 @@
 //! Whole fleets on virtual time.
 
 mod delivery;
+mod determinism;
+mod leases;
+mod queueing;
+mod requests;
 mod takeover;
+mod takeover_everywhere;
+mod takeover_of_holders;
