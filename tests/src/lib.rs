@@ -17,3 +17,12 @@ use std::fmt;
 pub fn slug<T: std::str::FromStr<Err: fmt::Debug>>(text: &str) -> T {
     text.parse().expect("a test's own name")
 }
+
+/// Tells a story once for each seed, each time on a paused runtime of its own: nothing of one run is left in the next.
+pub fn tell(seeds: impl IntoIterator<Item = u64>, story: impl AsyncFn(u64)) {
+    for seed in seeds {
+        let mut builder = tokio::runtime::Builder::new_current_thread();
+        let runtime = builder.enable_time().start_paused(true).build().expect("a runtime");
+        runtime.block_on(story(seed));
+    }
+}

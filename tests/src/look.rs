@@ -7,7 +7,7 @@ use consort_protocol::ids::{MissionId, NodeId, RobotId};
 use consort_protocol::ledger::{Ledger, MissionState};
 use consort_sim::world::{JournalEntry, Keeper};
 use consort_skills::actions::BodyHost;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
 
 impl Fleet {
@@ -73,6 +73,32 @@ impl Fleet {
         self.ledger(|ledger| {
             ledger.mission(mission)?.roles.get(&role)?.holder.as_ref().map(|holder| holder.robot.clone())
         })?
+    }
+
+    /// Every robot to which a role of the mission was ever given.
+    pub fn holders_ever(&self, mission: &MissionId) -> BTreeSet<String> {
+        let mut robots: BTreeSet<String> = self
+            .ledger(|ledger| ledger.mission(mission).map(|entry| entry.holders()))
+            .flatten()
+            .into_iter()
+            .flatten()
+            .map(|(_, robot)| robot.to_string())
+            .collect();
+        for what in self.happenings() {
+            if let Happening::Awarded { mission: of, holders, .. } = what
+                && of == *mission
+            {
+                robots.extend(holders.into_values().map(|robot| robot.to_string()));
+            }
+        }
+        robots.extend(
+            self.chronicle
+                .spells()
+                .into_iter()
+                .filter(|spell| spell.mission == *mission)
+                .map(|spell| spell.robot.to_string()),
+        );
+        robots
     }
 
     /// All that nodes told, in order.

@@ -2,4 +2,10 @@
 
 mod again;
 mod delivery;
+mod determinism;
+mod leases;
+mod queueing;
+mod requests;
 mod takeover;
+mod takeover_everywhere;
+mod takeover_of_holders;
