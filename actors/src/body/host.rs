@@ -73,6 +73,20 @@ struct BodyEntry {
     driver: Option<NodeTime>,
 }
 
+impl BodyEntry {
+    /// Remembers a goal. False if it was known already.
+    fn meet(&mut self, goal: GoalId) -> bool {
+        if self.goals.contains(&goal) {
+            return false;
+        }
+        self.goals.push_back(goal);
+        while self.goals.len() > GOALS_TOLD {
+            self.goals.pop_front();
+        }
+        true
+    }
+}
+
 #[ractor::async_trait]
 impl Actor for Host {
     type Msg = HostMessage;
@@ -154,15 +168,16 @@ impl HostState {
         entry.driver = Some(now);
         match command.order {
             Some(Order::Start { id, goal }) => {
-                if !entry.goals.contains(&id) {
-                    entry.goals.push_back(id);
-                    while entry.goals.len() > GOALS_TOLD {
-                        entry.goals.pop_front();
-                    }
+                if entry.meet(id) {
                     self.world.start(&robot, id, goal);
                 }
             }
-            Some(Order::Cancel { id }) => self.world.cancel(&robot, id),
+            Some(Order::Cancel { id }) => {
+                // A goal that is called off before it was heard of must not begin when the order to begin it arrives late.
+                if !entry.meet(id) {
+                    self.world.cancel(&robot, id);
+                }
+            }
             None => {}
         }
         // Refusals and cancellations show at once.
