@@ -2,7 +2,7 @@
 //!
 //! ```text
 //! consort/{fleet}/wire/**   bincode, between nodes             (see `message` for who says what)
-//! consort/{fleet}/view/**   JSON, for people and any client    get: fleet, robots, coordinator, missions, auctions
+//! consort/{fleet}/view/**   JSON, for people and any client    get: fleet, robots, coordinator, missions, auctions, world
 //! consort/{fleet}/api/**    JSON, for people and any client    query: submit, cancel, get, list
 //! consort/{fleet}/alive/**  presence tokens                    robot/{id}, node/{id}, coordinator/{term}/{id}
 //! consort/{fleet}/events    JSON, published                    what happens, as it happens
@@ -54,6 +54,8 @@ pub enum Key {
     ViewMission(MissionId),
     /// `view/auctions`.
     ViewAuctions,
+    /// `view/world`: answered by the host of bodies, where there is one.
+    ViewWorld,
     /// `api/{call}`.
     Api(ApiCall),
     /// `alive/robot/{robot}`.
@@ -97,6 +99,8 @@ words! {
         Append = "append",
         /// The leader hands over a snapshot, piece by piece.
         Snapshot = "snapshot",
+        /// Before it stands, a node asks whether anybody would vote for it.
+        Canvass = "canvass",
     }
     /// A call between a robot's node and the host of its body.
     BodyCall {
@@ -222,6 +226,7 @@ impl fmt::Display for Key {
             Key::ViewMissions => f.write_str("view/missions"),
             Key::ViewMission(mission) => write!(f, "view/mission/{mission}"),
             Key::ViewAuctions => f.write_str("view/auctions"),
+            Key::ViewWorld => f.write_str("view/world"),
             Key::Api(call) => write!(f, "api/{}", call.word()),
             Key::AliveRobot(robot) => write!(f, "alive/robot/{robot}"),
             Key::AliveNode(node) => write!(f, "alive/node/{node}"),
@@ -256,6 +261,7 @@ fn read(text: &str) -> Option<Key> {
         ["view", "missions"] => Key::ViewMissions,
         ["view", "mission", mission] => Key::ViewMission(mission.parse().ok()?),
         ["view", "auctions"] => Key::ViewAuctions,
+        ["view", "world"] => Key::ViewWorld,
         ["api", call] => Key::Api(ApiCall::read(call)?),
         ["alive", "robot", robot] => Key::AliveRobot(robot.parse().ok()?),
         ["alive", "node", node] => Key::AliveNode(node.parse().ok()?),
@@ -292,6 +298,7 @@ mod tests {
             Key::ViewMissions,
             Key::ViewMission(mission),
             Key::ViewAuctions,
+            Key::ViewWorld,
             Key::AliveRobot(robot.clone()),
             Key::AliveNode(node.clone()),
             Key::AliveCoordinator(7, node),

@@ -316,21 +316,26 @@ impl Tenure {
     }
 }
 
-/// The coordinator's side: when each award was last in contact.
+/// The coordinator's side: when each award was last in contact. An award that this coordinator has just met, be it new or
+/// another coordinator's, counts as in contact at that moment: it may have been renewed just before.
 #[derive(Debug, Clone)]
 pub struct Watch {
     terms: LeaseTerms,
-    /// When this coordinator took over: an award it has not heard from since may have been renewed just before.
-    since: NodeTime,
     contacts: BTreeMap<Epoch, BTreeMap<RobotId, NodeTime>>,
-    /// When this coordinator first saw each award in the ledger: nobody can have been in contact under it before.
-    seen: BTreeMap<Epoch, NodeTime>,
 }
 
 impl Watch {
     /// Begins with the coordinator's leadership.
-    pub fn new(terms: LeaseTerms, since: NodeTime) -> Self {
-        Watch { terms, since, contacts: BTreeMap::new(), seen: BTreeMap::new() }
+    pub fn new(terms: LeaseTerms) -> Self {
+        Watch { terms, contacts: BTreeMap::new() }
+    }
+
+    /// The award stands in the ledger as this coordinator looks at it.
+    pub fn meet(&mut self, epoch: Epoch, robot: &RobotId, now: NodeTime) {
+        let robots = self.contacts.entry(epoch).or_default();
+        if !robots.contains_key(robot) {
+            robots.insert(robot.clone(), now);
+        }
     }
 
     /// A report of this award was answered with a renewal at `now`.
@@ -338,11 +343,11 @@ impl Watch {
         self.contacts.entry(epoch).or_default().insert(robot.clone(), now);
     }
 
-    /// How long the holder has been out of contact, as far as this coordinator can know.
+    /// How long the holder has been out of contact, as far as this coordinator can know; nothing for an award that it has
+    /// not met.
     pub fn silence(&self, epoch: Epoch, robot: &RobotId, now: NodeTime) -> Duration {
-        let contact = self.contacts.get(&epoch).and_then(|robots| robots.get(robot));
-        let last = contact.or(self.seen.get(&epoch)).copied().unwrap_or(self.since);
-        now.since(last.max(self.since))
+        let last = self.contacts.get(&epoch).and_then(|robots| robots.get(robot));
+        last.map_or(Duration::ZERO, |last| now.since(*last))
     }
 
     /// Whether the holder has certainly suspended by now, so that its role may go to another.
@@ -350,13 +355,9 @@ impl Watch {
         self.silence(epoch, robot, now) > self.terms.lease + self.terms.grace
     }
 
-    /// Looks at the awards in force: silence under a new one counts from `now`, and the others are forgotten.
-    pub fn follow(&mut self, live: &BTreeSet<Epoch>, now: NodeTime) {
+    /// Forgets awards that are none of `live`.
+    pub fn retain(&mut self, live: &BTreeSet<Epoch>) {
         self.contacts.retain(|epoch, _| live.contains(epoch));
-        self.seen.retain(|epoch, _| live.contains(epoch));
-        for epoch in live {
-            self.seen.entry(*epoch).or_insert(now);
-        }
     }
 }
 
@@ -450,22 +451,14 @@ mod tests {
     fn the_role_goes_to_another_only_after_the_holder_has_suspended() {
         let epoch = Epoch { term: 1, index: 5 };
         let robot = RobotId::new("ada").unwrap();
-        let mut watch = Watch::new(LeaseTerms::default(), at(0));
+        let mut watch = Watch::new(LeaseTerms::default());
+        assert!(!watch.is_over(epoch, &robot, at(9_000_000)), "an award that has only just been made");
+        watch.meet(epoch, &robot, at(0));
+        watch.meet(epoch, &robot, at(3000));
         assert!(!watch.is_over(epoch, &robot, at(6000)), "it may have been renewed just before the takeover");
         assert!(watch.is_over(epoch, &robot, at(6001)));
         watch.contact(epoch, &robot, at(6000));
         assert!(!watch.is_over(epoch, &robot, at(12_000)));
         assert!(watch.is_over(epoch, &robot, at(12_001)));
-    }
-
-    #[test]
-    fn silence_under_a_new_award_counts_from_when_it_was_first_seen() {
-        let epoch = Epoch { term: 1, index: 5 };
-        let robot = RobotId::new("ada").unwrap();
-        let mut watch = Watch::new(LeaseTerms::default(), at(0));
-        watch.follow(&BTreeSet::from([epoch]), at(60_000));
-        watch.follow(&BTreeSet::from([epoch]), at(61_000));
-        assert!(!watch.is_over(epoch, &robot, at(66_000)), "the award is younger than its coordinator");
-        assert!(watch.is_over(epoch, &robot, at(66_001)));
     }
 }

@@ -244,4 +244,9 @@ pub trait BodyHost: Send + Sync {
 
     /// The body's report as of `now`; `None` for a robot that is not here.
     fn telemetry(&self, robot: &RobotId) -> Option<Telemetry>;
+
+    /// What there is to see beside the bodies (things, people), in JSON, for onlookers; nothing is decided by it.
+    fn report(&self) -> serde_json::Value {
+        serde_json::Value::Null
+    }
 }

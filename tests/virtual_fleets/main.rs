@@ -1,10 +1,12 @@
 //! Whole fleets on virtual time.
 
+mod again;
 mod delivery;
 mod determinism;
 mod leases;
 mod queueing;
 mod requests;
+mod supervision;
 mod takeover;
 mod takeover_everywhere;
 mod takeover_of_holders;

@@ -42,6 +42,8 @@ pub enum HostMessage {
     Command(Query),
     /// An attendant's ask.
     Ask(Query),
+    /// Somebody looks at the world.
+    View(Query),
     /// Something is due in the world.
     Due,
     /// Time to publish states.
@@ -74,16 +76,11 @@ struct BodyEntry {
 }
 
 impl BodyEntry {
-    /// Remembers a goal. False if it was known already.
-    fn meet(&mut self, goal: GoalId) -> bool {
-        if self.goals.contains(&goal) {
-            return false;
-        }
+    fn remember(&mut self, goal: GoalId) {
         self.goals.push_back(goal);
         while self.goals.len() > GOALS_TOLD {
             self.goals.pop_front();
         }
-        true
     }
 }
 
@@ -102,6 +99,8 @@ impl Actor for Host {
         tasks.forward(settings.bus.serve(&settings.keys.any_body_command()).await?, &myself, HostMessage::Command);
         let ask = settings.keys.write(&Key::People(PeopleCall::Ask));
         tasks.forward(settings.bus.serve(&ask).await?, &myself, HostMessage::Ask);
+        let view = settings.keys.write(&Key::ViewWorld);
+        tasks.forward(settings.bus.serve(&view).await?, &myself, HostMessage::View);
         tasks.beat(settings.beat, &myself, || HostMessage::Beat);
         let bodies = world.robots().into_iter().map(|robot| (robot, BodyEntry::default())).collect();
         let (started, origin, number) = (settings.clock.now(), world.now(), settings.clock.wall_ms() << 16);
@@ -119,6 +118,10 @@ impl Actor for Host {
         match message {
             HostMessage::Command(query) => state.command(query).await,
             HostMessage::Ask(query) => state.ask(query).await,
+            HostMessage::View(query) => {
+                let report = state.world.report();
+                answer::json(&query, &state.settings.keys.write(&Key::ViewWorld), &report).await;
+            }
             HostMessage::Due => state.armed = None,
             HostMessage::Beat => {
                 state.stop_the_undriven();
@@ -167,18 +170,14 @@ impl HostState {
         };
         entry.driver = Some(now);
         match command.order {
-            Some(Order::Start { id, goal }) => {
-                if entry.meet(id) {
-                    self.world.start(&robot, id, goal);
-                }
+            Some(Order::Start { id, goal }) if !entry.goals.contains(&id) => {
+                entry.remember(id);
+                self.world.start(&robot, id, goal);
             }
-            Some(Order::Cancel { id }) => {
-                // A goal that is called off before it was heard of must not begin when the order to begin it arrives late.
-                if !entry.meet(id) {
-                    self.world.cancel(&robot, id);
-                }
-            }
-            None => {}
+            // Called off before it was heard of: it must not begin when the order to begin it arrives late.
+            Some(Order::Cancel { id }) if !entry.goals.contains(&id) => entry.remember(id),
+            Some(Order::Cancel { id }) => self.world.cancel(&robot, id),
+            Some(Order::Start { .. }) | None => {}
         }
         // Refusals and cancellations show at once.
         let events = self.advance();

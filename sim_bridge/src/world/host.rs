@@ -81,4 +81,8 @@ impl BodyHost for World {
             able: battery.able,
         })
     }
+
+    fn report(&self) -> serde_json::Value {
+        serde_json::json!({ "time_s": self.now, "samples": self.samples(), "people": self.people() })
+    }
 }

@@ -67,4 +67,8 @@ impl BodyHost for SharedWorld {
     fn telemetry(&self, robot: &RobotId) -> Option<Telemetry> {
         self.lock().telemetry(robot)
     }
+
+    fn report(&self) -> serde_json::Value {
+        self.lock().report()
+    }
 }

@@ -1,0 +1,85 @@
+//! The command line.
+
+use crate::command::{cancel, check, dry_run, fleet, missions, robot, station, submit, world};
+use crate::demo;
+use crate::exit::Failure;
+use crate::output;
+use clap::{Parser, Subcommand};
+use std::process::ExitCode;
+
+/// Mission coordination for fleets of heterogeneous robots, without a boss that can be killed.
+///
+/// Nodes of a fleet (robots, stations, a simulated world) find each other over Zenoh and elect a coordinator among
+/// themselves. Missions are submitted to whichever node coordinates; robots price their own work, the best coalition gets
+/// it, and the fleet carries on when any node dies.
+#[derive(Debug, Parser)]
+#[command(name = "consort", version, max_term_width = 100, after_long_help = AFTER_HELP)]
+pub struct Cli {
+    /// What to do.
+    #[command(subcommand)]
+    command: Command,
+}
+
+const AFTER_HELP: &str = "\
+Examples:
+  # the main job, from beginning to end
+  consort demo
+
+  # what an auction would decide, without a fleet
+  consort dry-run lab-samples --workers nodes/examples/workers.toml
+
+  # a fleet on one machine, a terminal each
+  consort world   --config nodes/examples/world.toml
+  consort station --config nodes/examples/station.toml
+  consort robot   --config nodes/examples/robot.toml
+  consort robot   --config nodes/examples/arm.toml
+  consort submit lab-samples --set room='IC Room 6' --wait
+
+  # the same from another machine
+  consort missions --connect tcp/192.0.2.7:7447 --watch
+
+Every flag that shows an [env: …] can be given by that variable instead; flags prevail over variables, variables over
+files, files over defaults.
+
+Exit codes: 0 it succeeded; 1 what was asked for did not succeed (a mission failed, a check found problems); 2 the flags
+or files are wrong; 3 no node was reached, or nobody coordinates.";
+
+// Each is described where its flags are.
+#[derive(Debug, Subcommand)]
+enum Command {
+    Demo(demo::Args),
+    Robot(robot::Args),
+    Station(station::Args),
+    World(world::Args),
+    Submit(submit::Args),
+    Missions(missions::Args),
+    Cancel(cancel::Args),
+    Fleet(fleet::Args),
+    Check(check::Args),
+    DryRun(dry_run::Args),
+}
+
+/// Runs the program.
+pub fn run() -> ExitCode {
+    let done = match Cli::parse().command {
+        Command::Demo(args) => demo::run(args),
+        Command::Robot(args) => robot::run(args),
+        Command::Station(args) => station::run(args),
+        Command::World(args) => world::run(args),
+        Command::Submit(args) => submit::run(args),
+        Command::Missions(args) => missions::run(args),
+        Command::Cancel(args) => cancel::run(args),
+        Command::Fleet(args) => fleet::run(args),
+        Command::Check(args) => check::run(args),
+        Command::DryRun(args) => dry_run::run(args),
+    };
+    match done {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(failure) => {
+            if !matches!(failure, Failure::OutputClosed) {
+                output::note(format_args!("consort: {failure}"));
+            }
+            failure.code()
+        }
+    }
+}

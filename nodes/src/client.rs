@@ -1,0 +1,196 @@
+//! A client of a fleet: asks whoever coordinates, and says what it waits for.
+
+use crate::config::{DEFAULT_FLEET, FleetConfig, load};
+use crate::exit::Failure;
+use crate::output::Waiting;
+use crate::running::{describe, start_log};
+use bytes::Bytes;
+use consort_actors::bus::zenoh_bus::Mode;
+use consort_actors::bus::{Bus, ZenohBus, ZenohSettings};
+use consort_protocol::ids::FleetId;
+use consort_protocol::keys::{ApiCall, Key, Keys};
+use serde_json::Value;
+use std::path::Path;
+use std::time::Duration;
+use tokio::time::{Instant, sleep};
+
+/// How long one question may take. The coordinator itself gives up on the ledger after 2 s.
+const ONE_QUERY: Duration = Duration::from_secs(3);
+
+/// How long to wait before asking again.
+const AGAIN: Duration = Duration::from_millis(250);
+
+/// What the coordinator says at the end of a refusal that may pass: it could not commit just then.
+const MAY_PASS: &str = "the same request may be sent again";
+
+/// How to reach a fleet.
+#[derive(Debug, Clone, clap::Args)]
+#[command(next_help_heading = "Reaching the fleet")]
+pub struct ClientFlags {
+    /// The fleet: its name, or its file. Default: ward
+    #[arg(long, env = "CONSORT_FLEET", value_name = "NAME|FILE", default_value = DEFAULT_FLEET)]
+    fleet: String,
+    /// Address of any node or router of the fleet; may be repeated, the first that can be reached is used
+    #[arg(
+        long,
+        env = "CONSORT_CONNECT",
+        value_delimiter = ',',
+        value_name = "ADDRESS",
+        default_value = "tcp/127.0.0.1:7447"
+    )]
+    connect: Vec<String>,
+    /// How long to try to reach the fleet and its coordinator, in seconds
+    #[arg(long, env = "CONSORT_TIMEOUT", value_name = "SECONDS", default_value_t = 10.0)]
+    timeout: f64,
+}
+
+/// A client that is connected.
+pub struct Client {
+    bus: ZenohBus,
+    keys: Keys,
+    fleet: FleetId,
+    to: String,
+    timeout: Duration,
+    waiting: Waiting,
+}
+
+impl Client {
+    /// Connects, trying until the time is up.
+    ///
+    /// # Errors
+    /// [`Failure::Unreached`] if nothing answers, [`Failure::Usage`] for wrong flags.
+    pub async fn open(flags: &ClientFlags) -> Result<Client, Failure> {
+        start_log(None, "off")?;
+        let fleet = fleet_name(&flags.fleet)?;
+        let timeout = Duration::try_from_secs_f64(flags.timeout)
+            .map_err(|_| Failure::Usage(format!("--timeout: {} is not a number of seconds", flags.timeout)))?;
+        let mut waiting = Waiting::new();
+        let until = Instant::now() + timeout;
+        let settings = ZenohSettings { mode: Mode::Client, connect: flags.connect.clone(), ..ZenohSettings::default() };
+        let addresses = flags.connect.join(", ");
+        let (bus, links) = loop {
+            let problem = match ZenohBus::open(settings.clone()).await {
+                Ok(bus) => {
+                    let links = bus.wait_connected(Duration::from_secs(1)).await;
+                    if !links.is_empty() {
+                        break (bus, links);
+                    }
+                    "no link came about".to_owned()
+                }
+                Err(problem) => problem.to_string(),
+            };
+            if Instant::now() + AGAIN >= until {
+                drop(waiting);
+                return Err(Failure::Unreached(format!(
+                    "not connected: nothing answers at {addresses} ({problem})\n\
+                     Start a node that listens there (consort station --name s1 --listen tcp/127.0.0.1:7447), or name \
+                     one that runs: --connect tcp/HOST:PORT"
+                )));
+            }
+            waiting.say(format_args!("nothing answers at {addresses} yet; trying for {} s", timeout.as_secs_f64()));
+            sleep(AGAIN).await;
+        };
+        waiting.clear();
+        let keys = Keys::new(&fleet);
+        Ok(Client { bus, keys, fleet, to: describe(&links), timeout, waiting })
+    }
+
+    /// Makes a request of the coordinator's.
+    ///
+    /// # Errors
+    /// [`Failure::Unsuccessful`] with what it refused; [`Failure::Unreached`] if nobody coordinates.
+    pub async fn api(&mut self, call: ApiCall, request: &Value) -> Result<Value, Failure> {
+        self.ask(&Key::Api(call), request.to_string()).await
+    }
+
+    /// Looks at what the coordinator shows.
+    ///
+    /// # Errors
+    /// As [`api`](Self::api).
+    pub async fn view(&mut self, key: &Key) -> Result<Value, Failure> {
+        self.ask(key, String::new()).await
+    }
+
+    /// Says on the standard error what is waited for.
+    pub fn waiting(&mut self) -> &mut Waiting {
+        &mut self.waiting
+    }
+
+    /// Closes the connection.
+    pub async fn close(self) {
+        // The answer is out; how the session ends is of no interest any more.
+        let _ = self.bus.close().await;
+    }
+
+    async fn ask(&mut self, key: &Key, payload: String) -> Result<Value, Failure> {
+        let until = Instant::now() + self.timeout;
+        let key = self.keys.write(key);
+        let mut waited = false;
+        loop {
+            let left = until.saturating_duration_since(Instant::now());
+            let hindrance = match self.once(&key, &payload, ONE_QUERY.min(left.max(AGAIN))).await {
+                Ok(value) => {
+                    if waited {
+                        self.waiting.clear();
+                    }
+                    return Ok(value);
+                }
+                Err(Hindrance::Refused(problem)) => return Err(Failure::Unsuccessful(problem)),
+                Err(Hindrance::MayPass(problem)) => problem,
+                Err(Hindrance::Silence) if self.bus.links().await.is_empty() => "the link is down".to_owned(),
+                Err(Hindrance::Silence) => format!("no coordinator of fleet {} answers", self.fleet),
+            };
+            if Instant::now() + AGAIN >= until {
+                return Err(Failure::Unreached(format!(
+                    "{hindrance}, and none did in {} s; linked to {}\n\
+                     Is the fleet's name right (--fleet)? Are as many nodes up that may vote as its bootstrap_expect \
+                     says, and linked with one another? Is a majority of the ledger's keepers alive?",
+                    self.timeout.as_secs_f64(),
+                    self.to
+                )));
+            }
+            self.waiting.say(format_args!("{hindrance} yet; asking again"));
+            waited = true;
+            sleep(AGAIN).await;
+        }
+    }
+
+    async fn once(&self, key: &str, payload: &str, limit: Duration) -> Result<Value, Hindrance> {
+        let asked = self.bus.query(key, Bytes::from(payload.to_owned()), limit).await;
+        let mut replies = asked.map_err(|problem| Hindrance::MayPass(problem.to_string()))?;
+        let mut hindrance = Hindrance::Silence;
+        // Whoever has just lost the coordination may answer too; the one who can act settles it.
+        while let Some(reply) = replies.recv().await {
+            let answer = match reply.payload {
+                Ok(bytes) => serde_json::from_slice::<Value>(&bytes).map_err(|e| format!("not JSON: {e}")),
+                Err(refusal) => Err(refusal),
+            };
+            match answer {
+                Ok(value) => match value.get("error").and_then(Value::as_str) {
+                    None => return Ok(value),
+                    Some(problem) if problem.ends_with(MAY_PASS) => hindrance = Hindrance::MayPass(problem.to_owned()),
+                    Some(problem) => return Err(Hindrance::Refused(problem.to_owned())),
+                },
+                Err(problem) => hindrance = Hindrance::MayPass(problem),
+            }
+        }
+        Err(hindrance)
+    }
+}
+
+/// Why there is no answer.
+enum Hindrance {
+    /// The request is wrong; asking again would not help.
+    Refused(String),
+    /// It may work in a moment.
+    MayPass(String),
+    /// Nobody answered.
+    Silence,
+}
+
+fn fleet_name(text: &str) -> Result<FleetId, Failure> {
+    if text.ends_with(".toml") || text.contains('/') {
+        return Ok(load::<FleetConfig>(Path::new(text))?.name);
+    }
+    FleetId::new(text).map_err(|problem| Failure::Usage(format!("--fleet: {problem}")))
+}

@@ -1,0 +1,158 @@
+//! Flags that several commands share.
+
+use crate::config::{BusConfig, ConfigFile, FleetConfig, FleetRef, load, to_toml};
+use crate::exit::Failure;
+use crate::output;
+use consort_protocol::ids::FleetId;
+use consort_protocol::units::{BatteryShare, Seconds};
+use std::path::{Path, PathBuf};
+
+/// Reads `NAME=VALUE`.
+pub(super) fn key_value(text: &str) -> Result<(String, String), String> {
+    match text.split_once('=') {
+        Some((name, value)) if !name.is_empty() => Ok((name.to_owned(), value.to_owned())),
+        _ => Err("expected NAME=VALUE, as room='IC Room 6'".to_owned()),
+    }
+}
+
+/// Reads a quantity or name of the protocol's.
+pub(super) fn share(text: &str) -> Result<BatteryShare, String> {
+    quantity(text, BatteryShare::new)
+}
+
+pub(super) fn seconds(text: &str) -> Result<Seconds, String> {
+    quantity(text, Seconds::new)
+}
+
+pub(super) fn quantity<Q>(
+    text: &str,
+    new: impl Fn(f64) -> Result<Q, consort_protocol::units::UnitError>,
+) -> Result<Q, String> {
+    let number: f64 = text.parse().map_err(|_| format!("{text:?} is not a number"))?;
+    new(number).map_err(|problem| problem.to_string())
+}
+
+/// How a node is run.
+#[derive(Debug, clap::Args)]
+#[command(next_help_heading = "Running")]
+pub struct RunFlags {
+    /// What to log on the standard error: error, warn, info, debug or trace, also by module (info,consort_actors=debug)
+    #[arg(long, env = "CONSORT_LOG", value_name = "FILTER")]
+    pub log: Option<String>,
+    /// Print the effective configuration as TOML that can be read back, and do nothing else
+    #[arg(long)]
+    pub print_config: bool,
+    /// End when the standard input is closed: for whoever starts nodes as children and must not leave any behind
+    #[arg(long, hide = true)]
+    pub until_stdin_closes: bool,
+}
+
+/// Where a node is on the network.
+#[derive(Debug, clap::Args)]
+#[command(next_help_heading = "Network")]
+pub struct BusFlags {
+    /// Address to listen on, as tcp/0.0.0.0:7447; may be repeated. Default: loopback, any free port
+    #[arg(long, env = "CONSORT_LISTEN", value_delimiter = ',', value_name = "ADDRESS")]
+    listen: Vec<String>,
+    /// Neighbour to connect to, as tcp/192.0.2.7:7447; may be repeated. Two to four serve well
+    #[arg(long, env = "CONSORT_CONNECT", value_delimiter = ',', value_name = "ADDRESS")]
+    connect: Vec<String>,
+}
+
+impl BusFlags {
+    /// Puts what was given in the place of what the file says.
+    pub fn apply(self, bus: &mut BusConfig) {
+        if !self.listen.is_empty() {
+            bus.listen = self.listen;
+        }
+        if !self.connect.is_empty() {
+            bus.connect = self.connect;
+        }
+    }
+}
+
+/// What all nodes of a fleet agree on.
+#[derive(Debug, clap::Args)]
+#[command(next_help_heading = "Fleet (the same for all its nodes)")]
+pub struct FleetFlags {
+    /// The fleet file
+    #[arg(long, env = "CONSORT_FLEET", value_name = "FILE")]
+    fleet: Option<PathBuf>,
+    /// The fleet's name
+    #[arg(long, env = "CONSORT_FLEET_NAME", value_name = "NAME")]
+    fleet_name: Option<FleetId>,
+    /// The map: the name of one that is shipped (hospital), or a file
+    #[arg(long, env = "CONSORT_MAP", value_name = "NAME|FILE")]
+    map: Option<String>,
+    /// Nodes that may vote and must have met before the ledger is founded
+    #[arg(long, env = "CONSORT_BOOTSTRAP_EXPECT", value_name = "COUNT")]
+    bootstrap_expect: Option<usize>,
+    /// How long a neighbour that says nothing counts as linked
+    #[arg(long, env = "CONSORT_LINK_LEASE_MS", value_name = "MS")]
+    link_lease_ms: Option<u64>,
+    /// Longest time that a robot's part may take by its own estimate
+    #[arg(long, env = "CONSORT_TIME_LIMIT_S", value_name = "SECONDS", value_parser = seconds)]
+    time_limit_s: Option<Seconds>,
+    /// Charge that must be left after a mission, as a share
+    #[arg(long, env = "CONSORT_CHARGE_MIN", value_name = "SHARE", value_parser = share)]
+    charge_min: Option<BatteryShare>,
+    /// A robot suspends its role this long after its last contact with the coordinator
+    #[arg(long, env = "CONSORT_LEASE_MS", value_name = "MS")]
+    lease_ms: Option<u64>,
+    /// The coordinator waits this much longer before it gives the role to another
+    #[arg(long, env = "CONSORT_GRACE_MS", value_name = "MS")]
+    grace_ms: Option<u64>,
+    /// How long an auction waits for a member that does not answer
+    #[arg(long, env = "CONSORT_WINDOW_MS", value_name = "MS")]
+    window_ms: Option<u64>,
+}
+
+impl FleetFlags {
+    /// The fleet that flags and a node's file name together.
+    ///
+    /// # Errors
+    /// [`Failure::Usage`] for what is wrong with it.
+    pub fn resolve(self, named: &FleetRef) -> Result<FleetConfig, Failure> {
+        let mut fleet = match &self.fleet {
+            Some(path) => load(path)?,
+            None => named.resolve()?,
+        };
+        set(&mut fleet.name, self.fleet_name);
+        set(&mut fleet.map, self.map);
+        set(&mut fleet.bootstrap_expect, self.bootstrap_expect);
+        set(&mut fleet.link_lease_ms, self.link_lease_ms);
+        fleet.limits.time_s = self.time_limit_s.or(fleet.limits.time_s);
+        set(&mut fleet.limits.charge_min, self.charge_min);
+        set(&mut fleet.lease.lease_ms, self.lease_ms);
+        set(&mut fleet.lease.grace_ms, self.grace_ms);
+        set(&mut fleet.auction.window_ms, self.window_ms);
+        settled(&mut fleet)?;
+        Ok(fleet)
+    }
+}
+
+/// Puts what was given in the place of what was there.
+pub(super) fn set<T>(place: &mut T, given: Option<T>) {
+    if let Some(given) = given {
+        *place = given;
+    }
+}
+
+/// Makes paths that flags gave relative to where the command runs, and checks the whole once more.
+///
+/// # Errors
+/// [`Failure::Usage`] for what is wrong.
+pub(super) fn settled<C: ConfigFile>(config: &mut C) -> Result<(), Failure> {
+    let here = std::env::current_dir().unwrap_or_else(|_| PathBuf::from("/"));
+    config.settle(Path::new(&here));
+    let problems = config.problems();
+    if problems.is_empty() { Ok(()) } else { Err(Failure::Usage(problems.join("\n"))) }
+}
+
+/// Prints a node's configuration with its fleet as part of it.
+///
+/// # Errors
+/// [`Failure::OutputClosed`].
+pub(super) fn print_config<C: ConfigFile>(config: &C) -> Result<(), Failure> {
+    output::line(to_toml(config).trim_end())
+}

@@ -1,0 +1,97 @@
+//! `consort fleet`: the nodes of a fleet, and who coordinates.
+
+use crate::client::{Client, ClientFlags};
+use crate::exit::Failure;
+use crate::{output, running};
+use consort_protocol::keys::Key;
+use serde_json::{Value, json};
+
+/// Show the nodes of a fleet, and who coordinates
+///
+/// As the coordinator has heard of them: each belief has an age.
+#[derive(Debug, clap::Args)]
+#[command(after_long_help = "\
+Examples:
+  consort fleet
+  consort fleet --json --connect tcp/192.0.2.7:7447")]
+pub struct Args {
+    /// Print JSON
+    #[arg(long)]
+    json: bool,
+    #[command(flatten)]
+    client: ClientFlags,
+}
+
+/// Runs the command.
+///
+/// # Errors
+/// As [`Client::api`].
+pub fn run(args: Args) -> Result<(), Failure> {
+    running::runtime()?.block_on(async {
+        let mut client = Client::open(&args.client).await?;
+        let fleet = client.view(&Key::ViewFleet).await?;
+        let coordinator = client.view(&Key::ViewCoordinator).await?;
+        client.close().await;
+        if args.json {
+            return output::line(json!({ "fleet": fleet, "coordinator": coordinator }));
+        }
+        output::line(head(&coordinator))?;
+        let heads = ["NODE", "ALIVE", "VOTES", "PLACE", "BATTERY", "SPEED", "HOLDS", "MEMBER", "HEARD", "SKILLS"];
+        let nodes = fleet.get("nodes").and_then(Value::as_array).map_or(&[][..], Vec::as_slice);
+        let rows = nodes.iter().map(|node| row(node, &fleet, &coordinator));
+        let rows: Vec<Vec<String>> = std::iter::once(heads.map(str::to_owned).to_vec()).chain(rows).collect();
+        output::line(output::table(&rows))
+    })
+}
+
+fn head(coordinator: &Value) -> String {
+    let text = |key: &str| coordinator.get(key).and_then(Value::as_str).unwrap_or("?");
+    let number = |key: &str| coordinator.get(key).and_then(Value::as_u64).unwrap_or(0);
+    let list = |key: &str| {
+        let names = coordinator.get(key).and_then(Value::as_array).into_iter().flatten().filter_map(Value::as_str);
+        let names: Vec<&str> = names.collect();
+        if names.is_empty() { "nobody".to_owned() } else { names.join(", ") }
+    };
+    let since = number("since_ms") as f64 / 1000.0;
+    let (node, term, voters) = (text("node"), number("term"), list("voters"));
+    format!("{node} coordinates since {since:.1} s, term {term}; the ledger is kept by {voters}")
+}
+
+fn row(node: &Value, fleet: &Value, coordinator: &Value) -> Vec<String> {
+    let name = node.get("node").and_then(Value::as_str).unwrap_or("?");
+    let yes_no = |value: Option<&Value>| value.and_then(Value::as_bool).map_or("?", |is| if is { "yes" } else { "no" });
+    let number = |pointer: &str| node.pointer(pointer).and_then(Value::as_f64);
+    let dash = || "-".to_owned();
+    let member = fleet.pointer("/ensembles/0/nodes").and_then(Value::as_array).into_iter().flatten();
+    let member = member.into_iter().find(|entry| entry.get("node").and_then(Value::as_str) == Some(name));
+    let holds = node.get("holds").filter(|holds| holds.is_object()).map(|holds| {
+        let text = |key: &str| holds.get(key).and_then(Value::as_str).unwrap_or("?");
+        format!("{} of {}", text("role"), text("mission"))
+    });
+    let skills = node
+        .pointer("/robot/skills")
+        .and_then(Value::as_array)
+        .map(|skills| skills.iter().filter_map(Value::as_str).collect::<Vec<_>>().join(", "));
+    let voters = coordinator.get("voters").and_then(Value::as_array);
+    let votes = voters.is_some_and(|voters| voters.iter().any(|voter| voter.as_str() == Some(name)));
+    let coordinates = coordinator.get("node").and_then(Value::as_str) == Some(name);
+    vec![
+        name.to_owned(),
+        yes_no(node.get("alive")).to_owned(),
+        if coordinates {
+            "coordinates"
+        } else if votes {
+            "votes"
+        } else {
+            "-"
+        }
+        .to_owned(),
+        node.pointer("/robot/place").and_then(Value::as_str).map_or_else(dash, str::to_owned),
+        number("/robot/battery").map_or_else(dash, |share| format!("{:.1} %", share * 100.0)),
+        number("/robot/speed").map_or_else(dash, |speed| format!("{speed:.2} m/s")),
+        holds.unwrap_or_else(dash),
+        yes_no(member.and_then(|member| member.get("member"))).to_owned(),
+        number("/age_ms").map_or_else(dash, |age| format!("{:.1} s ago", age / 1000.0)),
+        skills.unwrap_or_else(dash),
+    ]
+}

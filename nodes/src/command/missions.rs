@@ -1,0 +1,129 @@
+//! `consort missions`: missions and how they fare.
+
+use crate::client::{Client, ClientFlags};
+use crate::exit::Failure;
+use crate::{output, running};
+use consort_protocol::keys::ApiCall;
+use serde_json::{Value, json};
+use std::collections::BTreeMap;
+use std::time::Duration;
+
+/// Show missions and how they fare
+///
+/// In the order in which they were submitted: state, steps done, who holds which role, and why a mission is still
+/// pending. With --watch a line is added for every change, until Ctrl-C.
+#[derive(Debug, clap::Args)]
+#[command(after_long_help = "\
+Examples:
+  consort missions
+  consort missions --watch
+  consort missions --json | head -c 2000")]
+pub struct Args {
+    /// Go on, and add a line for every change
+    #[arg(long)]
+    watch: bool,
+    /// Print JSON: the whole list; with --watch a line for every change
+    #[arg(long)]
+    json: bool,
+    #[command(flatten)]
+    client: ClientFlags,
+}
+
+/// How often changes are looked for.
+const LOOK: Duration = Duration::from_millis(500);
+
+/// Runs the command.
+///
+/// # Errors
+/// As [`Client::api`].
+pub fn run(args: Args) -> Result<(), Failure> {
+    running::runtime()?.block_on(async {
+        let mut client = Client::open(&args.client).await?;
+        let shown = if args.watch { watch(&mut client, args.json).await } else { once(&mut client, args.json).await };
+        client.close().await;
+        shown
+    })
+}
+
+async fn list(client: &mut Client) -> Result<Value, Failure> {
+    client.api(ApiCall::List, &json!(null)).await
+}
+
+fn entries(answer: &Value) -> &[Value] {
+    answer.get("missions").and_then(Value::as_array).map_or(&[], Vec::as_slice)
+}
+
+async fn once(client: &mut Client, in_json: bool) -> Result<(), Failure> {
+    let answer = list(client).await?;
+    if in_json {
+        return output::line(&answer);
+    }
+    let missions = entries(&answer);
+    if missions.is_empty() {
+        return output::line("no missions yet; `consort submit lab-samples` asks for one");
+    }
+    let heads = ["MISSION", "STATE", "STEPS", "PARAMETERS", "ROLES", ""].map(str::to_owned).to_vec();
+    let rows: Vec<Vec<String>> = std::iter::once(heads).chain(missions.iter().map(row)).collect();
+    output::line(output::table(&rows))
+}
+
+async fn watch(client: &mut Client, in_json: bool) -> Result<(), Failure> {
+    let mut shown: BTreeMap<String, Value> = BTreeMap::new();
+    loop {
+        let answer = list(client).await?;
+        for mission in entries(&answer) {
+            let id = text(mission, "mission");
+            if shown.get(&id) != Some(mission) {
+                client.waiting().clear();
+                if in_json {
+                    output::line(mission)?;
+                } else {
+                    output::line(row(mission).join("  ").trim_end())?;
+                }
+                shown.insert(id, mission.clone());
+            }
+        }
+        tokio::time::sleep(LOOK).await;
+    }
+}
+
+fn text(value: &Value, key: &str) -> String {
+    value.get(key).and_then(Value::as_str).unwrap_or("?").to_owned()
+}
+
+fn row(mission: &Value) -> Vec<String> {
+    let number = |key: &str| mission.get(key).and_then(Value::as_u64).unwrap_or(0);
+    let why = mission.get("why_pending").and_then(Value::as_str).map(str::to_owned);
+    let why = why.filter(|_| text(mission, "state") == "pending");
+    vec![
+        text(mission, "mission"),
+        text(mission, "state"),
+        format!("{}/{}", number("done"), number("steps")),
+        pairs(mission.get("parameters")),
+        pairs(mission.get("holders")),
+        why.unwrap_or_else(|| {
+            mission.get("detail").map(detail).unwrap_or_default().trim_start_matches(": ").to_owned()
+        }),
+    ]
+}
+
+fn pairs(value: Option<&Value>) -> String {
+    let Some(Value::Object(map)) = value else { return "-".to_owned() };
+    let plain = |value: &Value| value.as_str().map_or_else(|| value.to_string(), str::to_owned);
+    let pairs: Vec<String> = map.iter().map(|(name, value)| format!("{name}={}", plain(value))).collect();
+    if pairs.is_empty() { "-".to_owned() } else { pairs.join(", ") }
+}
+
+/// What a mission's state says beside its word, as `: cause`.
+pub(super) fn detail(state: &Value) -> String {
+    let Value::Object(map) = state else { return String::new() };
+    let fields = map.values().filter_map(Value::as_object).flat_map(|fields| fields.iter());
+    let told: Vec<String> = fields
+        .map(|(name, value)| match (name.as_str(), value.as_str()) {
+            ("by", Some(who)) => format!("by {who}"),
+            (_, Some(text)) => text.to_owned(),
+            (name, None) => format!("{name} {value}"),
+        })
+        .collect();
+    if told.is_empty() { String::new() } else { format!(": {}", told.join(", ")) }
+}

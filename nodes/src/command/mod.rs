@@ -1,0 +1,12 @@
+//! The commands, one a file: each has its flags, and `run`.
+
+pub mod cancel;
+pub mod check;
+pub mod dry_run;
+pub mod flags;
+pub mod fleet;
+pub mod missions;
+pub mod robot;
+pub mod station;
+pub mod submit;
+pub mod world;

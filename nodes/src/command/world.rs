@@ -1,0 +1,74 @@
+//! `consort world`: a node that hosts a simulated world.
+
+use super::flags::{BusFlags, FleetFlags, RunFlags, print_config, set, settled};
+use crate::config::{FleetRef, WorldConfig, load};
+use crate::exit::Failure;
+use crate::running;
+use crate::wiring::{Life, world_node};
+use consort_protocol::ids::NodeId;
+use std::path::PathBuf;
+
+/// Run a node that hosts a simulated world
+///
+/// It moves the bodies of robots and answers for people, over the bus, at a multiple of real time. It runs until Ctrl-C or
+/// SIGTERM; a fleet of real robots has none.
+#[derive(Debug, clap::Args)]
+#[command(after_long_help = "\
+Examples:
+  consort world --config nodes/examples/world.toml
+  consort world --config nodes/examples/world.toml --speed 20 --seed 7
+
+The keys of the file are those of nodes/examples/world.toml, each explained there.")]
+pub struct Args {
+    /// The world file
+    #[arg(long, env = "CONSORT_CONFIG", value_name = "FILE")]
+    config: PathBuf,
+    #[command(flatten)]
+    world: WorldFlags,
+    #[command(flatten)]
+    bus: BusFlags,
+    #[command(flatten)]
+    fleet: FleetFlags,
+    #[command(flatten)]
+    run: RunFlags,
+}
+
+#[derive(Debug, clap::Args)]
+#[command(next_help_heading = "World")]
+struct WorldFlags {
+    /// The node's name, unique in the fleet
+    #[arg(long, env = "CONSORT_NAME")]
+    name: Option<NodeId>,
+    /// What the world's chance comes from
+    #[arg(long, env = "CONSORT_SEED", value_parser = clap::value_parser!(u64).range(0..=i64::MAX as u64))]
+    seed: Option<u64>,
+    /// World seconds that pass in one second
+    #[arg(long, env = "CONSORT_SPEED", value_name = "FACTOR")]
+    speed: Option<f64>,
+    /// Whether the node may keep a copy of the ledger, and coordinate
+    #[arg(long, env = "CONSORT_MAY_VOTE", value_name = "BOOL", num_args = 0..=1, default_missing_value = "true")]
+    may_vote: Option<bool>,
+}
+
+/// Runs the command.
+///
+/// # Errors
+/// [`Failure::Usage`] for wrong configuration; [`Failure::Unsuccessful`] if the node fails.
+pub fn run(args: Args) -> Result<(), Failure> {
+    let mut world: WorldConfig = load(&args.config)?;
+    let given = args.world;
+    set(&mut world.name, given.name);
+    set(&mut world.seed, given.seed);
+    set(&mut world.speed, given.speed);
+    set(&mut world.may_vote, given.may_vote);
+    args.bus.apply(&mut world.bus);
+    let fleet = args.fleet.resolve(&world.fleet)?;
+    world.fleet = FleetRef::Table(Box::new(fleet.clone()));
+    settled(&mut world)?;
+    if args.run.print_config {
+        return print_config(&world);
+    }
+    running::node(args.run, &world.bus, &fleet, || {
+        world_node(&world, &fleet, Life::real()).map(|(settings, _)| settings)
+    })
+}

@@ -1,0 +1,241 @@
+//! The fleet file: what all nodes of a fleet agree on.
+
+use super::read::under;
+use super::{ConfigFile, load};
+use crate::floor::is_shipped;
+use consort_protocol::auction::Limits;
+use consort_protocol::ensemble::{Ensemble, EnsembleSpec};
+use consort_protocol::ids::{EnsembleId, FleetId, TaskType};
+use consort_protocol::lease::LeaseTerms;
+use consort_protocol::mission::Domain;
+use consort_protocol::units::{BatteryShare, Seconds};
+use serde::de::value::MapAccessDeserializer;
+use serde::de::{Deserializer, MapAccess, Visitor};
+use serde::ser::Serializer;
+use serde::{Deserialize, Serialize};
+use std::fmt;
+use std::path::{Path, PathBuf};
+
+/// The name of a fleet that no file names.
+pub const DEFAULT_FLEET: &str = "ward";
+
+/// A fleet file. Every key has a default.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct FleetConfig {
+    /// The fleet's name: part of every key on the bus. Default `ward`.
+    pub name: FleetId,
+    /// The map: the name of one that is shipped (`hospital`, the default), or the path of a file.
+    pub map: String,
+    /// Nodes that may vote and must have met before the ledger is founded. All of them keep a copy, up to five. Too low
+    /// and two halves of a fleet could found a ledger each; default 1, for a start on one machine.
+    pub bootstrap_expect: usize,
+    /// How long a neighbour that says nothing counts as linked, in milliseconds. Shorter: a silent loss is noticed
+    /// earlier; a slow link is more easily taken for one. Default 2000, of which 1.5 to 2.0 s were measured to pass.
+    pub link_lease_ms: u64,
+    /// What bids must keep to.
+    pub limits: LimitsConfig,
+    /// How long awards last.
+    pub lease: LeaseConfig,
+    /// How auctions are held.
+    pub auction: AuctionConfig,
+    /// Whose members are asked for bids: at most one. Default: robots with any skill that a mission can ask for.
+    pub ensemble: Vec<EnsembleSpec>,
+}
+
+/// `[limits]`: what bids must keep to.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct LimitsConfig {
+    /// Longest time that a robot's part may take by its own estimate, in world seconds. Default: no limit.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub time_s: Option<Seconds>,
+    /// Charge that must be left, as a share. Default 0.05: below it a robot stops dead.
+    pub charge_min: BatteryShare,
+}
+
+/// `[lease]`: how long awards last without contact.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct LeaseConfig {
+    /// A robot suspends its role this long after its last contact with the coordinator. Longer: blackouts are survived in
+    /// motion; lost robots are replaced later. Default 4000.
+    pub lease_ms: u64,
+    /// The coordinator waits this much longer before it gives the role to another. It covers the drift of clocks.
+    /// Default 2000.
+    pub grace_ms: u64,
+}
+
+/// `[auction]`: how auctions are held.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct AuctionConfig {
+    /// How long an auction waits for a member that does not answer, in milliseconds; it closes at once when all have.
+    /// Default 200.
+    pub window_ms: u64,
+}
+
+impl Default for FleetConfig {
+    fn default() -> Self {
+        FleetConfig {
+            name: FleetId::new(DEFAULT_FLEET).expect("a slug"),
+            map: "hospital".to_owned(),
+            bootstrap_expect: 1,
+            link_lease_ms: 2_000,
+            limits: LimitsConfig::default(),
+            lease: LeaseConfig::default(),
+            auction: AuctionConfig::default(),
+            ensemble: vec![],
+        }
+    }
+}
+
+impl Default for LimitsConfig {
+    fn default() -> Self {
+        let Limits { time, charge_min } = Limits::default();
+        LimitsConfig { time_s: time, charge_min }
+    }
+}
+
+impl Default for LeaseConfig {
+    fn default() -> Self {
+        let LeaseTerms { lease, grace } = LeaseTerms::default();
+        let ms = |time: std::time::Duration| u64::try_from(time.as_millis()).expect("a default of seconds");
+        LeaseConfig { lease_ms: ms(lease), grace_ms: ms(grace) }
+    }
+}
+
+impl Default for AuctionConfig {
+    fn default() -> Self {
+        AuctionConfig { window_ms: 200 }
+    }
+}
+
+impl FleetConfig {
+    /// The ensemble whose members are asked for bids.
+    pub fn ensemble(&self) -> EnsembleSpec {
+        self.ensemble.first().cloned().unwrap_or_else(|| {
+            let skills = Domain::hospital().task_types().cloned().collect();
+            EnsembleSpec::with_any_skill_of(EnsembleId::new("workers").expect("a slug"), skills)
+        })
+    }
+}
+
+impl ConfigFile for FleetConfig {
+    const KIND: &'static str = "fleet";
+
+    fn settle(&mut self, folder: &Path) {
+        if !is_shipped(&self.map) {
+            self.map = under(folder, Path::new(&self.map)).display().to_string();
+        }
+    }
+
+    fn problems(&self) -> Vec<String> {
+        let mut problems = vec![];
+        let mut within = |key: &str, value: u64, least: u64, most: u64| {
+            if !(least..=most).contains(&value) {
+                problems.push(format!("{key} is {value}, allowed is {least} to {most}"));
+            }
+        };
+        within("bootstrap_expect", self.bootstrap_expect as u64, 1, 1_000);
+        within("link_lease_ms", self.link_lease_ms, 100, 600_000);
+        within("lease.lease_ms", self.lease.lease_ms, 500, 3_600_000);
+        within("lease.grace_ms", self.lease.grace_ms, 200, 3_600_000);
+        within("auction.window_ms", self.auction.window_ms, 1, 60_000);
+        if self.ensemble.len() > 1 {
+            let count = self.ensemble.len();
+            problems.push(format!("ensemble: {count} are declared; one is allowed, whose members are asked for bids"));
+        }
+        for spec in &self.ensemble {
+            let domain = Domain::hospital();
+            for skill in spec.skills.iter().filter(|skill| domain.get(skill).is_none()) {
+                problems.push(format!("ensemble {}: skills: {}", spec.name, unknown_skill(skill)));
+            }
+            problems.extend(Ensemble::compile(spec.clone()).err().map(|problem| problem.to_string()));
+        }
+        problems
+    }
+}
+
+/// What is wrong with a skill that no task type of the domain is named for.
+pub(super) fn unknown_skill(skill: &TaskType) -> String {
+    let domain = Domain::hospital();
+    let allowed = consort_protocol::mission::Allowed::instead_of(skill.as_str(), domain.task_types());
+    format!("there are no tasks of type `{skill}`; {allowed}")
+}
+
+/// A node file's `fleet`: the path of a fleet file, or the fleet itself as a table.
+#[derive(Debug, Clone, PartialEq)]
+pub enum FleetRef {
+    /// `fleet = "fleet.toml"`
+    File(PathBuf),
+    /// `[fleet]`
+    Table(Box<FleetConfig>),
+}
+
+impl Default for FleetRef {
+    fn default() -> Self {
+        FleetRef::Table(Box::default())
+    }
+}
+
+impl From<FleetConfig> for FleetRef {
+    fn from(fleet: FleetConfig) -> FleetRef {
+        FleetRef::Table(Box::new(fleet))
+    }
+}
+
+impl FleetRef {
+    /// The fleet itself.
+    ///
+    /// # Errors
+    /// [`Problems`](super::Problems) of the file.
+    pub fn resolve(&self) -> Result<FleetConfig, super::Problems> {
+        match self {
+            FleetRef::File(path) => load(path),
+            FleetRef::Table(fleet) => Ok((**fleet).clone()),
+        }
+    }
+
+    pub(super) fn settle(&mut self, folder: &Path) {
+        match self {
+            FleetRef::File(path) => *path = under(folder, path),
+            FleetRef::Table(fleet) => fleet.settle(folder),
+        }
+    }
+
+    pub(super) fn problems(&self) -> Vec<String> {
+        match self {
+            FleetRef::File(_) => vec![],
+            FleetRef::Table(fleet) => fleet.problems().into_iter().map(|problem| format!("fleet: {problem}")).collect(),
+        }
+    }
+}
+
+impl Serialize for FleetRef {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        match self {
+            FleetRef::File(path) => path.serialize(serializer),
+            FleetRef::Table(fleet) => fleet.serialize(serializer),
+        }
+    }
+}
+
+impl<'de> Deserialize<'de> for FleetRef {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<FleetRef, D::Error> {
+        struct Either;
+        impl<'de> Visitor<'de> for Either {
+            type Value = FleetRef;
+            fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+                f.write_str("the path of a fleet file, or a table with the keys of one")
+            }
+            fn visit_str<E>(self, path: &str) -> Result<FleetRef, E> {
+                Ok(FleetRef::File(PathBuf::from(path)))
+            }
+            fn visit_map<A: MapAccess<'de>>(self, map: A) -> Result<FleetRef, A::Error> {
+                FleetConfig::deserialize(MapAccessDeserializer::new(map)).map(|fleet| FleetRef::Table(Box::new(fleet)))
+            }
+        }
+        deserializer.deserialize_any(Either)
+    }
+}

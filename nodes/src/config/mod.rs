@@ -1,0 +1,26 @@
+//! What nodes are told by files, flags and the environment.
+//!
+//! Four kinds of TOML file: a *fleet* file, which all nodes of a fleet share, and a *robot*, *station* or *world* file
+//! for one node, which names its fleet file. Flags prevail over environment variables (`CONSORT_…`), those over files,
+//! those over defaults. A key that is not known is an error which names those that are. A relative path is relative to
+//! the file that names it.
+
+mod bus;
+mod fleet;
+mod problem;
+mod read;
+mod robot;
+mod station;
+mod world;
+
+pub use bus::BusConfig;
+pub use fleet::{AuctionConfig, DEFAULT_FLEET, FleetConfig, FleetRef, LeaseConfig, LimitsConfig};
+pub use problem::{Problem, Problems};
+pub use read::{ConfigFile, from_text, load, to_toml};
+pub use robot::{RobotConfig, useful_charge};
+pub use station::StationConfig;
+pub use world::WorldConfig;
+
+fn yes() -> bool {
+    true
+}

@@ -1,0 +1,105 @@
+//! The robot file: a node that drives a robot.
+
+use super::fleet::unknown_skill;
+use super::{BusConfig, ConfigFile, FleetRef, yes};
+use consort_protocol::ids::{PlaceId, RobotId, TaskType};
+use consort_protocol::mission::Domain;
+use consort_protocol::units::{BatteryShare, MetresPerSecond, SharePerSecond};
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeSet;
+use std::path::Path;
+
+/// A robot file. `name`, `place` and `skills` must be there.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct RobotConfig {
+    /// The robot's name, and its node's: unique in the fleet.
+    pub name: RobotId,
+    /// Where it is until its body has reported.
+    pub place: PlaceId,
+    /// The task types it has skills for.
+    pub skills: BTreeSet<TaskType>,
+    /// Its average speed in metres per second, which its estimates rest on. None: it does not drive.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub speed_mps: Option<MetresPerSecond>,
+    /// Charge until its body has reported, as a share. Default 1, a full battery.
+    #[serde(default = "full")]
+    pub battery: BatteryShare,
+    /// Charge that it loses in a second of work, as a share. Default 0: mains power.
+    #[serde(default = "nothing")]
+    pub discharge_share_per_s: SharePerSecond,
+    /// Below this charge it takes no work, as a share. Default 0.08, as in the published evaluation.
+    #[serde(default = "useful_charge")]
+    pub useful_charge: BatteryShare,
+    /// Whether it stays where it is; such nodes are preferred as keepers of the ledger. Default: it does not.
+    #[serde(default)]
+    pub stationary: bool,
+    /// Whether it lives on mains power; such nodes are preferred as keepers of the ledger. Default: it does not.
+    #[serde(default)]
+    pub mains_powered: bool,
+    /// Whether it may keep a copy of the ledger, and coordinate. Default: it may.
+    #[serde(default = "yes")]
+    pub may_vote: bool,
+    /// The fleet: the path of its file, or a table with the same keys. Default: a fleet of all defaults.
+    #[serde(default)]
+    pub fleet: FleetRef,
+    /// Where it is on the network.
+    #[serde(default)]
+    pub bus: BusConfig,
+}
+
+fn full() -> BatteryShare {
+    BatteryShare::FULL
+}
+
+fn nothing() -> SharePerSecond {
+    SharePerSecond::new(0.0).expect("0 is a rate")
+}
+
+/// The charge below which a robot takes no work, where nothing else is said.
+pub fn useful_charge() -> BatteryShare {
+    BatteryShare::new(0.08).expect("0.08 is a share")
+}
+
+impl RobotConfig {
+    /// A robot that drives, with the defaults of a robot file.
+    pub fn new(name: RobotId, place: PlaceId, skills: BTreeSet<TaskType>) -> RobotConfig {
+        RobotConfig {
+            name,
+            place,
+            skills,
+            speed_mps: None,
+            battery: full(),
+            discharge_share_per_s: nothing(),
+            useful_charge: useful_charge(),
+            stationary: false,
+            mains_powered: false,
+            may_vote: true,
+            fleet: FleetRef::default(),
+            bus: BusConfig::default(),
+        }
+    }
+}
+
+impl ConfigFile for RobotConfig {
+    const KIND: &'static str = "robot";
+
+    fn settle(&mut self, folder: &Path) {
+        self.fleet.settle(folder);
+    }
+
+    fn problems(&self) -> Vec<String> {
+        let domain = Domain::hospital();
+        let unknown = self.skills.iter().filter(|skill| domain.get(skill).is_none());
+        let mut problems: Vec<String> = unknown.map(|skill| format!("skills: {}", unknown_skill(skill))).collect();
+        if self.skills.is_empty() {
+            problems.push("skills: there are none; such a robot would get no work".to_owned());
+        }
+        if self.skills.iter().any(|skill| skill.as_str() == "navigation") && self.speed_mps.is_none() {
+            problems.push("speed_mps: is missing, and the robot has the skill `navigation`".to_owned());
+        }
+        problems.extend(self.fleet.problems());
+        problems.extend(self.bus.problems());
+        problems
+    }
+}

@@ -1,0 +1,57 @@
+//! The station file: a node without a robot, which keeps the ledger and may coordinate.
+
+use super::{BusConfig, ConfigFile, FleetRef, yes};
+use consort_protocol::ids::NodeId;
+use serde::{Deserialize, Serialize};
+use std::path::Path;
+
+/// A station file. Only `name` must be there.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct StationConfig {
+    /// The node's name: unique in the fleet.
+    pub name: NodeId,
+    /// Whether it stays where it is. Default: it does.
+    #[serde(default = "yes")]
+    pub stationary: bool,
+    /// Whether it lives on mains power. Default: it does.
+    #[serde(default = "yes")]
+    pub mains_powered: bool,
+    /// Whether it may keep a copy of the ledger, and coordinate. Default: it may.
+    #[serde(default = "yes")]
+    pub may_vote: bool,
+    /// The fleet: the path of its file, or a table with the same keys. Default: a fleet of all defaults.
+    #[serde(default)]
+    pub fleet: FleetRef,
+    /// Where it is on the network.
+    #[serde(default)]
+    pub bus: BusConfig,
+}
+
+impl StationConfig {
+    /// A station with the defaults of a station file.
+    pub fn new(name: NodeId) -> StationConfig {
+        StationConfig {
+            name,
+            stationary: true,
+            mains_powered: true,
+            may_vote: true,
+            fleet: FleetRef::default(),
+            bus: BusConfig::default(),
+        }
+    }
+}
+
+impl ConfigFile for StationConfig {
+    const KIND: &'static str = "station";
+
+    fn settle(&mut self, folder: &Path) {
+        self.fleet.settle(folder);
+    }
+
+    fn problems(&self) -> Vec<String> {
+        let mut problems = self.fleet.problems();
+        problems.extend(self.bus.problems());
+        problems
+    }
+}

@@ -1,0 +1,82 @@
+//! The world file: a node that hosts a simulated world.
+
+use super::read::under;
+use super::{BusConfig, ConfigFile, FleetRef};
+use crate::floor::is_shipped;
+use consort_protocol::ids::NodeId;
+use consort_sim::world::{Durations, Person, RobotBody, WorldLimits};
+use serde::{Deserialize, Serialize};
+use std::path::Path;
+
+/// A world file. Every key has a default; a world without robots is a dull one.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct WorldConfig {
+    /// The node's name: unique in the fleet. Default `world`.
+    pub name: NodeId,
+    /// The map, where it is not the fleet's: the name of one that is shipped, or the path of a file.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub map: Option<String>,
+    /// What the world's chance comes from. The same seed and the same requests give the same world. Default 1.
+    pub seed: u64,
+    /// World seconds that pass in one second. Default 1.
+    pub speed: f64,
+    /// Whether the node may keep a copy of the ledger, and coordinate. Default: it may not, for a world is no part of a
+    /// real fleet.
+    pub may_vote: bool,
+    /// The fleet: the path of its file, or a table with the same keys. Default: a fleet of all defaults.
+    pub fleet: FleetRef,
+    /// Where it is on the network.
+    pub bus: BusConfig,
+    /// How long things take.
+    pub durations: Durations,
+    /// How much the world holds and remembers.
+    pub limits: WorldLimits,
+    /// The robots' bodies, by the names of their robots.
+    pub robot: Vec<RobotBody>,
+    /// The people.
+    pub person: Vec<Person>,
+}
+
+impl Default for WorldConfig {
+    fn default() -> Self {
+        WorldConfig {
+            name: NodeId::new("world").expect("a slug"),
+            map: None,
+            seed: 1,
+            speed: 1.0,
+            may_vote: false,
+            fleet: FleetRef::default(),
+            bus: BusConfig::default(),
+            durations: Durations::default(),
+            limits: WorldLimits::default(),
+            robot: vec![],
+            person: vec![],
+        }
+    }
+}
+
+/// Fastest and slowest a world may run. Beyond the upper bound a second of node time is hours of world time.
+const SPEED: std::ops::RangeInclusive<f64> = 0.001..=10_000.0;
+
+impl ConfigFile for WorldConfig {
+    const KIND: &'static str = "world";
+
+    fn settle(&mut self, folder: &Path) {
+        self.fleet.settle(folder);
+        if let Some(map) = self.map.as_mut().filter(|map| !is_shipped(map)) {
+            *map = under(folder, Path::new(map)).display().to_string();
+        }
+    }
+
+    fn problems(&self) -> Vec<String> {
+        let mut problems = vec![];
+        if !SPEED.contains(&self.speed) {
+            let (speed, least, most) = (self.speed, SPEED.start(), SPEED.end());
+            problems.push(format!("speed is {speed}, allowed is {least} to {most}"));
+        }
+        problems.extend(self.fleet.problems());
+        problems.extend(self.bus.problems());
+        problems
+    }
+}

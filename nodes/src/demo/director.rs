@@ -1,0 +1,399 @@
+//! The play: wait for a coordinator, submit, kill the coordinator on the way, wait for the end, look where the samples are.
+
+use super::cast::Cast;
+use super::narrator::Narrator;
+use super::stage::Stage;
+use crate::exit::Failure;
+use consort_actors::bus::{Sample, SharedBus, Stream};
+use consort_protocol::event::{Event, Happening};
+use consort_protocol::ids::{MissionId, NodeId};
+use consort_protocol::keys::{ApiCall, Key, Keys};
+use consort_protocol::ledger::MissionState;
+use consort_protocol::mission::{Domain, Format, MissionTemplate, shipped};
+use serde_json::{Value, json};
+use std::collections::BTreeMap;
+use std::path::Path;
+use std::time::Duration;
+
+/// How long the fleet may take to meet and elect a coordinator.
+const ELECTION_LIMIT: Duration = Duration::from_secs(60);
+
+/// How long one query may take.
+const QUERY_LIMIT: Duration = Duration::from_secs(2);
+
+/// How long a killed node stays down after the takeover, as under a service manager with a restart delay.
+const RESTART_AFTER: Duration = Duration::from_secs(2);
+
+/// What is to be played.
+pub(super) struct Plan {
+    /// Whether the coordinator is killed.
+    pub(super) kill: bool,
+    /// Whether the fleet stays up after the summary.
+    pub(super) keep_running: bool,
+    /// The mission to submit, as the API takes it: a name, or a whole file.
+    pub(super) mission: Value,
+}
+
+/// Plays a demo on a stage.
+pub(super) struct Director<S> {
+    plan: Plan,
+    cast: Cast,
+    stage: S,
+    narrator: Narrator,
+    keys: Keys,
+    coordinator: Option<NodeId>,
+    /// When and whom.
+    killed: Option<(Duration, NodeId)>,
+    takeover: Option<(Duration, NodeId, Duration)>,
+    restarted: bool,
+    missions: BTreeMap<MissionId, Fate>,
+}
+
+/// How a mission fares.
+struct Fate {
+    room: String,
+    submitted: Duration,
+    award_ms: Option<f64>,
+    holders: String,
+    auctions: u32,
+    end: Option<(Duration, MissionState)>,
+}
+
+/// The mission that a flag names, as the API takes it: checked before anything is started.
+///
+/// # Errors
+/// [`Failure::Usage`] says what is wrong with it, or which are shipped.
+pub(super) fn mission(text: &str) -> Result<Value, Failure> {
+    let template = match shipped().get(text) {
+        Some(template) => template.clone(),
+        None => {
+            let path = Path::new(text);
+            if !path.exists() {
+                let known = shipped().keys().map(String::as_str).collect::<Vec<_>>().join(", ");
+                return Err(Failure::Usage(format!(
+                    "--mission {text}: no such file, and none of the shipped missions: {known}"
+                )));
+            }
+            let content =
+                std::fs::read_to_string(path).map_err(|problem| Failure::Usage(format!("{text}: {problem}")))?;
+            let template = MissionTemplate::parse(&content, Format::of(Some(path), &content))
+                .map_err(|problem| Failure::Usage(format!("{text}: {problem}")))?;
+            template
+        }
+    };
+    if !template.parameters().contains_key("room") {
+        return Err(Failure::Usage(format!(
+            "--mission {text}: it has no parameter `room`, which the demo gives each mission"
+        )));
+    }
+    let room = BTreeMap::from([("room".to_owned(), "IC Room 6".to_owned())]);
+    template.instantiate(&room, &Domain::hospital()).map_err(|problem| Failure::Usage(format!("{text}: {problem}")))?;
+    if shipped().contains_key(text) {
+        return Ok(json!(text));
+    }
+    let content = std::fs::read_to_string(text).map_err(|problem| Failure::Usage(format!("{text}: {problem}")))?;
+    serde_saphyr::from_str(&content).map_err(|problem| Failure::Usage(format!("{text}: {problem}")))
+}
+
+impl<S: Stage> Director<S> {
+    pub(super) fn new(plan: Plan, cast: Cast, stage: S, narrator: Narrator) -> Director<S> {
+        let keys = Keys::new(&cast.fleet.name);
+        Director {
+            plan,
+            cast,
+            stage,
+            narrator,
+            keys,
+            coordinator: None,
+            killed: None,
+            takeover: None,
+            restarted: false,
+            missions: BTreeMap::new(),
+        }
+    }
+
+    /// Plays it from beginning to end, and ends the stage whatever happens.
+    ///
+    /// # Errors
+    /// [`Failure`] unless every sample ends up in the laboratory.
+    pub(super) async fn play(mut self) -> Result<(), Failure> {
+        let mut outcome = self.acts().await;
+        if outcome.is_ok() && self.plan.keep_running {
+            let at = self.stage.elapsed();
+            let words = "the fleet stays up until Ctrl-C";
+            outcome = self.narrator.act(at, "running", words, json!({ "event": "demo_keeps_running" }));
+            self.stage.interrupted().await;
+        }
+        self.stage.strike().await;
+        outcome
+    }
+
+    async fn acts(&mut self) -> Result<(), Failure> {
+        let bus = self.stage.bus();
+        let key = self.keys.write(&Key::Events);
+        let mut events = bus.subscribe(&key).await.map_err(|problem| Failure::Unreached(problem.to_string()))?;
+        self.narrator.open(&self.stage.introduction())?;
+        self.await_coordinator(&mut events).await?;
+        self.submit_all(&mut events).await?;
+        self.watch(&mut events).await?;
+        self.conclude().await
+    }
+
+    async fn await_coordinator(&mut self, events: &mut Stream<Sample>) -> Result<(), Failure> {
+        let deadline = self.stage.elapsed() + ELECTION_LIMIT;
+        while self.coordinator.is_none() {
+            if self.stage.elapsed() >= deadline {
+                let voters = self.cast.voters().len();
+                let words = format!("nobody coordinates after {ELECTION_LIMIT:?}, though {voters} nodes may");
+                return Err(Failure::Unreached(words));
+            }
+            self.listen(events, Duration::from_millis(100)).await?;
+            if let Some(view) = self.look(&Key::ViewCoordinator).await {
+                self.coordinator = view["node"].as_str().and_then(|node| node.parse().ok());
+            }
+        }
+        Ok(())
+    }
+
+    async fn submit_all(&mut self, events: &mut Stream<Sample>) -> Result<(), Failure> {
+        for request in self.cast.requests.clone() {
+            let asked = json!({
+                "mission": self.plan.mission,
+                "parameters": { "room": request.room },
+                "request": request.request,
+            });
+            let deadline = self.stage.elapsed() + ELECTION_LIMIT;
+            let mission: MissionId = loop {
+                let answer = ask(&self.stage.bus(), &self.keys.write(&Key::Api(ApiCall::Submit)), &asked).await;
+                let problem = match answer {
+                    Some(answer) => match answer["mission"].as_str().and_then(|id| id.parse().ok()) {
+                        Some(mission) => break mission,
+                        None => answer["error"].as_str().unwrap_or("an answer without a mission").to_owned(),
+                    },
+                    None => "nobody answered".to_owned(),
+                };
+                if self.stage.elapsed() >= deadline {
+                    return Err(Failure::Unsuccessful(format!("{} was not acknowledged: {problem}", request.request)));
+                }
+                self.listen(events, Duration::from_millis(200)).await?;
+            };
+            let (submitted, room) = (self.stage.elapsed(), request.room.to_string());
+            let fate = Fate { room, submitted, award_ms: None, holders: String::new(), auctions: 0, end: None };
+            self.missions.entry(mission).or_insert(fate);
+        }
+        Ok(())
+    }
+
+    /// Follows the fleet until all missions have ended.
+    async fn watch(&mut self, events: &mut Stream<Sample>) -> Result<(), Failure> {
+        let arms = self.cast.robots.iter().filter(|robot| robot.speed_mps.is_none()).count().max(1);
+        let rounds = u32::try_from(self.cast.requests.len().div_ceil(arms)).unwrap_or(u32::MAX);
+        // Ten minutes of world time for each mission, and a minute for what is not driving.
+        let each = Duration::from_secs_f64(600.0 / self.cast.world.speed);
+        let deadline = self.stage.elapsed() + Duration::from_secs(60) + each * rounds;
+        while self.missions.values().any(|fate| fate.end.is_none()) {
+            if self.stage.elapsed() >= deadline {
+                return Err(Failure::Unsuccessful(format!(
+                    "not all missions have ended after {:.0} s",
+                    deadline.as_secs_f64()
+                )));
+            }
+            self.listen(events, Duration::from_millis(500)).await?;
+            self.catch_up().await;
+        }
+        // What is still under way belongs to the story too.
+        self.listen(events, Duration::from_millis(300)).await
+    }
+
+    /// Takes in events for a while.
+    async fn listen(&mut self, events: &mut Stream<Sample>, time: Duration) -> Result<(), Failure> {
+        let until = tokio::time::Instant::now() + time;
+        loop {
+            if let Some(trouble) = self.stage.trouble() {
+                return Err(Failure::Unsuccessful(trouble));
+            }
+            let sample = tokio::select! {
+                biased;
+                sample = events.recv() => sample,
+                () = self.stage.interrupted() => return Err(Failure::Interrupted),
+                () = tokio::time::sleep_until(until) => return self.restart_the_killed().await,
+            };
+            let Some(sample) = sample else { return Err(Failure::Unreached("the bus was closed".to_owned())) };
+            match serde_json::from_slice::<Event>(&sample.payload) {
+                Ok(event) => self.take_in(&event).await?,
+                Err(problem) => tracing::warn!(%problem, "an event that cannot be read"),
+            }
+        }
+    }
+
+    async fn take_in(&mut self, event: &Event) -> Result<(), Failure> {
+        let at = self.stage.elapsed();
+        self.narrator.event(at, event)?;
+        match &event.what {
+            Happening::Elected { .. } => {
+                self.coordinator = Some(event.node.clone());
+                self.note_takeover(at, &event.node)?;
+            }
+            Happening::Called { mission, .. } => {
+                if let Some(fate) = self.missions.get_mut(mission) {
+                    fate.auctions += 1;
+                }
+            }
+            Happening::Awarded { mission, after_ms, .. } => {
+                if let Some(fate) = self.missions.get_mut(mission) {
+                    fate.award_ms = fate.award_ms.or(*after_ms);
+                }
+            }
+            Happening::Mission { mission, state } if state.is_end() => {
+                if let Some(fate) = self.missions.get_mut(mission) {
+                    fate.end.get_or_insert((at, state.clone()));
+                }
+            }
+            // The mission runs and its robots are under way: now.
+            Happening::TaskEnded { .. } if self.plan.kill && self.killed.is_none() => self.kill().await?,
+            _ => {}
+        }
+        Ok(())
+    }
+
+    async fn kill(&mut self) -> Result<(), Failure> {
+        let Some(victim) = self.coordinator.clone() else { return Ok(()) };
+        let at = self.stage.elapsed();
+        self.killed = Some((at, victim.clone()));
+        let words = format!("SIGKILL to {victim}, the coordinator");
+        self.narrator.act(at, "KILL", &words, json!({ "event": "demo_killed", "node": victim }))?;
+        self.stage.kill(&victim).await
+    }
+
+    fn note_takeover(&mut self, at: Duration, node: &NodeId) -> Result<(), Failure> {
+        let Some((killed_at, victim)) = &self.killed else { return Ok(()) };
+        if self.takeover.is_some() || node == victim {
+            return Ok(());
+        }
+        let took = at.saturating_sub(*killed_at);
+        let ms = took.as_secs_f64() * 1000.0;
+        let words = format!("{node} coordinates {ms:.0} ms after the kill");
+        let value = json!({ "event": "demo_takeover", "node": node, "after_ms": ms });
+        self.takeover = Some((at, node.clone(), took));
+        self.narrator.act(at, "TAKEOVER", &words, value)
+    }
+
+    async fn restart_the_killed(&mut self) -> Result<(), Failure> {
+        let (Some((_, victim)), Some((at, _, _))) = (&self.killed, &self.takeover) else { return Ok(()) };
+        let now = self.stage.elapsed();
+        if self.restarted || now < *at + RESTART_AFTER {
+            return Ok(());
+        }
+        self.restarted = true;
+        let victim = victim.clone();
+        let words = format!("{victim} is started again; it has forgotten everything");
+        self.narrator.act(now, "restart", &words, json!({ "event": "demo_restarted", "node": victim }))?;
+        self.stage.restart(&victim).await
+    }
+
+    /// Events may be lost; the coordinator knows how missions stand.
+    async fn catch_up(&mut self) {
+        let Some(view) = self.look(&Key::ViewMissions).await else { return };
+        let at = self.stage.elapsed();
+        for entry in view["missions"].as_array().into_iter().flatten() {
+            let id = entry["mission"].as_str().and_then(|id| id.parse::<MissionId>().ok());
+            let Some(fate) = id.and_then(|id| self.missions.get_mut(&id)) else { continue };
+            let holders = entry["holders"].as_object().into_iter().flatten();
+            let holders = holders.map(|(role, robot)| format!("{role}: {}", robot.as_str().unwrap_or("?")));
+            fate.holders = holders.collect::<Vec<_>>().join(", ");
+            if let Ok(state) = serde_json::from_value::<MissionState>(entry["detail"].clone())
+                && state.is_end()
+            {
+                fate.end.get_or_insert((at, state));
+            }
+        }
+    }
+
+    async fn conclude(&mut self) -> Result<(), Failure> {
+        self.catch_up().await;
+        let world = self.look(&Key::ViewWorld).await.unwrap_or(Value::Null);
+        let samples: Vec<(String, String)> = world["samples"].as_array().into_iter().flatten().map(sample).collect();
+        let delivered = samples.iter().filter(|(_, place)| place == "Laboratory").count();
+
+        let heads = ["mission", "room", "outcome", "award", "took", "auctions", "roles"];
+        let mut rows = vec![heads.map(str::to_owned).to_vec()];
+        let mut missions = vec![];
+        for (mission, fate) in &self.missions {
+            let (outcome, took) = match &fate.end {
+                Some((at, state)) => (state.word(), at.saturating_sub(fate.submitted)),
+                None => ("unknown", Duration::ZERO),
+            };
+            let award = fate.award_ms.map_or_else(|| "-".to_owned(), |ms| format!("{ms:.1} ms"));
+            let took = took.as_secs_f64();
+            let row = [
+                mission.as_str(),
+                &fate.room,
+                outcome,
+                &award,
+                &format!("{took:.1} s"),
+                &fate.auctions.to_string(),
+                &fate.holders,
+            ];
+            rows.push(row.map(str::to_owned).to_vec());
+            missions.push(json!({
+                "mission": mission, "room": fate.room, "outcome": outcome, "award_ms": fate.award_ms,
+                "took_s": took, "auctions": fate.auctions, "holders": fate.holders,
+            }));
+        }
+        let completed =
+            self.missions.values().filter(|fate| matches!(fate.end, Some((_, MissionState::Completed)))).count();
+        let all = self.missions.len();
+        let mut words = vec![];
+        match (&self.killed, &self.takeover) {
+            (Some((_, victim)), Some((_, node, took))) => {
+                words.push(format!(
+                    "coordinator {victim} killed; {node} took over within {:.0} ms",
+                    took.as_secs_f64() * 1000.0
+                ));
+            }
+            (Some((_, victim)), None) => {
+                words.push(format!("coordinator {victim} killed; nobody was heard to take over"))
+            }
+            (None, _) => {}
+        }
+        words.push(format!(
+            "{completed} of {all} missions completed; {delivered} of {} samples in the laboratory",
+            samples.len()
+        ));
+        let takeover = self
+            .takeover
+            .as_ref()
+            .map(|(_, node, took)| json!({ "node": node, "after_ms": took.as_secs_f64() * 1000.0 }));
+        let value = json!({
+            "event": "demo_summary", "missions": missions, "completed": completed, "samples": samples.len(),
+            "delivered": delivered, "killed": self.killed.as_ref().map(|(_, node)| node), "takeover": takeover,
+        });
+        self.narrator.close(&rows, &words, &value)?;
+        let killed_in_vain = self.killed.is_some() && self.takeover.is_none();
+        if completed == all && delivered == samples.len() && !killed_in_vain {
+            return Ok(());
+        }
+        Err(Failure::Unsuccessful("the demo did not end as it should".to_owned()))
+    }
+
+    async fn look(&self, key: &Key) -> Option<Value> {
+        ask(&self.stage.bus(), &self.keys.write(key), &Value::Null).await
+    }
+}
+
+fn sample(report: &Value) -> (String, String) {
+    let text = |key: &str| report[key].as_str().unwrap_or("?").to_owned();
+    (text("id"), text("place"))
+}
+
+/// Asks, and gives the first answer that is JSON.
+async fn ask(bus: &SharedBus, key: &str, payload: &Value) -> Option<Value> {
+    let bytes = if payload.is_null() { vec![] } else { payload.to_string().into_bytes() };
+    let mut replies = bus.query(key, bytes.into(), QUERY_LIMIT).await.ok()?;
+    while let Some(reply) = replies.recv().await {
+        if let Some(value) = reply.payload.ok().and_then(|bytes| serde_json::from_slice(&bytes).ok()) {
+            return Some(value);
+        }
+    }
+    None
+}

@@ -1,0 +1,211 @@
+//! Tells what happens: a timeline with progress bars for people, or a line of JSON for each event.
+
+use super::cast::Cast;
+use crate::exit::Failure;
+use crate::output;
+use consort_protocol::auction::{AuctionEntry, AuctionRecord, Verdict};
+use consort_protocol::event::{Event, Happening};
+use consort_protocol::ids::{MissionId, NodeId};
+use consort_protocol::ledger::MissionState;
+use consort_protocol::plan::{Signal, SignalKind};
+use indicatif::{MultiProgress, ProgressBar, ProgressStyle};
+use serde_json::{Value, json};
+use std::collections::BTreeMap;
+use std::io::IsTerminal;
+use std::time::Duration;
+
+/// Width of a progress bar in characters.
+const BAR: usize = 20;
+
+/// Tells what happens.
+pub(super) struct Narrator {
+    json: bool,
+    bars: Option<MultiProgress>,
+    missions: BTreeMap<MissionId, ProgressBar>,
+    cast: String,
+}
+
+impl Narrator {
+    /// A narrator in JSON or in words.
+    pub(super) fn new(json: bool, cast: &Cast) -> Narrator {
+        let bars = (!json && std::io::stderr().is_terminal()).then(MultiProgress::new);
+        let mobile = cast.robots.iter().filter(|robot| robot.speed_mps.is_some());
+        let words = mobile.map(|robot| {
+            let speed = robot.speed_mps.map_or_else(|| "-".to_owned(), |speed| format!("{speed:.2}"));
+            let (name, place, charge, skills) = (&robot.name, &robot.place, robot.battery, robot.skills.len());
+            format!("           {name:10} {place:12} {speed}  charge {charge:e}  {skills} skills")
+        });
+        Narrator { json, bars, missions: BTreeMap::new(), cast: words.collect::<Vec<_>>().join("\n") }
+    }
+
+    /// Says what is being played.
+    pub(super) fn open(&self, introduction: &str) -> Result<(), Failure> {
+        if self.json {
+            return self.say(json!({ "event": "demo_started", "stage": introduction }).to_string());
+        }
+        self.say(format!("Consort demo: {introduction}\n{}", self.cast))
+    }
+
+    /// Tells an event of the fleet.
+    pub(super) fn event(&mut self, at: Duration, event: &Event) -> Result<(), Failure> {
+        if self.json {
+            let mut value = serde_json::to_value(event).unwrap_or(Value::Null);
+            value["t_s"] = json!(seconds(at));
+            return self.say(value.to_string());
+        }
+        let node = &event.node;
+        match &event.what {
+            Happening::Elected { term, voters } => {
+                let voters = voters.iter().map(NodeId::as_str).collect::<Vec<_>>().join(", ");
+                self.tell(at, "elected", format!("{node} coordinates in term {term}; the ledger is kept by {voters}"))
+            }
+            Happening::SteppedDown { term } => {
+                self.tell(at, "steps down", format!("{node} no longer coordinates (term {term})"))
+            }
+            Happening::Joined { ensemble, member } => self.tell(at, "member", format!("+ {member} in {ensemble}")),
+            Happening::Left { ensemble, member, reason } => {
+                self.tell(at, "member", format!("- {member} in {ensemble}: {reason}"))
+            }
+            Happening::Submitted { mission, parameters } => {
+                let given = parameters.iter().map(|(name, value)| format!("{name} = {value}"));
+                self.tell(at, "mission", format!("{mission} acknowledged; {}", given.collect::<Vec<_>>().join(", ")))
+            }
+            Happening::Called { mission, roles, round, asked } => {
+                let roles = roles.iter().map(ToString::to_string).collect::<Vec<_>>().join(", ");
+                self.tell(
+                    at,
+                    "auction",
+                    format!("{mission}: bids for {roles} asked of {asked} members (round {round})"),
+                )
+            }
+            Happening::Closed { record, .. } => self.closed(at, record),
+            Happening::Awarded { mission, holders, epoch, after_ms } => {
+                let holders = holders.iter().map(|(role, robot)| format!("{role} to {robot}")).collect::<Vec<_>>();
+                let after = after_ms.map_or_else(String::new, |ms| format!(", {ms:.1} ms after the request"));
+                self.tell(at, "award", format!("{mission}: {} (epoch {epoch}){after}", holders.join(", ")))
+            }
+            Happening::Released { mission, role, cause } => {
+                self.tell(at, "released", format!("{mission}: {role}: {cause}"))
+            }
+            Happening::Mission { mission, state } => self.state(at, mission, state),
+            Happening::Progress { mission, done, steps } => self.progress(at, mission, *done, *steps),
+            Happening::Started { mission, role, epoch } => {
+                self.tell(at, "begins", format!("{node} as {role} of {mission} (epoch {epoch})"))
+            }
+            Happening::TaskBegan { role, task, .. } => self.tell(at, "task", format!("{node:10} {role:8} {task} …")),
+            Happening::TaskEnded { role, task, .. } => self.tell(at, "task", format!("{node:10} {role:8} {task} done")),
+            Happening::TaskFailed { role, task, cause, .. } => {
+                self.tell(at, "task", format!("{node:10} {role:8} {task} FAILED: {cause}"))
+            }
+            Happening::Sent { signal, .. } => self.tell(at, "sync", said(signal)),
+            Happening::Heard { signal, .. } => self.tell(at, "sync", format!("{} (heard)", said(signal))),
+            Happening::Suspended { mission, role } => {
+                self.tell(at, "suspends", format!("{node} as {role} of {mission}: its lease ran out"))
+            }
+            Happening::Resumed { mission, role } => self.tell(at, "resumes", format!("{node} as {role} of {mission}")),
+            Happening::Halted { mission, role, reason } => {
+                self.tell(at, "ends", format!("{node} as {role} of {mission}: {reason:?}").to_lowercase())
+            }
+            // The auction's close tells of all bids, judged.
+            Happening::Bid { .. } => Ok(()),
+        }
+    }
+
+    /// Tells what the demo itself does.
+    pub(super) fn act(&self, at: Duration, word: &str, text: &str, value: Value) -> Result<(), Failure> {
+        if self.json {
+            let mut value = value;
+            value["t_s"] = json!(seconds(at));
+            return self.say(value.to_string());
+        }
+        self.tell(at, word, text.to_owned())
+    }
+
+    /// Says how it ended.
+    pub(super) fn close(&self, rows: &[Vec<String>], words: &[String], value: &Value) -> Result<(), Failure> {
+        for bar in self.missions.values() {
+            bar.finish_and_clear();
+        }
+        if self.json {
+            return self.say(value.to_string());
+        }
+        self.say(format!("\n{}\n", output::table(rows)))?;
+        words.iter().try_for_each(|line| self.say(line.clone()))
+    }
+
+    fn closed(&self, at: Duration, record: &AuctionRecord) -> Result<(), Failure> {
+        let mission = &record.auction.mission;
+        for AuctionEntry { role, robot, verdict } in &record.entries {
+            let price = |time: f64, energy: f64, remaining: f64| {
+                let (energy, remaining) = (energy * 100.0, remaining * 100.0);
+                format!("{time:.1} s, {energy:.1} % of its charge, {remaining:.1} % left")
+            };
+            let (word, text) = match verdict {
+                Verdict::Viable { time, energy, remaining } => {
+                    let chosen = record.chosen.get(role) == Some(robot);
+                    let mark = if chosen { "  <- chosen" } else { "" };
+                    ("bid", format!("{robot:10} {role:8} {}{mark}", price(time.get(), *energy, *remaining)))
+                }
+                Verdict::Unviable { time, energy, remaining, why } => {
+                    let price = price(time.get(), *energy, *remaining);
+                    ("unviable", format!("{robot:10} {role:8} {price}: {why}"))
+                }
+                Verdict::Refused { reason } => ("refusal", format!("{robot:10} {role:8} {reason}")),
+            };
+            self.tell(at, word, text)?;
+        }
+        match &record.failure {
+            Some(failure) => self.tell(at, "no award", format!("{mission}: {failure}")),
+            None => Ok(()),
+        }
+    }
+
+    fn state(&self, at: Duration, mission: &MissionId, state: &MissionState) -> Result<(), Failure> {
+        let text = match state {
+            MissionState::Failed { cause } => format!("{mission} failed: {cause}"),
+            MissionState::Canceled { by } => format!("{mission} canceled by {by}"),
+            MissionState::Pending | MissionState::Running | MissionState::Completed => {
+                format!("{mission} is {}", state.word())
+            }
+        };
+        self.tell(at, "mission", text)
+    }
+
+    fn progress(&mut self, at: Duration, mission: &MissionId, done: usize, steps: usize) -> Result<(), Failure> {
+        if let Some(bars) = &self.bars {
+            let bar = self.missions.entry(mission.clone()).or_insert_with(|| {
+                let style = ProgressStyle::with_template("  {msg:20} [{bar:40}] {pos}/{len} steps");
+                let bar = ProgressBar::new(steps as u64).with_style(style.expect("the template is sound"));
+                bars.add(bar.with_message(mission.to_string()))
+            });
+            bar.set_position(done as u64);
+            return Ok(());
+        }
+        let filled = done * BAR / steps.max(1);
+        let bar: String = (0..BAR).map(|index| if index < filled { '#' } else { '.' }).collect();
+        self.tell(at, "progress", format!("{mission} [{bar}] {done}/{steps}"))
+    }
+
+    fn tell(&self, at: Duration, word: &str, text: String) -> Result<(), Failure> {
+        self.say(format!("{:8.3}   {word:11} {text}", seconds(at)))
+    }
+
+    fn say(&self, text: String) -> Result<(), Failure> {
+        match &self.bars {
+            Some(bars) => bars.suspend(|| output::line(text)),
+            None => output::line(text),
+        }
+    }
+}
+
+fn seconds(at: Duration) -> f64 {
+    (at.as_secs_f64() * 1000.0).round() / 1000.0
+}
+
+fn said(signal: &Signal) -> String {
+    let Signal { kind, task, from, to } = signal;
+    match kind {
+        SignalKind::Done => format!("{from} -> {to}: {task} is done"),
+        SignalKind::Ready => format!("{from} -> {to}: ready for {task}"),
+    }
+}

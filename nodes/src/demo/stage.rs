@@ -1,0 +1,34 @@
+//! What the director needs of a stage.
+
+use crate::exit::Failure;
+use consort_actors::bus::SharedBus;
+use consort_protocol::ids::NodeId;
+use std::future::Future;
+use std::time::Duration;
+
+/// Where a demo is played.
+pub(super) trait Stage {
+    /// The bus, as an onlooker and a client have it.
+    fn bus(&self) -> SharedBus;
+
+    /// How the stage is introduced: what runs, and how it may be looked into.
+    fn introduction(&self) -> String;
+
+    /// Ends a node at once and without warning.
+    fn kill(&mut self, node: &NodeId) -> impl Future<Output = Result<(), Failure>>;
+
+    /// Starts a node that was killed, as a service manager would.
+    fn restart(&mut self, node: &NodeId) -> impl Future<Output = Result<(), Failure>>;
+
+    /// What has gone wrong by itself since it was last asked: a node that ended though nobody killed it.
+    fn trouble(&mut self) -> Option<String>;
+
+    /// Waits until somebody wants it all to end (Ctrl-C).
+    fn interrupted(&mut self) -> impl Future<Output = ()>;
+
+    /// Ends everything.
+    fn strike(self) -> impl Future<Output = ()>;
+
+    /// Time since the stage was set.
+    fn elapsed(&self) -> Duration;
+}

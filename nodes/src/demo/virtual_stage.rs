@@ -1,0 +1,119 @@
+//! The whole fleet in this process, on virtual time.
+
+use super::cast::Cast;
+use super::stage::Stage;
+use crate::exit::Failure;
+use crate::wiring::{self, Equipment, Life};
+use consort_actors::bus::{LinkModel, SharedBus, VirtualNetwork};
+use consort_actors::clock::Clock;
+use consort_actors::node::{NodeHandle, NodeSettings};
+use consort_protocol::ids::NodeId;
+use std::collections::BTreeMap;
+use std::sync::Arc;
+use std::time::Duration;
+use tokio::time::Instant;
+
+/// A fleet on virtual time.
+pub(super) struct VirtualStage {
+    network: VirtualNetwork,
+    client: SharedBus,
+    cast: Cast,
+    equipment: Equipment,
+    nodes: BTreeMap<NodeId, NodeHandle>,
+    started: Instant,
+    seed: u64,
+    lives: u64,
+}
+
+impl VirtualStage {
+    /// Starts every node of the cast.
+    pub(super) async fn set(cast: &Cast, seed: u64) -> Result<VirtualStage, Failure> {
+        let network = VirtualNetwork::new(seed, LinkModel::LAN);
+        let client = network.bus(NodeId::new("onlooker").expect("a slug"));
+        let mut stage = VirtualStage {
+            client: Arc::new(client),
+            network,
+            cast: cast.clone(),
+            equipment: wiring::fleet_equipment(&cast.fleet)?,
+            nodes: BTreeMap::new(),
+            started: Instant::now(),
+            seed,
+            lives: 0,
+        };
+        let life = stage.life();
+        let (world, _) = wiring::world_node(&cast.world, &cast.fleet, life)?;
+        stage.start(world).await?;
+        for node in cast.voters() {
+            stage.restart(&node).await?;
+        }
+        Ok(stage)
+    }
+
+    fn life(&mut self) -> Life {
+        self.lives += 1;
+        let origin = u64::try_from(self.started.elapsed().as_millis()).unwrap_or(u64::MAX);
+        let seed = self.seed.wrapping_mul(1_000_003).wrapping_add(self.lives);
+        Life { clock: Clock::virtual_at(origin), incarnation: self.lives, seed }
+    }
+
+    async fn start(&mut self, settings: NodeSettings) -> Result<(), Failure> {
+        let name = settings.node.clone();
+        let bus = Arc::new(self.network.bus(name.clone()));
+        let node = NodeHandle::start(settings, bus).await;
+        let node = node.map_err(|problem| Failure::Unsuccessful(format!("{name} did not start: {problem}")))?;
+        self.nodes.insert(name, node);
+        Ok(())
+    }
+}
+
+impl Stage for VirtualStage {
+    fn bus(&self) -> SharedBus {
+        Arc::clone(&self.client)
+    }
+
+    fn introduction(&self) -> String {
+        let speed = self.cast.world.speed;
+        format!("{} nodes in this process, on virtual time ({speed} world seconds a second)", self.nodes.len())
+    }
+
+    async fn kill(&mut self, node: &NodeId) -> Result<(), Failure> {
+        self.network.crash(node);
+        if let Some(node) = self.nodes.remove(node) {
+            node.kill().await;
+        }
+        Ok(())
+    }
+
+    async fn restart(&mut self, node: &NodeId) -> Result<(), Failure> {
+        let life = self.life();
+        let robot = self.cast.robots.iter().find(|robot| robot.name.as_str() == node.as_str());
+        let settings = match robot {
+            Some(robot) => wiring::robot_node_with(&self.equipment, robot, &self.cast.fleet, life)?,
+            None => {
+                let station = self.cast.stations.iter().find(|station| station.name == *node);
+                let station = station.ok_or_else(|| Failure::Unsuccessful(format!("{node} is not in the cast")))?;
+                wiring::station_node(station, &self.cast.fleet, life)?
+            }
+        };
+        self.start(settings).await
+    }
+
+    fn trouble(&mut self) -> Option<String> {
+        None
+    }
+
+    async fn interrupted(&mut self) {
+        // A run takes less time than it takes to change one's mind; the signal's own default ends the process.
+        std::future::pending().await
+    }
+
+    async fn strike(self) {
+        for node in self.nodes.into_values() {
+            node.kill().await;
+        }
+    }
+
+    fn elapsed(&self) -> Duration {
+        self.started.elapsed()
+    }
+}

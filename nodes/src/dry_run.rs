@@ -1,0 +1,109 @@
+//! What an auction would decide, offline: the robots' own bidders and the coordinator's own conclusion, without a
+//! fleet.
+
+use crate::source::WorkerEntry;
+use crate::wiring::Equipment;
+use consort_actors::robot::{Bidder, Circumstance};
+use consort_protocol::auction::{Answer, AuctionId, BidPart, CallForBids, Circumstances, Limits, Tender, conclude};
+use consort_protocol::ensemble::Membership;
+use consort_protocol::ids::{EnsembleId, MissionId, RobotId, RoleId};
+use consort_protocol::plan::Division;
+use serde::Serialize;
+use std::collections::{BTreeMap, BTreeSet};
+use std::sync::Arc;
+
+/// What one worker says to one role.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Offer {
+    /// Who.
+    pub worker: RobotId,
+    /// Time for the whole plan, in seconds; none for a refusal.
+    pub time_s: Option<f64>,
+    /// Charge that it would use, as a share.
+    pub energy: Option<f64>,
+    /// Charge that would be left, as a share.
+    pub remaining: Option<f64>,
+    /// Whether it could be taken.
+    pub viable: bool,
+    /// Why not, if not.
+    pub reason: Option<String>,
+    /// Step by step.
+    #[serde(skip)]
+    pub parts: Vec<BidPart>,
+}
+
+/// What an auction came to.
+#[derive(Debug, Clone, PartialEq)]
+pub struct DryRun {
+    /// By role, what each worker says, in the order of the workers.
+    pub offers: BTreeMap<RoleId, Vec<Offer>>,
+    /// Who gets which role: every role, or none.
+    pub holders: BTreeMap<RoleId, RobotId>,
+    /// Why nobody does, if so.
+    pub failure: Option<String>,
+}
+
+/// Auctions the plans of `roles` among the workers. Roles without a plan are left aside.
+pub fn auction(
+    division: &Division,
+    roles: &BTreeSet<RoleId>,
+    workers: &[WorkerEntry],
+    equipment: &Equipment,
+    limits: &Limits,
+) -> DryRun {
+    let open = division.plans.iter().filter(|(role, _)| roles.contains(*role));
+    let call = CallForBids {
+        auction: AuctionId { mission: MissionId::new("dry-run").expect("a slug"), term: 0, round: 1 },
+        ensemble: EnsembleId::new("workers").expect("a slug"),
+        roles: open.map(|(role, plan)| (role.clone(), plan.clone())).collect(),
+    };
+    let tenders: Vec<Tender> = workers.iter().map(|worker| tender(worker, &call, equipment)).collect();
+    let expected: BTreeSet<RobotId> = workers.iter().map(|worker| worker.name.clone()).collect();
+    let taken = BTreeMap::new();
+    let circumstances = Circumstances { expected: &expected, taken: &taken, limits, window_ms: 0, at_ms: 0 };
+    let conclusion = conclude(&call, &tenders, &circumstances);
+
+    let mut offers: BTreeMap<RoleId, Vec<Offer>> = BTreeMap::new();
+    for answer in tenders.into_iter().flat_map(|tender| tender.answers) {
+        let (role, offer) = offer(answer, limits);
+        offers.entry(role).or_default().push(offer);
+    }
+    DryRun { offers, holders: conclusion.holders.unwrap_or_default(), failure: conclusion.record.failure }
+}
+
+fn tender(worker: &WorkerEntry, call: &CallForBids, equipment: &Equipment) -> Tender {
+    let bidder = Bidder::new(worker.name.clone(), Arc::clone(&equipment.estimator));
+    let membership = Membership { member: true, reason: "named in the file".to_owned(), age_ms: 0 };
+    let own = worker.worker(&equipment.places);
+    bidder.tender(call, &Circumstance { worker: &own, age_ms: 0, membership })
+}
+
+fn offer(answer: Answer, limits: &Limits) -> (RoleId, Offer) {
+    match answer {
+        Answer::Bid(bid) => {
+            let why_not = bid.viable(limits).err();
+            let offer = Offer {
+                worker: bid.robot,
+                time_s: Some(bid.time.get()),
+                energy: Some(bid.energy),
+                remaining: Some(bid.remaining),
+                viable: why_not.is_none(),
+                reason: why_not.map(|why| why.to_string()),
+                parts: bid.parts,
+            };
+            (bid.role, offer)
+        }
+        Answer::Refusal(refusal) => {
+            let offer = Offer {
+                worker: refusal.robot,
+                time_s: None,
+                energy: None,
+                remaining: None,
+                viable: false,
+                reason: Some(refusal.reason.to_string()),
+                parts: vec![],
+            };
+            (refusal.role, offer)
+        }
+    }
+}

@@ -1,0 +1,84 @@
+//! Maps, from wherever they come, as routes for estimators and skills and as a floor for the simulator.
+
+use crate::config::{Problem, Problems};
+use consort_sim::map::{self, Map, MapError};
+use consort_skills::environment::{Edge, TopologicalMap};
+use std::path::Path;
+
+/// A map that was read.
+#[derive(Debug, Clone)]
+pub struct Floor {
+    /// Places and ways, for routes.
+    pub topology: TopologicalMap,
+    /// The floor as the simulator takes it; a map of the published form has none.
+    pub map: Option<Map>,
+}
+
+/// Whether a map of this name comes with the program.
+pub fn is_shipped(name: &str) -> bool {
+    map::SHIPPED.contains(&name)
+}
+
+/// Reads a map by the name of one that is shipped, or else by path.
+///
+/// # Errors
+/// [`Problems`] with all that is wrong.
+pub fn load(name: &str) -> Result<Floor, Problems> {
+    if is_shipped(name) {
+        return map::shipped(name).map(Floor::from).map_err(|error| problems(name, error));
+    }
+    let path = Path::new(name);
+    let text = std::fs::read_to_string(path).map_err(|error| {
+        let shipped = map::SHIPPED.join(", ");
+        Problem::of(name, format!("this map cannot be read: {error}; it is the path of a file, or one of {shipped}"))
+    })?;
+    read(&text, name)
+}
+
+/// Reads a map from the text of a file: in our own form, or in that of the published evaluation, which has `nodes` and
+/// `edges`. `file` names it in messages.
+///
+/// # Errors
+/// [`Problems`] with all that is wrong.
+pub fn read(text: &str, file: &str) -> Result<Floor, Problems> {
+    if is_published_form(text) {
+        let topology =
+            TopologicalMap::from_reference_json(text).map_err(|error| Problems::from(Problem::of(file, error)))?;
+        return Ok(Floor { topology, map: None });
+    }
+    map::read(text, file).map(Floor::from).map_err(|error| problems(file, error))
+}
+
+/// Whether a text is JSON with the keys of the published map.
+pub fn is_published_form(text: &str) -> bool {
+    let value: Result<serde_json::Value, _> = serde_json::from_str(text);
+    value.is_ok_and(|value| value.get("nodes").is_some() && value.get("edges").is_some())
+}
+
+fn problems(file: &str, error: MapError) -> Problems {
+    match error {
+        MapError::Unsound { problems, .. } => {
+            Problems(problems.iter().map(|problem| Problem::of(file, problem)).collect())
+        }
+        MapError::Syntax { message, .. } => Problem::of(file, message).into(),
+        other => Problem { file: String::new(), at: None, what: other.to_string() }.into(),
+    }
+}
+
+impl From<Map> for Floor {
+    fn from(map: Map) -> Floor {
+        Floor { topology: topology(&map), map: Some(map) }
+    }
+}
+
+/// The places and lanes of a simulator's map as estimators and skills see them.
+pub fn topology(map: &Map) -> TopologicalMap {
+    let places = map.places().iter().map(|place| (place.id.clone(), place.pose)).collect();
+    let edge = |lane: &map::Lane| Edge {
+        a: lane.from.clone(),
+        b: lane.to.clone(),
+        length_m: lane.length.get(),
+        one_way: !lane.two_way,
+    };
+    TopologicalMap { places, edges: map.lanes().iter().map(edge).collect() }
+}

@@ -1,0 +1,18 @@
+//! Configuration, command line and wiring of Consort's one binary.
+//!
+//! [`config`] reads files, [`wiring`] makes nodes of them, each command in [`command`] runs or asks nodes. What missions,
+//! auctions and worlds are is decided elsewhere; nothing here computes a plan or a price.
+
+pub mod check;
+pub mod cli;
+pub mod client;
+pub mod command;
+pub mod config;
+pub mod demo;
+pub mod dry_run;
+pub mod exit;
+pub mod floor;
+pub mod output;
+pub mod running;
+pub mod source;
+pub mod wiring;

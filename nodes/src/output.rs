@@ -1,0 +1,91 @@
+//! What commands say: answers on the standard output, everything else on the standard error.
+
+use crate::exit::Failure;
+use indicatif::{ProgressBar, ProgressStyle};
+use std::fmt::Display;
+use std::io::{ErrorKind, IsTerminal, Write, stderr, stdout};
+use std::time::Duration;
+
+/// Writes a line, or several, to the standard output.
+///
+/// # Errors
+/// [`Failure::OutputClosed`] when its reader has gone, which ends the command quietly.
+pub fn line(text: impl Display) -> Result<(), Failure> {
+    let mut out = stdout().lock();
+    writeln!(out, "{text}").and_then(|()| out.flush()).map_err(|problem| match problem.kind() {
+        ErrorKind::BrokenPipe => Failure::OutputClosed,
+        _ => Failure::Unsuccessful(format!("the standard output cannot be written to: {problem}")),
+    })
+}
+
+/// Writes a line to the standard error. Nobody to hear it is no problem.
+pub fn note(text: impl Display) {
+    let _ = writeln!(stderr().lock(), "{text}");
+}
+
+/// Says on the standard error what is waited for: on a terminal in one line that is overwritten, else a line for each
+/// change.
+pub struct Waiting {
+    bar: Option<ProgressBar>,
+    said: String,
+}
+
+impl Default for Waiting {
+    fn default() -> Self {
+        Waiting::new()
+    }
+}
+
+impl Waiting {
+    /// Says nothing yet.
+    pub fn new() -> Waiting {
+        let bar = stderr().is_terminal().then(|| {
+            let bar = ProgressBar::new_spinner();
+            bar.set_style(ProgressStyle::with_template("{spinner} {msg}").expect("the template is sound"));
+            bar.enable_steady_tick(Duration::from_millis(100));
+            bar
+        });
+        Waiting { bar, said: String::new() }
+    }
+
+    /// Says what is waited for now.
+    pub fn say(&mut self, text: impl Display) {
+        let text = text.to_string();
+        if text == self.said {
+            return;
+        }
+        match &self.bar {
+            Some(bar) => bar.set_message(text.clone()),
+            None => note(&text),
+        }
+        self.said = text;
+    }
+
+    /// Takes back what is on the terminal, so that something lasting can be written.
+    pub fn clear(&mut self) {
+        self.said.clear();
+        if let Some(bar) = &self.bar {
+            bar.set_message("");
+        }
+    }
+}
+
+impl Drop for Waiting {
+    fn drop(&mut self) {
+        if let Some(bar) = &self.bar {
+            bar.finish_and_clear();
+        }
+    }
+}
+
+/// Lines in columns, each as wide as its widest entry; the last is left as it is.
+pub fn table(rows: &[Vec<String>]) -> String {
+    let columns = rows.iter().map(Vec::len).max().unwrap_or(0);
+    let width = |column: usize| rows.iter().filter_map(|row| row.get(column)).map(|cell| cell.chars().count()).max();
+    let widths: Vec<usize> = (0..columns).map(|column| width(column).unwrap_or(0)).collect();
+    let line = |row: &Vec<String>| {
+        let cells = row.iter().zip(&widths).map(|(cell, width)| format!("{cell:width$}"));
+        cells.collect::<Vec<_>>().join("  ").trim_end().to_owned()
+    };
+    rows.iter().map(line).collect::<Vec<_>>().join("\n")
+}

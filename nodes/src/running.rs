@@ -1,0 +1,149 @@
+//! A node on Zenoh, from its start until it is told to end.
+
+use crate::command::flags::RunFlags;
+use crate::config::{BusConfig, FleetConfig, Problems};
+use crate::exit::Failure;
+use crate::wiring::bus_settings;
+use consort_actors::bus::{Bus, Link, ZenohBus};
+use consort_actors::node::{NodeHandle, NodeSettings};
+use std::sync::Arc;
+use std::time::Duration;
+use tokio::runtime::{Builder, Runtime};
+use tokio::signal::unix::{SignalKind, signal};
+use tracing::{info, warn};
+use tracing_subscriber::EnvFilter;
+
+/// What is logged where nothing else is said: our own doings, and only the troubles of others.
+const LOG: &str = "info,zenoh=error,openraft=error,ractor=warn";
+
+/// How often a node looks at its links.
+const LOOK: Duration = Duration::from_millis(500);
+
+/// How long a node may take to say goodbye.
+const GOODBYE: Duration = Duration::from_secs(3);
+
+/// A runtime such as Zenoh needs.
+///
+/// # Errors
+/// [`Failure::Unsuccessful`] if the system gives no threads.
+pub fn runtime() -> Result<Runtime, Failure> {
+    let runtime = Builder::new_multi_thread().enable_all().build();
+    runtime.map_err(|problem| Failure::Unsuccessful(format!("the runtime could not start: {problem}")))
+}
+
+/// Sends the log to the standard error: by `filter`, else by the variable `RUST_LOG`, else `default`.
+///
+/// # Errors
+/// [`Failure::Usage`] if the filter is none.
+pub fn start_log(filter: Option<String>, default: &str) -> Result<(), Failure> {
+    let text = filter.or_else(|| std::env::var("RUST_LOG").ok()).unwrap_or_else(|| default.to_owned());
+    let filter = EnvFilter::try_new(&text).map_err(|problem| {
+        let allowed = "allowed is error, warn, info, debug or trace, also by module, as info,consort_actors=debug";
+        Failure::Usage(format!("{text:?} is not a filter for the log: {problem}; {allowed}"))
+    })?;
+    // A second call, as tests may make, keeps the first log.
+    let _ = tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr).try_init();
+    Ok(())
+}
+
+/// Runs a node until Ctrl-C or SIGTERM, until its standard input closes if that is asked for, or until an actor of it fails. `settings` is called once, within the runtime.
+///
+/// # Errors
+/// [`Failure::Usage`] if it cannot start as configured, [`Failure::Unsuccessful`] if it fails.
+pub fn node(
+    run: RunFlags,
+    bus: &BusConfig,
+    fleet: &FleetConfig,
+    settings: impl FnOnce() -> Result<NodeSettings, Problems>,
+) -> Result<(), Failure> {
+    start_log(run.log, LOG)?;
+    let runtime = runtime()?;
+    let ended = runtime.block_on(until_told(run.until_stdin_closes, bus, fleet, settings));
+    // Whatever still runs, or hangs, ends with the process.
+    runtime.shutdown_background();
+    ended
+}
+
+async fn until_told(
+    until_stdin_closes: bool,
+    bus: &BusConfig,
+    fleet: &FleetConfig,
+    settings: impl FnOnce() -> Result<NodeSettings, Problems>,
+) -> Result<(), Failure> {
+    // Before anything is started: a signal that comes early is not lost.
+    let mut terminate = signal(SignalKind::terminate()).map_err(|problem| no_signal(&problem))?;
+    let mut interrupt = signal(SignalKind::interrupt()).map_err(|problem| no_signal(&problem))?;
+    let settings = settings()?;
+    let zenoh = ZenohBus::open(bus_settings(bus, fleet)).await;
+    let zenoh = zenoh.map_err(|problem| Failure::Usage(problem.to_string()))?;
+    let name = settings.node.clone();
+    info!(node = %name, fleet = %fleet.name, id = zenoh.id(), listening = zenoh.listening().await.join(", "), "open");
+    let mut watch = tokio::task::JoinSet::new();
+    watch.spawn(say_links(zenoh.clone(), bus.connect.clone()));
+    let started = NodeHandle::start(settings, Arc::new(zenoh.clone())).await;
+    let mut node = started.map_err(|problem| Failure::Unsuccessful(format!("{name} did not start: {problem}")))?;
+    info!(node = %name, "started");
+
+    let signal = tokio::select! {
+        _ = terminate.recv() => Some("SIGTERM"),
+        _ = interrupt.recv() => Some("Ctrl-C"),
+        () = stdin_closed(until_stdin_closes) => Some("end of input"),
+        () = node.ended() => None,
+    };
+    let Some(signal) = signal else {
+        let what = format!("{name} stopped: an actor of it failed; the log says which, and why");
+        return Err(Failure::Unsuccessful(what));
+    };
+    info!(node = %name, signal, "stops");
+    let goodbye = async {
+        node.stop().await;
+        zenoh.close().await
+    };
+    match tokio::time::timeout(GOODBYE, goodbye).await {
+        Ok(Ok(())) => info!(node = %name, "stopped"),
+        Ok(Err(problem)) => warn!(node = %name, %problem, "stopped; the bus did not close well"),
+        Err(_) => warn!(node = %name, "stopped without having told everybody in {GOODBYE:?}"),
+    }
+    Ok(())
+}
+
+/// Waits until the standard input is closed, if that is of interest.
+async fn stdin_closed(of_interest: bool) {
+    if !of_interest {
+        return std::future::pending().await;
+    }
+    let (closed, heard) = tokio::sync::oneshot::channel();
+    std::thread::spawn(move || {
+        // A read that fails says as much as an end.
+        let _ = std::io::copy(&mut std::io::stdin(), &mut std::io::sink());
+        let _ = closed.send(());
+    });
+    let _ = heard.await;
+}
+
+fn no_signal(problem: &std::io::Error) -> Failure {
+    Failure::Unsuccessful(format!("signals cannot be heard: {problem}"))
+}
+
+/// Says to whom the node is linked, whenever that changes, and when it is linked to nobody, whom it tries.
+async fn say_links(bus: ZenohBus, connect: Vec<String>) {
+    let mut said: Option<Vec<Link>> = None;
+    loop {
+        let mut links = bus.links().await;
+        links.retain(|link| link.kind != "client"); // they come and go with every command
+        if said.as_ref() != Some(&links) {
+            match (links.is_empty(), connect.is_empty()) {
+                (false, _) => info!(links = describe(&links), "linked"),
+                (true, true) => info!("linked to nobody yet; waits for others to connect"),
+                (true, false) => warn!(trying = connect.join(", "), "linked to nobody; keeps trying"),
+            }
+            said = Some(links);
+        }
+        tokio::time::sleep(LOOK).await;
+    }
+}
+
+/// The neighbours, in words.
+pub fn describe(links: &[Link]) -> String {
+    links.iter().map(|link| format!("{} ({})", link.peer, link.kind)).collect::<Vec<_>>().join(", ")
+}

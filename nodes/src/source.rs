@@ -1,0 +1,240 @@
+//! Missions and workers, from files and by name.
+
+use crate::config::{Problem, Problems};
+use consort_protocol::ids::{PlaceId, RobotId, TaskType};
+use consort_protocol::knowledge::{Availability, Worker};
+use consort_protocol::mission::{Format, MissionTemplate, shipped};
+use consort_protocol::pose::Pose;
+use consort_protocol::units::{BatteryShare, MetresPerSecond, SharePerSecond};
+use serde::de::DeserializeOwned;
+use serde::{Deserialize, Serialize};
+use serde_json::Value;
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::Path;
+
+/// Largest file of any kind that is read whole, in bytes.
+const BYTES_MAX: u64 = 16 << 20;
+
+/// The text of a file.
+///
+/// # Errors
+/// [`Problems`] saying why it cannot be read.
+pub fn text(path: &Path) -> Result<String, Problems> {
+    let unreadable = |problem: std::io::Error| Problem::of(path.display(), format!("cannot be read: {problem}"));
+    let bytes = std::fs::metadata(path).map_err(unreadable)?.len();
+    if bytes > BYTES_MAX {
+        let what = format!("{bytes} bytes are more than the {BYTES_MAX} allowed");
+        return Err(Problem::of(path.display(), what).into());
+    }
+    Ok(std::fs::read_to_string(path).map_err(unreadable)?)
+}
+
+/// A mission by the name of one that is shipped, or else from a file.
+///
+/// # Errors
+/// [`Problems`] of the file, or that there is none, with the names that are shipped.
+pub fn mission(name: &str) -> Result<MissionTemplate, Problems> {
+    if let Some(template) = shipped().get(name) {
+        return Ok(template.clone());
+    }
+    let path = Path::new(name);
+    let text = mission_text(name)?;
+    MissionTemplate::parse(&text, Format::of(Some(path), &text)).map_err(|error| Problem::of(name, error).into())
+}
+
+/// A mission as a request to the coordinator brings it: the name of one that is shipped, or a whole file as JSON.
+///
+/// # Errors
+/// As [`mission`].
+pub fn mission_request(name: &str) -> Result<Value, Problems> {
+    if shipped().contains_key(name) {
+        return Ok(Value::String(name.to_owned()));
+    }
+    // Mistakes of form are told of here, where the file is, and not by the coordinator.
+    mission(name)?;
+    let text = mission_text(name)?;
+    let value: Value = any_format(&text, name)?;
+    Ok(scalars_as_text(value))
+}
+
+fn mission_text(name: &str) -> Result<String, Problems> {
+    let path = Path::new(name);
+    if !path.exists() {
+        let known = shipped().keys().map(String::as_str).collect::<Vec<_>>().join(", ");
+        let what = format!("there is no such file, and no mission of this name is shipped; there are {known}");
+        return Err(Problem::of(name, what).into());
+    }
+    text(path)
+}
+
+/// Mission files hold texts only; YAML takes a bare `5` for a number.
+fn scalars_as_text(value: Value) -> Value {
+    match value {
+        Value::Array(list) => list.into_iter().map(scalars_as_text).collect(),
+        Value::Object(map) => map.into_iter().map(|(key, value)| (key, scalars_as_text(value))).collect(),
+        Value::Bool(value) => Value::String(value.to_string()),
+        Value::Number(value) => Value::String(value.to_string()),
+        Value::Null | Value::String(_) => value,
+    }
+}
+
+/// Reads TOML, JSON or YAML, by the end of the file's name, and where that does not say, by the first character.
+///
+/// # Errors
+/// [`Problems`] with line and column.
+pub fn any_format<T: DeserializeOwned>(text: &str, file: &str) -> Result<T, Problems> {
+    if file.ends_with(".toml") {
+        return toml::from_str(text).map_err(|error| Problem::of(file, error.to_string().trim_end()).into());
+    }
+    let first = text.trim_start_matches('\u{feff}').trim_start().chars().next();
+    let json = file.ends_with(".json") || (matches!(first, Some('{' | '[')) && !file.ends_with(".yaml"));
+    if json {
+        serde_json::from_str(text).map_err(|error| Problem::of(file, error).into())
+    } else {
+        serde_saphyr::from_str(text).map_err(|error| Problem::of(file, error).into())
+    }
+}
+
+/// A worker of a workers file.
+///
+/// ```toml
+/// [[worker]]
+/// name = "ada"
+/// place = "Dock"
+/// skills = ["navigation", "approach_person", "authenticate_person", "operate_drawer", "approach_robot"]
+/// speed_mps = 0.15                  # left out: it does not drive
+/// battery = 0.9                     # default 1
+/// discharge_share_per_s = 0.0004    # default 0
+/// useful_charge = 0.08              # the default
+/// ```
+///
+/// In JSON and YAML the file is an object with a list `worker`, or just the list.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct WorkerEntry {
+    /// Its name.
+    pub name: RobotId,
+    /// Where it starts.
+    pub place: PlaceId,
+    /// The task types it has skills for.
+    pub skills: BTreeSet<TaskType>,
+    /// Its average speed; none if it does not drive.
+    #[serde(default)]
+    pub speed_mps: Option<MetresPerSecond>,
+    /// Its charge, as a share.
+    #[serde(default = "full")]
+    pub battery: BatteryShare,
+    /// Charge that it loses in a second, as a share.
+    #[serde(default = "nothing")]
+    pub discharge_share_per_s: SharePerSecond,
+    /// Below this charge it is of no use.
+    #[serde(default = "crate::config::useful_charge")]
+    pub useful_charge: BatteryShare,
+}
+
+fn full() -> BatteryShare {
+    BatteryShare::FULL
+}
+
+fn nothing() -> SharePerSecond {
+    SharePerSecond::new(0.0).expect("0 is a rate")
+}
+
+impl WorkerEntry {
+    /// The worker as it would describe itself, free for work.
+    pub fn worker(&self, places: &BTreeMap<PlaceId, Pose>) -> Worker {
+        Worker {
+            skills: self.skills.clone(),
+            place: self.place.clone(),
+            // A place that is not on the map is what its estimator will stumble over, and say so.
+            pose: places.get(&self.place).copied().unwrap_or_default(),
+            battery: self.battery,
+            discharge: self.discharge_share_per_s,
+            useful_charge: self.useful_charge,
+            speed: self.speed_mps,
+            availability: Availability::Free,
+            estimator: crate::wiring::ESTIMATOR.to_owned(),
+        }
+    }
+}
+
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct WorkersFile {
+    worker: Vec<WorkerEntry>,
+}
+
+/// Reads a workers file.
+///
+/// # Errors
+/// [`Problems`] of the form, or that a name stands twice, or that there is no worker.
+pub fn workers(text: &str, file: &str) -> Result<Vec<WorkerEntry>, Problems> {
+    let list = !file.ends_with(".toml") && text.trim_start().starts_with(['[', '-']);
+    let workers: Vec<WorkerEntry> =
+        if list { any_format(text, file)? } else { any_format::<WorkersFile>(text, file)?.worker };
+    let mut names = BTreeSet::new();
+    let twice = workers.iter().filter(|worker| !names.insert(&worker.name));
+    let problem = |worker: &WorkerEntry| Problem::of(file, format!("worker {} stands there twice", worker.name));
+    let mut problems: Vec<Problem> = twice.map(problem).collect();
+    if workers.is_empty() {
+        problems.push(Problem::of(file, "there is no worker"));
+    }
+    Problems::unless_none(problems).map(|()| workers)
+}
+
+/// A scenario of the published evaluation: where the nurse is, and six robots. What else the file says is left aside.
+#[derive(Debug, Clone, PartialEq, Deserialize)]
+pub struct Scenario {
+    /// Its name there.
+    pub code: String,
+    /// Where the nurse waits.
+    pub room: PlaceId,
+    /// The robots.
+    pub workers: Vec<WorkerEntry>,
+}
+
+#[derive(Deserialize)]
+struct ScenarioEntry {
+    code: String,
+    nurses: Vec<ScenarioNurse>,
+    robots: Vec<ScenarioRobot>,
+}
+
+#[derive(Deserialize)]
+struct ScenarioNurse {
+    location: PlaceId,
+}
+
+#[derive(Deserialize)]
+struct ScenarioRobot {
+    name: RobotId,
+    location: PlaceId,
+    skills: BTreeSet<TaskType>,
+    avg_speed: MetresPerSecond,
+    battery_charge: BatteryShare,
+    battery_discharge_rate: SharePerSecond,
+}
+
+/// Reads a file of scenarios in the form of the published evaluation.
+///
+/// # Errors
+/// [`Problems`] of the form, or of a scenario without a nurse.
+pub fn scenarios(text: &str, file: &str) -> Result<Vec<Scenario>, Problems> {
+    let entries: Vec<ScenarioEntry> = any_format(text, file)?;
+    let scenario = |entry: ScenarioEntry| {
+        let nurse = entry.nurses.into_iter().next();
+        let nurse = nurse.ok_or_else(|| Problem::of(file, format!("scenario {}: there is no nurse", entry.code)))?;
+        let worker = |robot: ScenarioRobot| WorkerEntry {
+            name: robot.name,
+            place: robot.location,
+            skills: robot.skills,
+            speed_mps: Some(robot.avg_speed),
+            battery: robot.battery_charge,
+            discharge_share_per_s: robot.battery_discharge_rate,
+            useful_charge: crate::config::useful_charge(),
+        };
+        let workers = entry.robots.into_iter().map(worker).collect();
+        Ok(Scenario { code: entry.code, room: nurse.location, workers })
+    };
+    entries.into_iter().map(scenario).collect::<Result<_, Problem>>().map_err(Problems::from)
+}

@@ -1,0 +1,227 @@
+//! From configuration to the parts of a node. The commands wire them to Zenoh; the demo, for a virtual fleet, to the
+//! virtual bus.
+
+use crate::config::{BusConfig, FleetConfig, Problem, Problems, RobotConfig, StationConfig, WorldConfig};
+use crate::floor::{self, Floor};
+use consort_actors::bus::ZenohSettings;
+use consort_actors::clock::Clock;
+use consort_actors::node::{FleetSettings, HostPart, NodeSettings, RobotPart};
+use consort_protocol::auction::Limits;
+use consort_protocol::ensemble::Ensemble;
+use consort_protocol::ids::{NodeId, PlaceId};
+use consort_protocol::knowledge::{Availability, Worker};
+use consort_protocol::lease::LeaseTerms;
+use consort_protocol::mission::{Allowed, Domain};
+use consort_protocol::pose::Pose;
+use consort_sim::world::{SharedWorld, World, WorldSetup};
+use consort_skills::descriptor::{DescriptorRegistry, Estimator};
+use consort_skills::environment::{Environment, Routes, TopologicalMap};
+use consort_skills::library::SkillLibrary;
+use rand::TryRng;
+use rand::rngs::SysRng;
+use std::collections::BTreeMap;
+use std::sync::Arc;
+use std::time::Duration;
+
+/// Which edition of the estimators this program has, as nodes tell one another.
+pub const ESTIMATOR: &str = concat!("standard-", env!("CARGO_PKG_VERSION"));
+
+/// What is particular to one life of a node.
+#[derive(Debug, Clone, Copy)]
+pub struct Life {
+    /// Its clock.
+    pub clock: Clock,
+    /// Larger than in any former life of the node: milliseconds since 1970 do.
+    pub incarnation: u64,
+    /// Where all its chance comes from.
+    pub seed: u64,
+}
+
+impl Life {
+    /// A life that begins now, on a real machine. Called within a tokio runtime.
+    pub fn real() -> Life {
+        let clock = Clock::real();
+        let seed = SysRng.try_next_u64().expect("the system has random numbers");
+        Life { clock, incarnation: clock.wall_ms(), seed }
+    }
+}
+
+/// What robots in one place price and carry out their work with; the same for all of them, so it may be shared.
+#[derive(Clone)]
+pub struct Equipment {
+    /// Where each place is.
+    pub places: BTreeMap<PlaceId, Pose>,
+    /// Prices tasks.
+    pub estimator: Arc<Estimator>,
+    /// Carries tasks out.
+    pub library: Arc<SkillLibrary>,
+}
+
+/// What all nodes of the fleet agree on.
+///
+/// # Errors
+/// [`Problems`] of the ensemble.
+pub fn fleet_settings(config: &FleetConfig) -> Result<FleetSettings, Problems> {
+    let ensemble = Ensemble::compile(config.ensemble()).map_err(|problem| Problem::of("", problem))?;
+    Ok(FleetSettings {
+        fleet: config.name.clone(),
+        ensemble: Arc::new(ensemble),
+        domain: Arc::new(Domain::hospital()),
+        limits: limits(config),
+        terms: LeaseTerms {
+            lease: Duration::from_millis(config.lease.lease_ms),
+            grace: Duration::from_millis(config.lease.grace_ms),
+        },
+        window: Duration::from_millis(config.auction.window_ms),
+        bootstrap_expect: config.bootstrap_expect,
+    })
+}
+
+/// What bids must keep to.
+pub fn limits(config: &FleetConfig) -> Limits {
+    Limits { time: config.limits.time_s, charge_min: config.limits.charge_min }
+}
+
+/// The estimator and the skills of robots on a map.
+///
+/// # Errors
+/// [`Problems`] of the map.
+pub fn equipment(topology: &TopologicalMap) -> Result<Equipment, Problems> {
+    let routes = Routes::new(topology).map_err(|problem| Problem::of("map", problem))?;
+    let environment = Environment::new().with(routes);
+    let estimator =
+        DescriptorRegistry::standard().resolve(environment.clone()).map_err(|problem| Problem::of("", problem))?;
+    let library = Arc::new(SkillLibrary::standard(environment));
+    Ok(Equipment { places: topology.places.clone(), estimator: Arc::new(estimator), library })
+}
+
+/// The estimator and the skills of robots on the fleet's map.
+///
+/// # Errors
+/// [`Problems`] of the map.
+pub fn fleet_equipment(fleet: &FleetConfig) -> Result<Equipment, Problems> {
+    equipment(&floor::load(&fleet.map)?.topology)
+}
+
+/// A robot's node; reads the fleet's map.
+///
+/// # Errors
+/// [`Problems`] of the fleet, of its map, or of the robot on it.
+pub fn robot_node(robot: &RobotConfig, fleet: &FleetConfig, life: Life) -> Result<NodeSettings, Problems> {
+    robot_node_with(&fleet_equipment(fleet)?, robot, fleet, life)
+}
+
+/// A robot's node, with equipment that several share.
+///
+/// # Errors
+/// [`Problems`] of the fleet, or of the robot on its map.
+pub fn robot_node_with(
+    equipment: &Equipment,
+    robot: &RobotConfig,
+    fleet: &FleetConfig,
+    life: Life,
+) -> Result<NodeSettings, Problems> {
+    let part = RobotPart {
+        worker: worker(robot, &equipment.places)?,
+        estimator: Arc::clone(&equipment.estimator),
+        library: Arc::clone(&equipment.library),
+    };
+    let node = NodeId::from(robot.name.clone());
+    let bare = bare_node(node, fleet, life, robot.may_vote)?;
+    Ok(NodeSettings { stationary: robot.stationary, mains_powered: robot.mains_powered, robot: Some(part), ..bare })
+}
+
+/// What a robot says of itself before its body has reported.
+///
+/// # Errors
+/// [`Problems`] if its place is not on the map, or a skill is not in the library.
+pub fn worker(robot: &RobotConfig, places: &BTreeMap<PlaceId, Pose>) -> Result<Worker, Problems> {
+    let Some(pose) = places.get(&robot.place) else {
+        let allowed = Allowed::instead_of(robot.place.as_str(), places.keys());
+        let (name, place) = (&robot.name, robot.place.as_str());
+        let what = format!("robot {name}: place: {place:?} is not on the fleet's map; {allowed}");
+        return Err(Problem::of("", what).into());
+    };
+    Ok(Worker {
+        skills: robot.skills.clone(),
+        place: robot.place.clone(),
+        pose: *pose,
+        battery: robot.battery,
+        discharge: robot.discharge_share_per_s,
+        useful_charge: robot.useful_charge,
+        speed: robot.speed_mps,
+        availability: Availability::Free,
+        estimator: ESTIMATOR.to_owned(),
+    })
+}
+
+/// A node without a robot.
+///
+/// # Errors
+/// [`Problems`] of the fleet.
+pub fn station_node(station: &StationConfig, fleet: &FleetConfig, life: Life) -> Result<NodeSettings, Problems> {
+    let StationConfig { stationary, mains_powered, may_vote, .. } = *station;
+    Ok(NodeSettings { stationary, mains_powered, ..bare_node(station.name.clone(), fleet, life, may_vote)? })
+}
+
+/// A node that hosts a simulated world, and the world to look at.
+///
+/// # Errors
+/// [`Problems`] of the fleet, of the map, or of what is on it.
+pub fn world_node(
+    world: &WorldConfig,
+    fleet: &FleetConfig,
+    life: Life,
+) -> Result<(NodeSettings, SharedWorld), Problems> {
+    let shared = SharedWorld::new(build_world(world, fleet)?);
+    let host = HostPart { world: Box::new(shared.clone()), speed: world.speed };
+    let bare = bare_node(world.name.clone(), fleet, life, world.may_vote)?;
+    Ok((NodeSettings { stationary: true, mains_powered: true, host: Some(host), ..bare }, shared))
+}
+
+/// The world of a world file, at time zero.
+///
+/// # Errors
+/// [`Problems`] of the map, or of what is on it.
+pub fn build_world(world: &WorldConfig, fleet: &FleetConfig) -> Result<World, Problems> {
+    let name = world.map.as_ref().unwrap_or(&fleet.map);
+    let Floor { map: Some(map), .. } = floor::load(name)? else {
+        let what = "a map of the published form has nothing to drive on; a world needs one of our own form";
+        return Err(Problem::of(name, what).into());
+    };
+    let setup = WorldSetup {
+        map,
+        robots: world.robot.clone(),
+        people: world.person.clone(),
+        seed: world.seed,
+        durations: world.durations,
+        limits: world.limits,
+    };
+    World::new(setup).map_err(|errors| Problems(errors.0.iter().map(|problem| Problem::of("", problem)).collect()))
+}
+
+fn bare_node(node: NodeId, fleet: &FleetConfig, life: Life, may_vote: bool) -> Result<NodeSettings, Problems> {
+    let Life { clock, incarnation, seed } = life;
+    Ok(NodeSettings {
+        fleet: fleet_settings(fleet)?,
+        node,
+        incarnation,
+        seed,
+        clock,
+        may_vote,
+        stationary: false,
+        mains_powered: false,
+        robot: None,
+        host: None,
+    })
+}
+
+/// How a node opens Zenoh: as a router between its neighbours.
+pub fn bus_settings(bus: &BusConfig, fleet: &FleetConfig) -> ZenohSettings {
+    ZenohSettings {
+        listen: bus.listen.clone(),
+        connect: bus.connect.clone(),
+        lease: Duration::from_millis(fleet.link_lease_ms),
+        ..ZenohSettings::default()
+    }
+}
