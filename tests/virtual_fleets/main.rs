@@ -6,6 +6,7 @@ mod determinism;
 mod leases;
 mod queueing;
 mod requests;
+mod supervision;
 mod takeover;
 mod takeover_everywhere;
 mod takeover_of_holders;
