@@ -6,6 +6,7 @@ use crate::exit::Failure;
 use crate::wiring::bus_settings;
 use consort_actors::bus::{Bus, Link, ZenohBus};
 use consort_actors::node::{NodeHandle, NodeSettings};
+use std::io::IsTerminal;
 use std::sync::Arc;
 use std::time::Duration;
 use tokio::runtime::{Builder, Runtime};
@@ -42,7 +43,11 @@ pub fn start_log(filter: Option<String>, default: &str) -> Result<(), Failure> {
         Failure::Usage(format!("{text:?} is not a filter for the log: {problem}; {allowed}"))
     })?;
     // A second call, as tests may make, keeps the first log.
-    let _ = tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr).try_init();
+    let _ = tracing_subscriber::fmt()
+        .with_env_filter(filter)
+        .with_ansi(std::io::stderr().is_terminal())
+        .with_writer(std::io::stderr)
+        .try_init();
     Ok(())
 }
 
