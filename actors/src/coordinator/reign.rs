@@ -41,6 +41,8 @@ pub(super) struct Reign {
     /// How missions stood when last looked at, to tell what has changed.
     seen: BTreeMap<MissionId, Seen>,
     members: BTreeSet<NodeId>,
+    /// Those of them that say they are free.
+    free: BTreeSet<NodeId>,
     requests: u64,
     tasks: Tasks,
     _token: Token,
@@ -85,6 +87,7 @@ impl Reign {
             told: BTreeMap::new(),
             seen,
             members: BTreeSet::new(),
+            free: BTreeSet::new(),
             requests: 0,
             tasks,
             _token: token,
@@ -117,6 +120,19 @@ impl Reign {
             let reason = if verdict.member { "judged dead".to_owned() } else { verdict.reason };
             settings.events.tell(Happening::Left { ensemble: ensemble.clone(), member: member.clone(), reason });
         }
+        let free = settings.knowledge.read(|base| {
+            let is_free = |node: &&NodeId| base.get(node).is_some_and(|heard| heard.record.knowledge.is_free());
+            members.iter().filter(is_free).cloned().collect::<BTreeSet<_>>()
+        });
+        if !free.is_subset(&self.free) {
+            // Those who wait for a robot need not sit out their back-off.
+            for round in self.rounds.values_mut() {
+                if let Phase::Waiting(until) = &mut round.phase {
+                    *until = now;
+                }
+            }
+        }
+        self.free = free;
         self.members = members;
     }
 
@@ -149,7 +165,6 @@ impl Reign {
     }
 
     fn follow_missions(&mut self, settings: &CoordinatorSettings, now: NodeTime) {
-        let mut freed = false;
         let mut changed = false;
         let mut revoked: Vec<(RobotId, Epoch, Ending)> = vec![];
         settings.replica.read(|ledger| {
@@ -171,21 +186,12 @@ impl Reign {
                     settings.events.tell(Happening::Progress { mission: mission.clone(), done, steps });
                 }
                 if known.is_none_or(|known| known.state != seen.state) {
-                    freed |= seen.state.is_end();
                     settings.events.tell(Happening::Mission { mission: mission.clone(), state: seen.state.clone() });
                     revoked.extend(to_revoke(entry));
                 }
                 self.seen.insert(mission, seen);
             }
         });
-        if freed {
-            // Robots are free again: those who wait for one need not sit out their back-off.
-            for round in self.rounds.values_mut() {
-                if let Phase::Waiting(until) = &mut round.phase {
-                    *until = now;
-                }
-            }
-        }
         for (robot, epoch, reason) in revoked {
             self.notify(settings, &robot, AwardNotice::Revoked { epoch, reason }, |_| ());
         }

@@ -76,9 +76,8 @@ pub(super) fn mission(text: &str) -> Result<Value, Failure> {
             }
             let content =
                 std::fs::read_to_string(path).map_err(|problem| Failure::Usage(format!("{text}: {problem}")))?;
-            let template = MissionTemplate::parse(&content, Format::of(Some(path), &content))
-                .map_err(|problem| Failure::Usage(format!("{text}: {problem}")))?;
-            template
+            MissionTemplate::parse(&content, Format::of(Some(path), &content))
+                .map_err(|problem| Failure::Usage(format!("{text}: {problem}")))?
         }
     };
     if !template.parameters().contains_key("room") {
@@ -352,7 +351,7 @@ impl<S: Stage> Director<S> {
                 ));
             }
             (Some((_, victim)), None) => {
-                words.push(format!("coordinator {victim} killed; nobody was heard to take over"))
+                words.push(format!("coordinator {victim} killed; nobody was heard to take over"));
             }
             (None, _) => {}
         }
