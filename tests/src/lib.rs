@@ -2,4 +2,4 @@
 
 mod fleet;
 
-pub use fleet::{Fleet, Member, slug};
+pub use fleet::{Fleet, Member, slug, topology};
