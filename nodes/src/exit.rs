@@ -15,7 +15,7 @@ pub enum Failure {
     /// 3: nothing was reached, or nobody coordinates.
     #[error("{0}")]
     Unreached(String),
-    /// 130: somebody pressed Ctrl-C.
+    /// 130: somebody pressed Ctrl-C, or sent SIGTERM.
     #[error("interrupted")]
     Interrupted,
     /// 0: whoever read our output has closed it, as `head` does.

@@ -15,7 +15,7 @@ use tracing::{info, warn};
 use tracing_subscriber::EnvFilter;
 
 /// What is logged where nothing else is said: our own doings, and only the troubles of others.
-const LOG: &str = "info,zenoh=error,openraft=error,ractor=warn";
+const LOG: &str = "info,zenoh=error,openraft=error,openraft::replication=off,ractor=warn";
 
 /// How often a node looks at its links.
 const LOOK: Duration = Duration::from_millis(500);
@@ -42,12 +42,11 @@ pub fn start_log(filter: Option<String>, default: &str) -> Result<(), Failure> {
         let allowed = "allowed is error, warn, info, debug or trace, also by module, as info,consort_actors=debug";
         Failure::Usage(format!("{text:?} is not a filter for the log: {problem}; {allowed}"))
     })?;
+    // Colours are for terminals: in a file they are in the way of whoever searches it.
+    let colours = std::io::stderr().is_terminal();
+    let log = tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr).with_ansi(colours);
     // A second call, as tests may make, keeps the first log.
-    let _ = tracing_subscriber::fmt()
-        .with_env_filter(filter)
-        .with_ansi(std::io::stderr().is_terminal())
-        .with_writer(std::io::stderr)
-        .try_init();
+    let _ = log.try_init();
     Ok(())
 }
 

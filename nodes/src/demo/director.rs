@@ -4,15 +4,15 @@ use super::cast::Cast;
 use super::narrator::Narrator;
 use super::stage::Stage;
 use crate::exit::Failure;
+use crate::source;
 use consort_actors::bus::{Sample, SharedBus, Stream};
 use consort_protocol::event::{Event, Happening};
 use consort_protocol::ids::{MissionId, NodeId};
 use consort_protocol::keys::{ApiCall, Key, Keys};
 use consort_protocol::ledger::MissionState;
-use consort_protocol::mission::{Domain, Format, MissionTemplate, shipped};
+use consort_protocol::mission::Domain;
 use serde_json::{Value, json};
 use std::collections::BTreeMap;
-use std::path::Path;
 use std::time::Duration;
 
 /// How long the fleet may take to meet and elect a coordinator.
@@ -64,34 +64,17 @@ struct Fate {
 /// # Errors
 /// [`Failure::Usage`] says what is wrong with it, or which are shipped.
 pub(super) fn mission(text: &str) -> Result<Value, Failure> {
-    let template = match shipped().get(text) {
-        Some(template) => template.clone(),
-        None => {
-            let path = Path::new(text);
-            if !path.exists() {
-                let known = shipped().keys().map(String::as_str).collect::<Vec<_>>().join(", ");
-                return Err(Failure::Usage(format!(
-                    "--mission {text}: no such file, and none of the shipped missions: {known}"
-                )));
-            }
-            let content =
-                std::fs::read_to_string(path).map_err(|problem| Failure::Usage(format!("{text}: {problem}")))?;
-            MissionTemplate::parse(&content, Format::of(Some(path), &content))
-                .map_err(|problem| Failure::Usage(format!("{text}: {problem}")))?
-        }
-    };
+    let template = source::mission(text).map_err(|problems| Failure::Usage(format!("--mission {problems}")))?;
     if !template.parameters().contains_key("room") {
         return Err(Failure::Usage(format!(
             "--mission {text}: it has no parameter `room`, which the demo gives each mission"
         )));
     }
     let room = BTreeMap::from([("room".to_owned(), "IC Room 6".to_owned())]);
-    template.instantiate(&room, &Domain::hospital()).map_err(|problem| Failure::Usage(format!("{text}: {problem}")))?;
-    if shipped().contains_key(text) {
-        return Ok(json!(text));
-    }
-    let content = std::fs::read_to_string(text).map_err(|problem| Failure::Usage(format!("{text}: {problem}")))?;
-    serde_saphyr::from_str(&content).map_err(|problem| Failure::Usage(format!("{text}: {problem}")))
+    template
+        .instantiate(&room, &Domain::hospital())
+        .map_err(|problem| Failure::Usage(format!("--mission {text}: {problem}")))?;
+    Ok(source::mission_request(text)?)
 }
 
 impl<S: Stage> Director<S> {

@@ -18,6 +18,7 @@ use std::process::Stdio;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 use tokio::process::{Child, Command};
+use tokio::signal::unix::{Signal, SignalKind, signal};
 
 /// How long the world's node may take until the onlooker can connect to it.
 const CONNECT_LIMIT: Duration = Duration::from_secs(20);
@@ -32,6 +33,27 @@ pub struct Processes {
     endpoint: String,
     speed: f64,
     started: Instant,
+    ending: Ending,
+}
+
+/// Ctrl-C and SIGTERM. They are kept from the first moment on: one that comes while nobody waits for it is not lost.
+struct Ending {
+    interrupt: Signal,
+    terminate: Signal,
+}
+
+impl Ending {
+    fn new() -> Result<Ending, Failure> {
+        let hear = |kind| signal(kind).map_err(failed("signals cannot be heard"));
+        Ok(Ending { interrupt: hear(SignalKind::interrupt())?, terminate: hear(SignalKind::terminate())? })
+    }
+
+    async fn heard(&mut self) {
+        tokio::select! {
+            _ = self.interrupt.recv() => {}
+            _ = self.terminate.recv() => {}
+        }
+    }
 }
 
 /// A folder that is removed when it is no longer needed.
@@ -55,6 +77,7 @@ impl Processes {
     /// [`Failure`] says what could not be had or started, or what a node said before it ended.
     pub async fn set(cast: &Cast, program: &Path, first_port: Option<u16>) -> Result<Processes, Failure> {
         let started = Instant::now();
+        let mut ending = Ending::new()?;
         let name = format!("consort-demo-{}", std::process::id());
         let folder = Folder(std::env::temp_dir().join(name));
         fs::create_dir_all(&folder.0).map_err(failed(format_args!("{}", folder.0.display())))?;
@@ -101,7 +124,12 @@ impl Processes {
         for (node, kind) in &kinds {
             children.insert(node.clone(), spawn(program, &folder.0, node, kind)?);
         }
-        let bus = match connect(&endpoint).await {
+        let connected = tokio::select! {
+            biased;
+            () = ending.heard() => return Err(Failure::Interrupted),
+            connected = connect(&endpoint) => connected,
+        };
+        let bus = match connected {
             Ok(bus) => bus,
             Err(problem) => {
                 // Why is most likely in the words of the child that ended.
@@ -110,16 +138,8 @@ impl Processes {
             }
         };
         let speed = cast.world.speed;
-        Ok(Processes {
-            folder,
-            program: program.to_owned(),
-            kinds,
-            children,
-            bus: Arc::new(bus),
-            endpoint,
-            speed,
-            started,
-        })
+        let program = program.to_owned();
+        Ok(Processes { folder, program, kinds, children, bus: Arc::new(bus), endpoint, speed, started, ending })
     }
 }
 
@@ -161,10 +181,7 @@ impl Stage for Processes {
     }
 
     async fn interrupted(&mut self) {
-        if tokio::signal::ctrl_c().await.is_err() {
-            // Without a handler the signal's own default ends the process, and the children with it.
-            std::future::pending::<()>().await;
-        }
+        self.ending.heard().await;
     }
 
     async fn strike(mut self) {

@@ -23,7 +23,7 @@ pub trait Stage {
     /// What has gone wrong by itself since it was last asked: a node that ended though nobody killed it.
     fn trouble(&mut self) -> Option<String>;
 
-    /// Waits until somebody wants it all to end (Ctrl-C).
+    /// Waits until somebody wants it all to end (Ctrl-C), or has wanted it since it was last asked.
     fn interrupted(&mut self) -> impl Future<Output = ()>;
 
     /// Ends everything.

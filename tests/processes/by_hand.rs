@@ -1,0 +1,117 @@
+//! The main job by hand: the example files, a process for each, and the commands that ask and look.
+
+use crate::support::{Fleet, Folder, example};
+use serde_json::{Value, json};
+use std::time::Duration;
+
+fn mission<'a>(missions: &'a Value, id: &str) -> &'a Value {
+    let all = missions["missions"].as_array().expect("a list");
+    all.iter().find(|entry| entry["mission"] == id).unwrap_or_else(|| panic!("{id} is not in {missions}"))
+}
+
+/// Who holds which role of which mission, as the fleet's nodes have it.
+fn held(fleet: &Value) -> Vec<(Value, Value, Value)> {
+    let nodes = fleet["fleet"]["nodes"].as_array().expect("a list").iter().filter(|node| node["holds"].is_object());
+    nodes.map(|node| (node["holds"]["mission"].clone(), node["holds"]["role"].clone(), node["node"].clone())).collect()
+}
+
+/// The same, as the missions have it.
+fn holders(missions: &Value) -> Vec<(Value, Value, Value)> {
+    let running = missions["missions"].as_array().expect("a list").iter().filter(|entry| entry["state"] == "running");
+    let mut all: Vec<_> = running
+        .flat_map(|entry| {
+            let holders = entry["holders"].as_object().expect("roles");
+            holders.iter().map(|(role, robot)| (entry["mission"].clone(), json!(role), robot.clone()))
+        })
+        .collect();
+    all.sort_by_key(|(_, _, robot)| robot.to_string());
+    all
+}
+
+#[test]
+fn a_mission_is_submitted_watched_and_canceled_with_the_commands_and_the_example_files() {
+    let mut fleet = Fleet::new(&example("fleet"));
+    fleet.start("station", example("station"), &[]);
+    let mut world = example("world");
+    world.insert("speed".to_owned(), 20.0.into());
+    fleet.start("world", world, &["station-1"]);
+    fleet.start("robot", example("robot"), &["station-1", "world"]);
+    fleet.start("robot", example("arm"), &["station-1", "world"]);
+
+    // One mission, waited for, and looked at meanwhile.
+    let submit = ["submit", "lab-samples", "--set", "room=IC Room 6", "--request", "order-1"];
+    let waiting = fleet.begin(&[&submit[..], &["--wait"]].concat(), "world");
+    let mut agreed = 0;
+    let mut waited = waiting;
+    while !waited.has_ended() {
+        let before = fleet.run(&["missions", "--json"], "ada").expect(0).json();
+        let seen = fleet.run(&["fleet", "--json"], "station-1").expect(0).json();
+        let after = fleet.run(&["missions", "--json"], "lab-arm").expect(0).json();
+        if holders(&before) == holders(&after) && !holders(&before).is_empty() {
+            assert_eq!(held(&seen), holders(&before), "\n{seen}\n{before}");
+            agreed += 1;
+        }
+    }
+    let ended = waited.end(Duration::from_secs(1)).expect(0);
+    assert_eq!(
+        ended.stdout.lines().collect::<Vec<_>>(),
+        ["lab-samples-1", "lab-samples-1 completed"],
+        "{}",
+        fleet.logs()
+    );
+    assert!(agreed > 0, "the mission was never seen while it ran");
+
+    // Everyone is there, with what the files say.
+    let seen = fleet.run(&["fleet", "--json"], "world").expect(0).json();
+    let nodes = seen["fleet"]["nodes"].as_array().expect("a list");
+    let alive: Vec<&str> =
+        nodes.iter().filter(|node| node["alive"] == true).filter_map(|node| node["node"].as_str()).collect();
+    assert_eq!(alive, ["ada", "lab-arm", "station-1", "world"]);
+    assert_eq!(seen["fleet"]["coordinator"], seen["coordinator"]["node"]);
+    let mut voters: Vec<&str> =
+        seen["coordinator"]["voters"].as_array().expect("a list").iter().filter_map(Value::as_str).collect();
+    voters.sort_unstable();
+    assert_eq!(voters, ["ada", "lab-arm", "station-1"]);
+    assert_eq!(held(&seen), [], "the mission is over");
+    let ada = nodes.iter().find(|node| node["node"] == "ada").expect("ada");
+    assert_eq!(ada["robot"]["place"], "Laboratory");
+
+    // The same request again is the same mission.
+    let again = fleet.run(&[&submit[..], &["--json"]].concat(), "ada").expect(0).json();
+    assert_eq!(again, json!({ "mission": "lab-samples-1", "again": true }));
+
+    // A mission for which there are no robots waits, and says why; it can be withdrawn, once.
+    let pending = fleet.run(&["submit", "bed-transfer", "--json"], "ada").expect(0).json();
+    assert_eq!(pending, json!({ "mission": "bed-transfer-2", "again": false }));
+    crate::support::until("the auction of bed-transfer-2 says why it fails", Duration::from_secs(30), || {
+        let missions = fleet.run(&["missions", "--json"], "world").expect(0).json();
+        let entry = mission(&missions, "bed-transfer-2");
+        assert_eq!(entry["state"], "pending");
+        entry["why_pending"].is_string().then_some(())
+    });
+    let said = fleet.run(&["cancel", "bed-transfer-2", "--by", "ward 3"], "station-1").expect(0).stdout;
+    assert_eq!(said, "bed-transfer-2 canceled: by ward 3\n");
+    let missions = fleet.run(&["missions", "--json"], "ada").expect(0).json();
+    assert_eq!(mission(&missions, "bed-transfer-2")["state"], "canceled");
+    assert_eq!(mission(&missions, "lab-samples-1")["state"], "completed");
+    assert_eq!(missions["missions"].as_array().map(Vec::len), Some(2), "{missions}");
+
+    // What has ended stays as it ended; what is unknown is said to be.
+    let said = fleet.run(&["cancel", "lab-samples-1"], "ada").expect(1).stderr;
+    assert!(said.contains("lab-samples-1") && said.contains("completed"), "{said}");
+    let said = fleet.run(&["cancel", "lab-samples-9"], "ada").expect(1).stderr;
+    assert!(said.contains("lab-samples-9"), "{said}");
+
+    fleet.stop();
+}
+
+#[test]
+fn a_fleet_that_is_not_there_is_said_not_to_be() {
+    let folder = Folder::new();
+    let free = std::net::TcpListener::bind(("127.0.0.1", 0)).expect("a free port");
+    let address = format!("tcp/{}", free.local_addr().expect("it has an address"));
+    drop(free);
+    let arguments = ["missions", "--connect", &address, "--timeout", "1"];
+    let ended = crate::support::Program::start(&folder, "missions", &arguments).end(Duration::from_secs(20)).expect(3);
+    assert!(ended.stderr.contains(&format!("nothing answers at {address}")), "{}", ended.stderr);
+}

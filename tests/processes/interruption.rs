@@ -1,0 +1,67 @@
+//! However the demo is ended, nothing of it stays.
+
+use crate::support::{Folder, Program, until};
+use std::time::Duration;
+
+/// How long the children of a demo that has ended may outlive it: the time they have to say goodbye, and some more.
+const END: Duration = Duration::from_secs(10);
+
+/// A demo whose fleet is up: somebody coordinates, and a mission runs.
+fn under_way(folder: &Folder) -> Program {
+    let mut demo = Program::start(folder, "demo", &["demo", "--json", "--speed", "1"]);
+    until("the mission of the demo begins", Duration::from_secs(60), || {
+        assert!(!demo.has_ended(), "it has ended:\n{}", demo.stderr());
+        demo.stdout().contains(r#""event":"task_began""#).then_some(())
+    });
+    assert!(folder.processes().len() > 8, "a process for each node: {:?}", folder.processes());
+    demo
+}
+
+#[test]
+fn ctrl_c_ends_the_whole_fleet() {
+    let folder = Folder::new();
+    let demo = under_way(&folder);
+    demo.signal("INT");
+    let ended = demo.end(END).expect(130);
+    assert!(ended.stderr.contains("interrupted"), "{}", ended.stderr);
+    folder.await_no_process(Duration::from_secs(1));
+    assert_eq!(folder.temporary_files(), Vec::<String>::new());
+}
+
+#[test]
+fn ctrl_c_before_the_fleet_has_met_ends_it_too() {
+    let folder = Folder::new();
+    let mut demo = Program::start(&folder, "demo", &["demo", "--json"]);
+    until("a first child of the demo", Duration::from_secs(20), || {
+        assert!(!demo.has_ended(), "it has ended:\n{}", demo.stderr());
+        folder.processes().iter().any(|(_, line)| line.contains(" --config ")).then_some(())
+    });
+    demo.signal("INT");
+    demo.end(END).expect(130);
+    folder.await_no_process(Duration::from_secs(5));
+    assert_eq!(folder.temporary_files(), Vec::<String>::new());
+}
+
+#[test]
+fn sigterm_ends_the_whole_fleet_while_it_is_kept_running() {
+    let folder = Folder::new();
+    let arguments = ["demo", "--json", "--no-kill", "--robots", "1", "--speed", "40", "--keep-running"];
+    let demo = Program::start(&folder, "demo", &arguments);
+    until("the demo keeps its fleet running", Duration::from_secs(90), || {
+        demo.stdout().contains(r#""event":"demo_keeps_running""#).then_some(())
+    });
+    assert!(folder.processes().len() > 3, "{:?}", folder.processes());
+    demo.signal("TERM");
+    let ended = demo.end(END);
+    assert!([0, 130].contains(&ended.code()), "{}", ended.code());
+    folder.await_no_process(Duration::from_secs(1));
+    assert_eq!(folder.temporary_files(), Vec::<String>::new());
+}
+
+#[test]
+fn nodes_end_by_themselves_when_the_demo_is_killed() {
+    let folder = Folder::new();
+    let mut demo = under_way(&folder);
+    demo.kill();
+    folder.await_no_process(END);
+}

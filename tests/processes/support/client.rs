@@ -1,0 +1,127 @@
+//! A client with Zenoh and nothing of ours: its own defaults, but for whom to connect to.
+
+use super::until;
+use serde_json::Value;
+use std::collections::{BTreeMap, BTreeSet};
+use std::time::Duration;
+use zenoh::bytes::Encoding;
+use zenoh::handlers::FifoChannelHandler;
+use zenoh::pubsub::Subscriber;
+use zenoh::query::{ConsolidationMode, QueryTarget};
+use zenoh::sample::Sample;
+use zenoh::{Config, Session, Wait};
+
+/// A session in client mode, and the events that it has heard.
+pub(crate) struct Client {
+    session: Session,
+    events: Subscriber<FifoChannelHandler<Sample>>,
+    heard: Vec<Value>,
+    fleet: &'static str,
+}
+
+impl Client {
+    /// Connects to a node, and follows the events of a fleet.
+    pub(crate) fn open(address: &str, fleet: &'static str) -> Client {
+        let mut config = Config::default();
+        config.insert_json5("mode", "\"client\"").expect("a mode of Zenoh's");
+        config.insert_json5("connect/endpoints", &format!("[\"{address}\"]")).expect("an address");
+        let session = until(&format!("a connection to {address}"), Duration::from_secs(20), || {
+            zenoh::open(config.clone()).wait().ok()
+        });
+        // Zenoh's own queue holds 256 and stops its sender when full.
+        let events = session.declare_subscriber(format!("consort/{fleet}/events"));
+        let events = events.with(zenoh::handlers::FifoChannel::new(8192)).wait().expect("events can be followed");
+        Client { session, events, heard: vec![], fleet }
+    }
+
+    /// All answers to a question on `consort/{fleet}/{key}`, none left out, by their keys without `consort/{fleet}/`.
+    pub(crate) fn all(&self, key: &str, payload: &str) -> Vec<(String, Value)> {
+        let prefix = format!("consort/{}/", self.fleet);
+        let asked = self.session.get(format!("{prefix}{key}")).payload(payload).timeout(Duration::from_secs(5));
+        let asked = asked.target(QueryTarget::All).consolidation(ConsolidationMode::None).wait();
+        let answers = asked.expect("a question can be asked");
+        let mut all = vec![];
+        while let Ok(answer) = answers.recv() {
+            // Whoever is being killed just now may leave a question to its limit: that is no answer.
+            let Ok(sample) = answer.into_result() else { continue };
+            assert_eq!(*sample.encoding(), Encoding::APPLICATION_JSON, "of the answer on {}", sample.key_expr());
+            let text = sample.payload().try_to_string().expect("an answer is text");
+            let value = serde_json::from_str(&text).unwrap_or_else(|problem| panic!("{key}: {problem}: {text}"));
+            let key = sample.key_expr().as_str().strip_prefix(&prefix).expect("a key of the fleet").to_owned();
+            all.push((key, value));
+        }
+        all
+    }
+
+    /// The answer to a question, once there is one: exactly one, on the key that was asked for.
+    pub(crate) fn ask(&self, key: &str, payload: &str) -> Value {
+        let answers = until(&format!("an answer on {key}"), Duration::from_secs(20), || {
+            let all = self.all(key, payload);
+            (!all.is_empty()).then_some(all)
+        });
+        let [(from, value)] = &answers[..] else { panic!("{key} was answered more than once: {answers:#?}") };
+        assert_eq!(from, key);
+        value.clone()
+    }
+
+    /// A view.
+    pub(crate) fn view(&self, key: &str) -> Value {
+        self.ask(&format!("view/{key}"), "")
+    }
+
+    /// A view as a program gets it which leaves every setting of the question at Zenoh's default.
+    pub(crate) fn view_by_default(&self, key: &str) -> Value {
+        let answers = self.session.get(format!("consort/{}/view/{key}", self.fleet)).wait().expect("a question");
+        let answers: Vec<_> = std::iter::from_fn(|| answers.recv().ok()).collect();
+        let [answer] = &answers[..] else { panic!("{} answers on view/{key}", answers.len()) };
+        let sample = answer.result().unwrap_or_else(|problem| panic!("view/{key}: {problem:?}"));
+        serde_json::from_slice(&sample.payload().to_bytes()).expect("JSON")
+    }
+
+    /// Who is present: the keys below `alive/`.
+    pub(crate) fn present(&self) -> BTreeSet<String> {
+        let prefix = format!("consort/{}/alive/", self.fleet);
+        let tokens = self.session.liveliness().get(format!("{prefix}**")).timeout(Duration::from_secs(5)).wait();
+        let tokens = tokens.expect("presence can be asked for");
+        let tokens = std::iter::from_fn(|| tokens.recv().ok()).filter_map(|token| token.into_result().ok());
+        tokens.filter_map(|token| Some(token.key_expr().as_str().strip_prefix(&prefix)?.to_owned())).collect()
+    }
+
+    /// Everything heard up to now, in the order in which it was heard.
+    pub(crate) fn events(&mut self) -> &[Value] {
+        while let Ok(Some(sample)) = self.events.try_recv() {
+            assert_eq!(*sample.encoding(), Encoding::APPLICATION_JSON, "of an event");
+            self.heard.push(serde_json::from_slice(&sample.payload().to_bytes()).expect("an event is JSON"));
+        }
+        &self.heard
+    }
+
+    /// Waits for the first event of which something is true.
+    pub(crate) fn hears(&mut self, what: &str, limit: Duration, is_it: impl Fn(&Value) -> bool) -> Value {
+        until(what, limit, || self.events().iter().find(|event| is_it(event)).cloned())
+    }
+
+    /// How often each task of a mission was begun and ended, by `ROLE/TASK`.
+    pub(crate) fn tasks(&mut self, mission: &str) -> BTreeMap<String, (u32, u32)> {
+        tasks(self.events(), mission)
+    }
+}
+
+/// How often each task of a mission was begun and ended, by `ROLE/TASK`.
+pub(crate) fn tasks(events: &[Value], mission: &str) -> BTreeMap<String, (u32, u32)> {
+    let mut tasks: BTreeMap<String, (u32, u32)> = BTreeMap::new();
+    for event in events.iter().filter(|event| event["mission"] == mission) {
+        let text = |key: &str| event[key].as_str().unwrap_or("?");
+        let counts = |tasks: &mut BTreeMap<String, (u32, u32)>, begun, ended| {
+            let entry = tasks.entry(format!("{}/{}", text("role"), text("task"))).or_default();
+            *entry = (entry.0 + begun, entry.1 + ended);
+        };
+        match text("event") {
+            "task_began" => counts(&mut tasks, 1, 0),
+            "task_ended" => counts(&mut tasks, 0, 1),
+            "task_failed" => panic!("a task failed: {event}"),
+            _ => {}
+        }
+    }
+    tasks
+}

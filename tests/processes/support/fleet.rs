@@ -1,0 +1,116 @@
+//! A fleet started by hand: a process for each node, from the example files.
+
+use super::{Ended, Folder, Program, until};
+use std::collections::BTreeMap;
+use std::time::Duration;
+use toml::Table;
+
+/// How long a node may take to open its port.
+const OPEN_LIMIT: Duration = Duration::from_secs(30);
+
+/// How long a command that asks something may take.
+const ANSWER_LIMIT: Duration = Duration::from_secs(60);
+
+/// An example file, to be changed.
+pub(crate) fn example(kind: &str) -> Table {
+    let text = match kind {
+        "fleet" => include_str!("../../../nodes/examples/fleet.toml"),
+        "station" => include_str!("../../../nodes/examples/station.toml"),
+        "world" => include_str!("../../../nodes/examples/world.toml"),
+        "robot" => include_str!("../../../nodes/examples/robot.toml"),
+        "arm" => include_str!("../../../nodes/examples/arm.toml"),
+        other => panic!("there is no example of a {other}"),
+    };
+    text.parse().expect("the examples are TOML")
+}
+
+/// Nodes in processes. Each listens on a port that the system gives it; nobody else can have taken it.
+pub(crate) struct Fleet {
+    name: String,
+    nodes: BTreeMap<String, Program>,
+    addresses: BTreeMap<String, String>,
+    commands: u32,
+    folder: Folder,
+}
+
+impl Fleet {
+    /// A fleet without nodes yet.
+    pub(crate) fn new(fleet: &Table) -> Fleet {
+        let folder = Folder::new();
+        folder.write("fleet.toml", &fleet.to_string());
+        let name = fleet["name"].as_str().expect("a fleet has a name").to_owned();
+        Fleet { name, nodes: BTreeMap::new(), addresses: BTreeMap::new(), commands: 0, folder }
+    }
+
+    /// Starts a node: `consort KIND --config FILE`, linked with nodes that run.
+    pub(crate) fn start(&mut self, kind: &str, mut node: Table, neighbours: &[&str]) {
+        let name = node["name"].as_str().expect("a node has a name").to_owned();
+        let connect: Vec<String> = neighbours.iter().map(|neighbour| self.address(neighbour)).collect();
+        let mut bus = Table::new();
+        bus.insert("listen".to_owned(), vec!["tcp/127.0.0.1:0"].into());
+        bus.insert("connect".to_owned(), connect.into());
+        node.insert("bus".to_owned(), bus.into());
+        let file = self.folder.write(&format!("{name}.toml"), &node.to_string());
+        let file = file.display().to_string();
+        let program = Program::start(&self.folder, &name, &[kind, "--config", &file, "--until-stdin-closes"]);
+        self.nodes.insert(name, program);
+    }
+
+    /// Where a node listens, as it says itself.
+    pub(crate) fn address(&mut self, name: &str) -> String {
+        if let Some(address) = self.addresses.get(name) {
+            return address.clone();
+        }
+        let node = self.nodes.get_mut(name).expect("a node of this fleet");
+        let address = until(&format!("{name} says where it listens"), OPEN_LIMIT, || {
+            let said = node.stderr();
+            assert!(!node.has_ended(), "{name} has ended:\n{said}");
+            let (_, rest) = said.split_once("listening=\"")?;
+            let (address, _) = rest.split_once(['"', ','])?;
+            Some(address.to_owned())
+        });
+        self.addresses.insert(name.to_owned(), address.clone());
+        address
+    }
+
+    /// Ends a node's process with SIGKILL.
+    pub(crate) fn kill(&mut self, name: &str) {
+        self.nodes.remove(name).unwrap_or_else(|| panic!("{name} does not run")).kill();
+    }
+
+    /// The names of the nodes that run.
+    pub(crate) fn names(&self) -> Vec<&str> {
+        self.nodes.keys().map(String::as_str).collect()
+    }
+
+    /// Starts a command that asks the fleet.
+    pub(crate) fn begin(&mut self, arguments: &[&str], by: &str) -> Program {
+        self.commands += 1;
+        let (address, fleet) = (self.address(by), self.name.clone());
+        let mut all = arguments.to_vec();
+        all.extend(["--connect", &address, "--fleet", &fleet, "--timeout", "30"]);
+        Program::start(&self.folder, &format!("command-{}", self.commands), &all)
+    }
+
+    /// Runs a command that asks the fleet, to its end.
+    pub(crate) fn run(&mut self, arguments: &[&str], by: &str) -> Ended {
+        self.begin(arguments, by).end(ANSWER_LIMIT)
+    }
+
+    /// Asks every node to end, and waits until all have, well.
+    pub(crate) fn stop(mut self) {
+        for node in self.nodes.values() {
+            node.signal("TERM");
+        }
+        for (_, node) in std::mem::take(&mut self.nodes) {
+            let ended = node.end(Duration::from_secs(20)).expect(0);
+            assert!(!ended.stderr.contains(" ERROR "), "{}", ended.stderr);
+        }
+        self.folder.await_no_process(Duration::from_secs(5));
+    }
+
+    /// What all nodes have logged, for the message of a failed test.
+    pub(crate) fn logs(&self) -> String {
+        self.nodes.iter().map(|(name, node)| format!("--- {name}\n{}", node.stderr())).collect()
+    }
+}

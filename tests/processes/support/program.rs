@@ -1,0 +1,130 @@
+//! The program under test, as a process.
+
+use super::{Folder, within};
+use serde_json::Value;
+use std::fs::{self, File};
+use std::os::unix::process::ExitStatusExt;
+use std::path::PathBuf;
+use std::process::{Child, Command, ExitStatus, Stdio};
+use std::time::Duration;
+
+/// A process of `consort`, which is killed when this is dropped.
+pub(crate) struct Program {
+    child: Child,
+    what: String,
+    stdout: PathBuf,
+    stderr: PathBuf,
+}
+
+/// How a process ended, and what it said.
+pub(crate) struct Ended {
+    pub(crate) status: ExitStatus,
+    pub(crate) stdout: String,
+    pub(crate) stderr: String,
+    what: String,
+}
+
+impl Program {
+    /// Starts `consort` with these arguments; `name` is unique in the folder. Its standard input stays open for as long as
+    /// this lives.
+    pub(crate) fn start(folder: &Folder, name: &str, arguments: &[&str]) -> Program {
+        let file = |end: &str| folder.path().join(format!("{name}.{end}"));
+        let (stdout, stderr) = (file("out"), file("err"));
+        let create = |path: &PathBuf| File::create(path).expect("the folder can be written to");
+        let mut command = Command::new(env!("CARGO_BIN_EXE_consort"));
+        command.args(arguments).env("TMPDIR", folder.temporary()).current_dir(folder.path());
+        command.stdin(Stdio::piped()).stdout(create(&stdout)).stderr(create(&stderr));
+        // Whatever is set where the tests run is not meant for them.
+        let foreign = std::env::vars_os().map(|(name, _)| name);
+        for name in foreign.filter(|name| name.to_string_lossy().starts_with("CONSORT_") || name == "RUST_LOG") {
+            command.env_remove(name);
+        }
+        let child = command.spawn().expect("the program can be started");
+        Program { child, what: format!("consort {}", arguments.join(" ")), stdout, stderr }
+    }
+
+    pub(crate) fn id(&self) -> u32 {
+        self.child.id()
+    }
+
+    /// Sends it a signal, `INT` for one.
+    pub(crate) fn signal(&self, name: &str) {
+        let kill = Command::new("kill").arg(format!("-{name}")).arg(self.id().to_string()).status();
+        assert!(kill.expect("there is a program `kill`").success(), "{} is gone already", self.what);
+    }
+
+    /// Ends it with SIGKILL, and waits for its end.
+    pub(crate) fn kill(&mut self) {
+        self.child.kill().expect("a child can be killed");
+        self.child.wait().expect("a child can be waited for");
+    }
+
+    /// What it has said on its standard output up to now.
+    pub(crate) fn stdout(&self) -> String {
+        fs::read_to_string(&self.stdout).unwrap_or_default()
+    }
+
+    /// What it has said on its standard error up to now.
+    pub(crate) fn stderr(&self) -> String {
+        fs::read_to_string(&self.stderr).unwrap_or_default()
+    }
+
+    /// Whether it has ended.
+    pub(crate) fn has_ended(&mut self) -> bool {
+        self.child.try_wait().expect("a child can be asked for").is_some()
+    }
+
+    /// Waits until it ends by itself.
+    #[track_caller]
+    pub(crate) fn end(mut self, limit: Duration) -> Ended {
+        let status = within(limit, || self.child.try_wait().expect("a child can be asked for"));
+        let status = status.unwrap_or_else(|| {
+            panic!("{} has not ended after {limit:?}\n{}\n{}", self.what, self.stdout(), self.stderr())
+        });
+        Ended { status, stdout: self.stdout(), stderr: self.stderr(), what: self.what.clone() }
+    }
+}
+
+impl Drop for Program {
+    fn drop(&mut self) {
+        // One that has ended already cannot be killed.
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
+
+impl Ended {
+    /// The exit code.
+    ///
+    /// # Panics
+    /// If a signal ended the process.
+    #[track_caller]
+    pub(crate) fn code(&self) -> i32 {
+        let signal = self.status.signal();
+        self.status.code().unwrap_or_else(|| panic!("{} was ended by signal {signal:?}", self.what))
+    }
+
+    /// Checks the exit code, and tells what was said if it is another.
+    #[track_caller]
+    pub(crate) fn expect(self, code: i32) -> Ended {
+        let Ended { what, stdout, stderr, .. } = &self;
+        assert_eq!(self.code(), code, "exit code of {what}\n--- its output\n{stdout}\n--- its errors\n{stderr}");
+        self
+    }
+
+    /// Its output, which is one JSON value.
+    #[track_caller]
+    pub(crate) fn json(&self) -> Value {
+        serde_json::from_str(&self.stdout)
+            .unwrap_or_else(|problem| panic!("{}: no JSON: {problem}\n{}", self.what, self.stdout))
+    }
+
+    /// Its output, which is a JSON value a line.
+    #[track_caller]
+    pub(crate) fn json_lines(&self) -> Vec<Value> {
+        let read = |line: &str| {
+            serde_json::from_str(line).unwrap_or_else(|problem| panic!("{}: no JSON: {problem}: {line}", self.what))
+        };
+        self.stdout.lines().map(read).collect()
+    }
+}
