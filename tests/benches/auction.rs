@@ -18,7 +18,7 @@ use serde_json::{Value, json};
 use std::collections::BTreeSet;
 use std::process::ExitCode;
 use std::time::Duration;
-use support::{Fleet, Problem, figures, in_fleet, ms};
+use support::{Fleet, Problem, acknowledged, figures, in_fleet, lab_samples, ms};
 use tokio::time::Instant;
 
 /// Mobile robots.
@@ -86,8 +86,9 @@ async fn measure_in(fleet: &mut Fleet, missions: usize) -> Result<Value, Problem
 /// Has one mission awarded and withdraws it.
 async fn one(fleet: &mut Fleet, request: &str, room: &str) -> Result<Sample, Problem> {
     let begun = Instant::now();
-    let mission = fleet.submit(request, room).await?;
-    let acknowledged = ms(begun, Instant::now());
+    let answer = fleet.api(ApiCall::Submit, &lab_samples(request, room)).await;
+    let mission = acknowledged(answer.as_ref()).ok_or_else(|| format!("{request} was not acknowledged: {answer:?}"))?;
+    let acknowledged_ms = ms(begun, Instant::now());
     let (mut asked, mut rounds) = (0, 0);
     let awarded = fleet.hear(format!("the award of {mission}"), LIMIT, |event| match event.what {
         Happening::Called { mission: of, asked: number, round, .. } if of == mission => {
@@ -102,21 +103,33 @@ async fn one(fleet: &mut Fleet, request: &str, room: &str) -> Result<Sample, Pro
     let ((holders, after_ms), at) = awarded.await?;
     let award = after_ms.ok_or("the coordinator does not say how long it took")?;
     withdraw(fleet, &mission, holders).await?;
-    Ok(Sample { asked, rounds, acknowledged, award, seen: ms(begun, at) })
+    Ok(Sample { asked, rounds, acknowledged: acknowledged_ms, award, seen: ms(begun, at) })
 }
 
-/// Cancels a mission and waits until its robots are free again: the arm is needed for the next.
-async fn withdraw(fleet: &mut Fleet, mission: &MissionId, mut holders: BTreeSet<RobotId>) -> Result<(), Problem> {
+/// Cancels a mission once its robots have begun, and waits until they are free again: the arm is needed for the next.
+async fn withdraw(fleet: &mut Fleet, mission: &MissionId, holders: BTreeSet<RobotId>) -> Result<(), Problem> {
+    let begun = |what: &Happening| matches!(what, Happening::Started { mission: of, .. } if of == mission);
+    all_say(fleet, format!("the beginning of {mission}"), holders.clone(), begun).await?;
     let answer = fleet.api(ApiCall::Cancel, &json!({ "mission": mission, "by": "bench" })).await;
     if !answer.as_ref().is_some_and(|answer| answer.get("error").is_none()) {
         return Err(format!("{mission} was not canceled: {answer:?}"));
     }
-    let halted = fleet.hear(format!("the end of {mission}"), LIMIT, |event| match event.what {
-        Happening::Halted { mission: of, .. } if of == *mission => {
-            holders.remove(&RobotId::from(event.node));
-            holders.is_empty().then_some(())
+    let halted = |what: &Happening| matches!(what, Happening::Halted { mission: of, .. } if of == mission);
+    all_say(fleet, format!("the end of {mission}"), holders, halted).await
+}
+
+/// Waits until each of the robots has told of something.
+async fn all_say(
+    fleet: &mut Fleet,
+    what: String,
+    mut robots: BTreeSet<RobotId>,
+    told: impl Fn(&Happening) -> bool,
+) -> Result<(), Problem> {
+    let all = fleet.hear(what, LIMIT, |event| {
+        if told(&event.what) {
+            robots.remove(&RobotId::from(event.node));
         }
-        _ => None,
+        robots.is_empty().then_some(())
     });
-    halted.await.map(|_| ())
+    all.await.map(|_| ())
 }

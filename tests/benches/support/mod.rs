@@ -67,12 +67,6 @@ impl Fleet {
         ask(&self.stage.bus(), &self.keys.write(&Key::Api(call)), request, LOOK).await
     }
 
-    /// Asks for lab samples.
-    pub(crate) async fn submit(&self, request: &str, room: &str) -> Result<MissionId, Problem> {
-        let answer = self.api(ApiCall::Submit, &lab_samples(request, room)).await;
-        acknowledged(answer.as_ref()).ok_or_else(|| format!("{request} was not acknowledged: {answer:?}"))
-    }
-
     /// Waits for an event, and says when it was heard.
     pub(crate) async fn hear<T>(
         &mut self,
