@@ -6,7 +6,6 @@
 
 use crate::body::{PeopleAsk, PersonDone, PersonState};
 use crate::bus::{BusError, Sample, SharedBus};
-use crate::clock::Clock;
 use crate::events::Events;
 use crate::robot::{Move, Sequencer, Talk, ask as send_report};
 use crate::tasks::Tasks;
@@ -19,7 +18,6 @@ use consort_protocol::lease::Epoch;
 use consort_protocol::message::{Beacon, LivePlan, Report, ReportAnswer, Said, TaskFailure};
 use consort_protocol::mission::TaskSpec;
 use consort_protocol::plan::StepIndex;
-use consort_protocol::units::NodeTime;
 use consort_skills::actions::{ActionError, GoalId, PersonAsk};
 use ractor::{Actor, ActorProcessingErr, ActorRef};
 use std::collections::BTreeMap;
@@ -34,8 +32,6 @@ pub struct AttendantSettings {
     pub keys: Keys,
     /// The bus.
     pub bus: SharedBus,
-    /// The node's clock.
-    pub clock: Clock,
     /// Where it tells what happens.
     pub events: Events,
     /// How often it looks after everything; what is heard is acted on at once. Default 1 s.
@@ -73,7 +69,6 @@ pub struct AttendantState {
     coordinator: Option<Beacon>,
     jobs: BTreeMap<(MissionId, RoleId), Job>,
     talk: Talk,
-    asked_at: NodeTime,
     tasks: Tasks,
 }
 
@@ -104,15 +99,8 @@ impl Actor for Attendant {
         let done = keys.write(&Key::People(PeopleCall::Done));
         tasks.forward(bus.subscribe(&done).await?, &myself, AttendantMessage::Done);
         tasks.beat(settings.beat, &myself, || AttendantMessage::Beat);
-        let (bus, keys, now) = (bus.clone(), keys.clone(), settings.clock.now());
-        Ok(AttendantState {
-            settings,
-            coordinator: None,
-            jobs: BTreeMap::new(),
-            talk: Talk::new(bus, keys),
-            asked_at: now,
-            tasks,
-        })
+        let (bus, keys) = (bus.clone(), keys.clone());
+        Ok(AttendantState { settings, coordinator: None, jobs: BTreeMap::new(), talk: Talk::new(bus, keys), tasks })
     }
 
     async fn handle(
@@ -154,7 +142,6 @@ impl Actor for Attendant {
 impl AttendantState {
     async fn beat(&mut self, myself: &ActorRef<AttendantMessage>) {
         self.look(myself);
-        self.asked_at = self.settings.clock.now();
         for ((mission, _), job) in &self.jobs {
             let to = myself.clone();
             self.talk.ask(mission, &job.sequencer.awaiting(), &mut self.tasks, move |said| {

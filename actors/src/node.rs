@@ -288,7 +288,6 @@ async fn assemble(
             node: node.clone(),
             keys: keys.clone(),
             bus: bus.clone(),
-            clock,
             events: events.clone(),
             beat: Duration::from_secs(1),
         };

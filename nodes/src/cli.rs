@@ -26,12 +26,13 @@ Examples:
   consort demo
 
   # what an auction would decide, without a fleet
-  consort dry-run lab-samples --map hospital --workers nodes/examples/workers.toml --set room='IC Room 6'
+  consort dry-run lab-samples --workers nodes/examples/workers.toml
 
   # a fleet on one machine, a terminal each
   consort world   --config nodes/examples/world.toml
   consort station --config nodes/examples/station.toml
   consort robot   --config nodes/examples/robot.toml
+  consort robot   --config nodes/examples/arm.toml
   consort submit lab-samples --set room='IC Room 6' --wait
 
   # the same from another machine
@@ -43,27 +44,18 @@ files, files over defaults.
 Exit codes: 0 it succeeded; 1 what was asked for did not succeed (a mission failed, a check found problems); 2 the flags
 or files are wrong; 3 no node was reached, or nobody coordinates.";
 
+// Each is described where its flags are.
 #[derive(Debug, Subcommand)]
 enum Command {
-    /// Play the main job: a fleet delivers lab samples and survives the death of its coordinator
     Demo(demo::Args),
-    /// Run the node of a robot
     Robot(robot::Args),
-    /// Run a node without a robot, which keeps the ledger and may coordinate
     Station(station::Args),
-    /// Run a node that hosts a simulated world
     World(world::Args),
-    /// Ask the fleet for a mission
     Submit(submit::Args),
-    /// Show missions and how they fare
     Missions(missions::Args),
-    /// Withdraw a mission
     Cancel(cancel::Args),
-    /// Show the nodes of a fleet, and who coordinates
     Fleet(fleet::Args),
-    /// Check mission, map, fleet, robot, station, world and workers files
     Check(check::Args),
-    /// Show what the auction of a mission would decide, offline
     DryRun(dry_run::Args),
 }
 

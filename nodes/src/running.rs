@@ -42,11 +42,12 @@ pub fn start_log(filter: Option<String>, default: &str) -> Result<(), Failure> {
         let allowed = "allowed is error, warn, info, debug or trace, also by module, as info,consort_actors=debug";
         Failure::Usage(format!("{text:?} is not a filter for the log: {problem}; {allowed}"))
     })?;
-    // Colours are for terminals: in a file they are in the way of whoever searches it.
-    let colours = std::io::stderr().is_terminal();
-    let log = tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr).with_ansi(colours);
     // A second call, as tests may make, keeps the first log.
-    let _ = log.try_init();
+    let _ = tracing_subscriber::fmt()
+        .with_env_filter(filter)
+        .with_ansi(std::io::stderr().is_terminal())
+        .with_writer(std::io::stderr)
+        .try_init();
     Ok(())
 }
 
@@ -133,7 +134,8 @@ fn no_signal(problem: &std::io::Error) -> Failure {
 async fn say_links(bus: ZenohBus, connect: Vec<String>) {
     let mut said: Option<Vec<Link>> = None;
     loop {
-        let links = bus.links().await;
+        let mut links = bus.links().await;
+        links.retain(|link| link.kind != "client"); // they come and go with every command
         if said.as_ref() != Some(&links) {
             match (links.is_empty(), connect.is_empty()) {
                 (false, _) => info!(links = describe(&links), "linked"),

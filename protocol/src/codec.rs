@@ -1,8 +1,10 @@
 //! The wire format: one version byte, then bincode. All of bincode that the project uses is in this file.
 //!
 //! Every message has a size limit ([`LIMIT`]), which also bounds what decoding may allocate, and must be used up
-//! exactly. Wire types are not recursive and skip no field: bincode does not describe itself.
+//! exactly. Wire types are not recursive and skip no field: bincode does not describe itself. What a node stores for
+//! itself (snapshots, log entries) has the same layout and a larger limit ([`RECORD_LIMIT`]).
 
+use bincode::config::{self, Config};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 
@@ -11,6 +13,9 @@ pub const VERSION: u8 = 1;
 
 /// Largest message in bytes, version byte included.
 pub const LIMIT: usize = 64 * 1024;
+
+/// Largest stored record, in bytes. A guess: a mission takes some kilobytes, so this holds tens of thousands.
+pub const RECORD_LIMIT: usize = 256 * 1024 * 1024;
 
 /// Why bytes are not a message, or a value cannot become one. Nothing was changed.
 #[derive(Debug, thiserror::Error)]
@@ -24,11 +29,13 @@ pub enum CodecError {
     /// Nothing at all.
     #[error("empty message")]
     Empty,
-    /// More than fits a message: for what is sent, the caller should have bounded it.
-    #[error("message of {size} bytes, where {LIMIT} are allowed")]
+    /// More than is allowed: for what is sent, the caller should have bounded it.
+    #[error("message of {size} bytes, where {limit} are allowed")]
     TooLarge {
-        /// Its size, or the least that it would have had.
+        /// Its size.
         size: usize,
+        /// What is allowed.
+        limit: usize,
     },
     /// Bytes behind the end of the message.
     #[error("{extra} bytes after the end of the message")]
@@ -41,24 +48,12 @@ pub enum CodecError {
     Malformed(String),
 }
 
-fn config() -> impl bincode::config::Config {
-    bincode::config::standard().with_limit::<LIMIT>()
-}
-
 /// The message as bytes.
 ///
 /// # Errors
 /// [`CodecError::TooLarge`], and [`CodecError::Malformed`] for a value that cannot be told in bytes.
 pub fn encode<T: Serialize>(message: &T) -> Result<Vec<u8>, CodecError> {
-    let body = bincode::serde::encode_to_vec(message, config()).map_err(|e| CodecError::Malformed(e.to_string()))?;
-    let size = body.len() + 1;
-    if size > LIMIT {
-        return Err(CodecError::TooLarge { size });
-    }
-    let mut bytes = Vec::with_capacity(size);
-    bytes.push(VERSION);
-    bytes.extend(body);
-    Ok(bytes)
+    encode_within(message, LIMIT)
 }
 
 /// The message that the bytes spell, all of them.
@@ -66,17 +61,47 @@ pub fn encode<T: Serialize>(message: &T) -> Result<Vec<u8>, CodecError> {
 /// # Errors
 /// [`CodecError`] says what is wrong; whatever the bytes are, this neither panics nor allocates beyond [`LIMIT`].
 pub fn decode<T: DeserializeOwned>(bytes: &[u8]) -> Result<T, CodecError> {
-    if bytes.len() > LIMIT {
-        return Err(CodecError::TooLarge { size: bytes.len() });
+    decode_within(bytes, LIMIT, config::standard().with_limit::<LIMIT>())
+}
+
+/// A record to be stored, as bytes.
+///
+/// # Errors
+/// As [`encode`], beyond [`RECORD_LIMIT`].
+pub fn encode_record<T: Serialize>(record: &T) -> Result<Vec<u8>, CodecError> {
+    encode_within(record, RECORD_LIMIT)
+}
+
+/// The stored record that the bytes spell, all of them.
+///
+/// # Errors
+/// As [`decode`], beyond [`RECORD_LIMIT`].
+pub fn decode_record<T: DeserializeOwned>(bytes: &[u8]) -> Result<T, CodecError> {
+    decode_within(bytes, RECORD_LIMIT, config::standard().with_limit::<RECORD_LIMIT>())
+}
+
+fn encode_within<T: Serialize>(value: &T, limit: usize) -> Result<Vec<u8>, CodecError> {
+    let mut bytes = vec![VERSION];
+    bincode::serde::encode_into_std_write(value, &mut bytes, config::standard())
+        .map_err(|problem| CodecError::Malformed(problem.to_string()))?;
+    match bytes.len() {
+        size if size > limit => Err(CodecError::TooLarge { size, limit }),
+        _ => Ok(bytes),
+    }
+}
+
+fn decode_within<T: DeserializeOwned>(bytes: &[u8], limit: usize, config: impl Config) -> Result<T, CodecError> {
+    if bytes.len() > limit {
+        return Err(CodecError::TooLarge { size: bytes.len(), limit });
     }
     let (&version, body) = bytes.split_first().ok_or(CodecError::Empty)?;
     if version != VERSION {
         return Err(CodecError::Version { found: version });
     }
-    let (message, used) =
-        bincode::serde::decode_from_slice(body, config()).map_err(|e| CodecError::Malformed(e.to_string()))?;
+    let (value, used) = bincode::serde::decode_from_slice(body, config)
+        .map_err(|problem| CodecError::Malformed(problem.to_string()))?;
     match body.len() - used {
-        0 => Ok(message),
+        0 => Ok(value),
         extra => Err(CodecError::Trailing { extra }),
     }
 }

@@ -126,7 +126,7 @@ impl<'a> Facts<'a> {
             battery: worker.map_or(0.0, |w| w.battery.get()),
             discharge: worker.map_or(0.0, |w| w.discharge.get()),
             speed: worker.and_then(|w| w.speed).map_or(0.0, |speed| speed.get()),
-            free: worker.is_some_and(|w| w.availability == Availability::Free),
+            free: knowledge.is_free(),
             estimator: worker.map_or("", |w| &w.estimator),
         }
     }

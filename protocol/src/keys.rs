@@ -99,6 +99,8 @@ words! {
         Append = "append",
         /// The leader hands over a snapshot, piece by piece.
         Snapshot = "snapshot",
+        /// Before it stands, a node asks whether anybody would vote for it.
+        Canvass = "canvass",
     }
     /// A call between a robot's node and the host of its body.
     BodyCall {

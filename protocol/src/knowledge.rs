@@ -46,6 +46,13 @@ pub struct Knowledge {
     pub worker: Option<Worker>,
 }
 
+impl Knowledge {
+    /// Whether it is a robot that could take a role now.
+    pub fn is_free(&self) -> bool {
+        self.worker.as_ref().is_some_and(|worker| worker.availability == Availability::Free)
+    }
+}
+
 /// A robot, as the coordinator knows it.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Worker {

@@ -316,30 +316,38 @@ impl Tenure {
     }
 }
 
-/// The coordinator's side: when each award was last in contact.
+/// The coordinator's side: when each award was last in contact. An award that this coordinator has just met, be it new or
+/// another coordinator's, counts as in contact at that moment: it may have been renewed just before.
 #[derive(Debug, Clone)]
 pub struct Watch {
     terms: LeaseTerms,
-    /// When this coordinator took over: an award it has not heard from since may have been renewed just before.
-    since: NodeTime,
     contacts: BTreeMap<Epoch, BTreeMap<RobotId, NodeTime>>,
 }
 
 impl Watch {
     /// Begins with the coordinator's leadership.
-    pub fn new(terms: LeaseTerms, since: NodeTime) -> Self {
-        Watch { terms, since, contacts: BTreeMap::new() }
+    pub fn new(terms: LeaseTerms) -> Self {
+        Watch { terms, contacts: BTreeMap::new() }
     }
 
-    /// A report of this award was answered with a renewal, or the award was committed, at `now`.
+    /// The award stands in the ledger as this coordinator looks at it.
+    pub fn meet(&mut self, epoch: Epoch, robot: &RobotId, now: NodeTime) {
+        let robots = self.contacts.entry(epoch).or_default();
+        if !robots.contains_key(robot) {
+            robots.insert(robot.clone(), now);
+        }
+    }
+
+    /// A report of this award was answered with a renewal at `now`.
     pub fn contact(&mut self, epoch: Epoch, robot: &RobotId, now: NodeTime) {
         self.contacts.entry(epoch).or_default().insert(robot.clone(), now);
     }
 
-    /// How long the holder has been out of contact, as far as this coordinator can know.
+    /// How long the holder has been out of contact, as far as this coordinator can know; nothing for an award that it has
+    /// not met.
     pub fn silence(&self, epoch: Epoch, robot: &RobotId, now: NodeTime) -> Duration {
-        let last = self.contacts.get(&epoch).and_then(|robots| robots.get(robot)).copied().unwrap_or(self.since);
-        now.since(last.max(self.since))
+        let last = self.contacts.get(&epoch).and_then(|robots| robots.get(robot));
+        last.map_or(Duration::ZERO, |last| now.since(*last))
     }
 
     /// Whether the holder has certainly suspended by now, so that its role may go to another.
@@ -443,7 +451,10 @@ mod tests {
     fn the_role_goes_to_another_only_after_the_holder_has_suspended() {
         let epoch = Epoch { term: 1, index: 5 };
         let robot = RobotId::new("ada").unwrap();
-        let mut watch = Watch::new(LeaseTerms::default(), at(0));
+        let mut watch = Watch::new(LeaseTerms::default());
+        assert!(!watch.is_over(epoch, &robot, at(9_000_000)), "an award that has only just been made");
+        watch.meet(epoch, &robot, at(0));
+        watch.meet(epoch, &robot, at(3000));
         assert!(!watch.is_over(epoch, &robot, at(6000)), "it may have been renewed just before the takeover");
         assert!(watch.is_over(epoch, &robot, at(6001)));
         watch.contact(epoch, &robot, at(6000));

@@ -1,5 +1,28 @@
 //! Whole-fleet stories: the harness that they are told with.
 
+mod checks;
+mod chronicle;
+mod client;
 mod fleet;
+mod look;
+mod member;
 
-pub use fleet::{Fleet, Member, slug};
+pub use chronicle::{Chronicle, Entry, Spell};
+pub use fleet::Fleet;
+pub use member::Member;
+
+use std::fmt;
+
+/// A name or another slug that the test itself wrote.
+pub fn slug<T: std::str::FromStr<Err: fmt::Debug>>(text: &str) -> T {
+    text.parse().expect("a test's own name")
+}
+
+/// Tells a story once for each seed, each time on a paused runtime of its own: nothing of one run is left in the next.
+pub fn tell(seeds: impl IntoIterator<Item = u64>, story: impl AsyncFn(u64)) {
+    for seed in seeds {
+        let mut builder = tokio::runtime::Builder::new_current_thread();
+        let runtime = builder.enable_time().start_paused(true).build().expect("a runtime");
+        runtime.block_on(story(seed));
+    }
+}

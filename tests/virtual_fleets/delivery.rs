@@ -12,7 +12,7 @@ async fn a_sample_is_fetched_from_the_nurse_and_ends_with_the_arm_in_the_laborat
     fleet.coordinator().await;
     let mission = fleet.submit("a", "IC Room 6").await;
     let end = fleet.end_of(&mission).await;
-    assert_eq!(end, "completed", "{}", fleet.tale());
+    assert_eq!(end.word(), "completed", "{}", fleet.tale());
     let samples = fleet.world.with(|world| world.samples());
     assert_eq!(samples[0].place.as_str(), "Laboratory");
     for (task, counts) in fleet.tasks(&mission) {

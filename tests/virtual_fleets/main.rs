@@ -1,3 +1,14 @@
 //! Whole fleets on virtual time.
 
+mod again;
 mod delivery;
+mod determinism;
+mod leases;
+mod queueing;
+mod refusals;
+mod requests;
+mod supervision;
+mod takeover;
+mod takeover_everywhere;
+mod takeover_of_holders;
+mod views;

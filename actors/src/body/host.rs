@@ -75,6 +75,15 @@ struct BodyEntry {
     driver: Option<NodeTime>,
 }
 
+impl BodyEntry {
+    fn remember(&mut self, goal: GoalId) {
+        self.goals.push_back(goal);
+        while self.goals.len() > GOALS_TOLD {
+            self.goals.pop_front();
+        }
+    }
+}
+
 #[ractor::async_trait]
 impl Actor for Host {
     type Msg = HostMessage;
@@ -162,12 +171,11 @@ impl HostState {
         entry.driver = Some(now);
         match command.order {
             Some(Order::Start { id, goal }) if !entry.goals.contains(&id) => {
-                entry.goals.push_back(id);
-                while entry.goals.len() > GOALS_TOLD {
-                    entry.goals.pop_front();
-                }
+                entry.remember(id);
                 self.world.start(&robot, id, goal);
             }
+            // Called off before it was heard of: it must not begin when the order to begin it arrives late.
+            Some(Order::Cancel { id }) if !entry.goals.contains(&id) => entry.remember(id),
             Some(Order::Cancel { id }) => self.world.cancel(&robot, id),
             Some(Order::Start { .. }) | None => {}
         }

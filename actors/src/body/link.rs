@@ -109,7 +109,9 @@ impl Body {
     pub fn stop(&self) {
         let mut mirror = self.lock();
         let running: Vec<GoalId> = mirror.goals.iter().filter(|(_, s)| !s.is_final()).map(|(id, _)| *id).collect();
-        mirror.unanswered.extend(running.into_iter().map(|id| Order::Cancel { id }));
+        for id in running {
+            mirror.call_off(id);
+        }
         drop(mirror);
         self.send_orders();
     }
@@ -149,7 +151,7 @@ impl RobotActions for Body {
         if mirror.goals.get(&goal).is_none_or(GoalStatus::is_final) {
             return;
         }
-        mirror.unanswered.push(Order::Cancel { id: goal });
+        mirror.call_off(goal);
         drop(mirror);
         self.send_orders();
     }
@@ -160,6 +162,16 @@ impl RobotActions for Body {
 }
 
 impl Mirror {
+    /// Orders a goal to end. If the order to begin it was not answered, it is not repeated: the host may hear of the goal
+    /// only now, long after it ceased to be wanted.
+    fn call_off(&mut self, goal: GoalId) {
+        self.unanswered.retain(|order| !matches!(order, Order::Start { id, .. } if *id == goal));
+        let cancel = Order::Cancel { id: goal };
+        if !self.unanswered.contains(&cancel) {
+            self.unanswered.push(cancel);
+        }
+    }
+
     fn take(&mut self, state: BodyState) {
         if state.number <= self.number && self.number - state.number < 1 << 32 {
             return; // overtaken by a later one; a number far below is a host that started anew

@@ -97,8 +97,8 @@ pub(super) fn taken(ledger: &Ledger, rounds: &BTreeMap<MissionId, Round>) -> BTr
     held.chain(about_to).collect()
 }
 
-/// The awards that are in force.
-pub(super) fn awards(ledger: &Ledger) -> BTreeSet<Epoch> {
+/// The awards that are in force, and whose they are.
+pub(super) fn awards(ledger: &Ledger) -> BTreeSet<(Epoch, RobotId)> {
     let live = ledger.live().into_iter().flat_map(|entry| entry.roles.values());
-    live.filter_map(|role| role.holder.as_ref().map(|holder| holder.epoch)).collect()
+    live.filter_map(|role| role.holder.as_ref().map(|holder| (holder.epoch, holder.robot.clone()))).collect()
 }

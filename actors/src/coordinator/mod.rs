@@ -16,6 +16,7 @@ mod actor;
 mod api;
 mod auctioneer;
 mod duties;
+mod reign;
 mod reports;
 mod view;
 

@@ -1,7 +1,7 @@
 //! The fleet as people see it, in JSON.
 
 use crate::gossip::{SharedKnowledge, Status};
-use crate::replica::{Leadership, Replica};
+use crate::replica::{Leadership, RaftId, Replica};
 use consort_protocol::ensemble::Ensemble;
 use consort_protocol::ids::{NodeId, RobotId};
 use consort_protocol::keys::{Key, Keys};
@@ -50,7 +50,15 @@ impl Window<'_> {
     }
 
     fn coordinator(&self) -> Value {
+        // A node that came back with an empty store is another member than the voter of its name.
+        let lost = self.knowledge.read(|base| {
+            let is_lost = |(id, node): &(&RaftId, &NodeId)| {
+                base.get(node).is_none_or(|heard| heard.record.knowledge.replica != Some(id.0))
+            };
+            self.leadership.voters.iter().filter(is_lost).map(|(_, node)| node.clone()).collect::<Vec<_>>()
+        });
         json!({
+            "voters_lost": lost,
             "node": self.node,
             "term": self.leadership.term,
             "since_ms": self.now.since(self.since).as_millis(),

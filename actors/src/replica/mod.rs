@@ -24,7 +24,6 @@
 //! quorum.
 
 mod canvass;
-mod codec;
 mod journal;
 mod network;
 #[expect(clippy::module_inception, reason = "a module's main type has a file of its own, as elsewhere")]

@@ -1,10 +1,10 @@
 //! Raft's questions to other voters, as queries on the bus.
 
 use super::canvass::Canvass;
-use super::codec::{self, CodecError, FRAME_MAX};
 use super::types::{Peer, RaftId, StateMachine, Types};
 use crate::bus::SharedBus;
-use consort_protocol::ids::FleetId;
+use consort_protocol::codec::{self, CodecError};
+use consort_protocol::keys::{Key, Keys, RaftCall};
 use openraft::error::{
     InstallSnapshotError, NetworkError, PayloadTooLarge, RPCError, RaftError, RemoteError, SnapshotMismatch, Timeout,
     Unreachable,
@@ -23,43 +23,8 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 use tokio::time::Instant;
 
-/// Bytes of a snapshot that go in one message; with its frame around it, a message stays within [`FRAME_MAX`].
+/// Bytes of a snapshot that go in one message; with its frame around it, a message stays within [`codec::LIMIT`].
 pub(super) const SNAPSHOT_CHUNK: usize = 48 * 1024;
-
-/// What one node asks another.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Verb {
-    Vote,
-    Append,
-    Snapshot,
-    /// Not Raft's own: see [`super::canvass`].
-    Canvass,
-}
-
-impl Verb {
-    const ALL: [Verb; 4] = [Verb::Vote, Verb::Append, Verb::Snapshot, Verb::Canvass];
-
-    fn word(self) -> &'static str {
-        match self {
-            Verb::Vote => "vote",
-            Verb::Append => "append",
-            Verb::Snapshot => "snapshot",
-            Verb::Canvass => "canvass",
-        }
-    }
-}
-
-/// Where `target` is asked `verb`; without a verb, the expression for all of them.
-pub(super) fn key(fleet: &FleetId, target: RaftId, verb: Option<Verb>) -> String {
-    let word = verb.map_or("*", Verb::word);
-    format!("consort/{fleet}/wire/raft/{target}/{word}")
-}
-
-/// The verb that a key asks, if it is one of ours.
-pub(super) fn verb_of(key: &str) -> Option<Verb> {
-    let (_, word) = key.rsplit_once('/')?;
-    Verb::ALL.into_iter().find(|verb| verb.word() == word)
-}
 
 /// What a voter answers to a question it could read.
 #[derive(Debug, Serialize, Deserialize)]
@@ -90,7 +55,7 @@ impl Heard {
 #[derive(Clone)]
 pub(super) struct Switchboard {
     pub(super) bus: SharedBus,
-    pub(super) fleet: FleetId,
+    pub(super) keys: Keys,
     pub(super) me: RaftId,
     pub(super) heard: Arc<Heard>,
     /// The pause before asking again a voter that cannot be reached.
@@ -140,28 +105,28 @@ enum Trouble {
 impl Line {
     /// Whether `target` would have this node stand for election; no answer is a no.
     pub(super) async fn canvass(&self, question: &Canvass, limit: Duration) -> bool {
-        let Ok(question) = codec::encode(question, FRAME_MAX) else { return false };
-        matches!(self.ask(Verb::Canvass, question, limit).await, Ok(Answer::Done(true)))
+        let Ok(question) = codec::encode(question) else { return false };
+        matches!(self.ask(RaftCall::Canvass, question, limit).await, Ok(Answer::Done(true)))
     }
 
     async fn ask<A: DeserializeOwned>(
         &self,
-        verb: Verb,
+        call: RaftCall,
         question: Vec<u8>,
         limit: Duration,
     ) -> Result<Answer<A>, Trouble> {
-        if verb == Verb::Append && self.board.muted.load(Ordering::Relaxed) {
+        if call == RaftCall::Append && self.board.muted.load(Ordering::Relaxed) {
             return Err(Trouble::Muted);
         }
         let asked_at = Instant::now();
-        let key = key(&self.board.fleet, self.target, Some(verb));
+        let key = self.board.keys.write(&Key::Raft(self.target.0, call));
         let mut replies = self.board.bus.query(&key, question.into(), limit).await?;
         let Some(reply) = replies.recv().await else {
             let silent = asked_at.elapsed() >= limit;
             return Err(if silent { Trouble::Silent(limit) } else { Trouble::Unserved(self.target) });
         };
         let answer = reply.payload.map_err(Trouble::Refused)?;
-        let answer = codec::decode(&answer, FRAME_MAX).map_err(Trouble::Garbled)?;
+        let answer = codec::decode(&answer).map_err(Trouble::Garbled)?;
         self.board.heard.note(self.target, asked_at);
         Ok(answer)
     }
@@ -195,14 +160,14 @@ impl<S: StateMachine> RaftNetwork<Types<S>> for Line {
         question: AppendEntriesRequest<Types<S>>,
         option: RPCOption,
     ) -> Result<AppendEntriesResponse<RaftId>, RPCError<RaftId, Peer, RaftError<RaftId>>> {
-        let bytes = match codec::encode(&question, FRAME_MAX) {
+        let bytes = match codec::encode(&question) {
             Ok(bytes) => bytes,
             Err(CodecError::TooLarge { .. }) if question.entries.len() > 1 => {
                 return Err(PayloadTooLarge::new_entries_hint(question.entries.len() as u64 / 2).into());
             }
             Err(error) => return Err(unencodable(&error)),
         };
-        let trouble = match self.ask(Verb::Append, bytes, option.hard_ttl()).await {
+        let trouble = match self.ask(RaftCall::Append, bytes, option.hard_ttl()).await {
             Ok(Answer::Done(answer)) => return Ok(answer),
             Ok(Answer::Mismatch(_)) => return Err(out_of_place()),
             Err(trouble) => trouble,
@@ -223,8 +188,8 @@ impl<S: StateMachine> RaftNetwork<Types<S>> for Line {
         question: InstallSnapshotRequest<Types<S>>,
         option: RPCOption,
     ) -> Result<InstallSnapshotResponse<RaftId>, RPCError<RaftId, Peer, RaftError<RaftId, InstallSnapshotError>>> {
-        let bytes = codec::encode(&question, FRAME_MAX).map_err(|error| unencodable(&error))?;
-        match self.ask(Verb::Snapshot, bytes, option.hard_ttl()).await {
+        let bytes = codec::encode(&question).map_err(|error| unencodable(&error))?;
+        match self.ask(RaftCall::Snapshot, bytes, option.hard_ttl()).await {
             Ok(Answer::Done(answer)) => Ok(answer),
             Ok(Answer::Mismatch(mismatch)) => {
                 let error = RaftError::APIError(InstallSnapshotError::SnapshotMismatch(mismatch));
@@ -239,8 +204,8 @@ impl<S: StateMachine> RaftNetwork<Types<S>> for Line {
         question: VoteRequest<RaftId>,
         option: RPCOption,
     ) -> Result<VoteResponse<RaftId>, RPCError<RaftId, Peer, RaftError<RaftId>>> {
-        let bytes = codec::encode(&question, FRAME_MAX).map_err(|error| unencodable(&error))?;
-        match self.ask(Verb::Vote, bytes, option.hard_ttl()).await {
+        let bytes = codec::encode(&question).map_err(|error| unencodable(&error))?;
+        match self.ask(RaftCall::Vote, bytes, option.hard_ttl()).await {
             Ok(Answer::Done(answer)) => Ok(answer),
             Ok(Answer::Mismatch(_)) => Err(out_of_place()),
             Err(trouble) => Err(self.explain(RPCTypes::Vote, &trouble)),
@@ -249,24 +214,5 @@ impl<S: StateMachine> RaftNetwork<Types<S>> for Line {
 
     fn backoff(&self) -> Backoff {
         Backoff::new(std::iter::repeat(self.board.pause))
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_key_that_is_written_is_read_back_and_all_verbs_match_the_expression_served() {
-        let fleet = FleetId::new("ward").unwrap();
-        let all = key(&fleet, RaftId(10), None);
-        assert_eq!(all, "consort/ward/wire/raft/000000000000000a/*");
-        let all = zenoh_keyexpr::keyexpr::new(&all).unwrap();
-        for verb in Verb::ALL {
-            let one = key(&fleet, RaftId(10), Some(verb));
-            assert_eq!(verb_of(&one), Some(verb));
-            assert!(all.intersects(zenoh_keyexpr::keyexpr::new(&one).unwrap()));
-        }
-        assert_eq!(verb_of("consort/ward/wire/raft/000000000000000a/dance"), None);
     }
 }

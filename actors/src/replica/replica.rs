@@ -1,16 +1,17 @@
 //! A node's share in the replicated ledger.
 
 use super::canvass::{self, Ear};
-use super::codec::{self, CodecError, FRAME_MAX};
 use super::journal::Journal;
-use super::network::{self, Heard, Switchboard};
+use super::network::{Heard, Switchboard};
 use super::runtime::seed_elections;
 use super::serve::Service;
 use super::settings::{ReplicaSettings, SettingsError};
 use super::store::{self, MachineStore};
 use super::types::{Epoch, Peer, Raft, RaftId, Reign, StateMachine, epoch_of, reign_of};
 use crate::bus::{BusError, SharedBus};
+use consort_protocol::codec::{self, CodecError};
 use consort_protocol::ids::NodeId;
+use consort_protocol::keys::Keys;
 use openraft::error::{
     ChangeMembershipError, CheckIsLeaderError, ClientWriteError, Fatal, ForwardToLeader, InitializeError, RaftError,
 };
@@ -197,12 +198,13 @@ impl<S: StateMachine> Replica<S> {
         let config = settings.to_config()?;
         let id = RaftId::of(&settings.node, journal.identity());
         let (log, machine) = store::open::<S>(journal).await?;
-        let queries = bus.serve(&network::key(&settings.fleet, id, None)).await?;
+        let keys = Keys::new(&settings.fleet);
+        let queries = bus.serve(&keys.any_raft(id.0)).await?;
         let heard = Arc::<Heard>::default();
         let muted = Arc::<AtomicBool>::default();
         let board = Switchboard {
             bus,
-            fleet: settings.fleet.clone(),
+            keys: keys.clone(),
             me: id,
             heard: Arc::clone(&heard),
             pause: settings.heartbeat,
@@ -236,6 +238,7 @@ impl<S: StateMachine> Replica<S> {
             election_min: settings.election_min,
             heartbeat: settings.heartbeat,
             refused: Arc::clone(&refused),
+            keys,
         };
         let serving = Task::spawn(service.run(queries));
         info!(node = %settings.node, raft = %id, "takes part in the ledger");
@@ -429,9 +432,11 @@ impl<S: StateMachine> Replica<S> {
 }
 
 fn check_size<C: serde::Serialize>(command: &C) -> Result<(), ProposeError> {
-    match codec::encode(command, FRAME_MAX - FRAME_OVERHEAD) {
-        Ok(_) => Ok(()),
-        Err(CodecError::TooLarge { size, max }) => Err(ProposeError::TooLarge { size, max }),
+    const MAX: usize = codec::LIMIT - FRAME_OVERHEAD;
+    match codec::encode(command) {
+        Ok(bytes) if bytes.len() <= MAX => Ok(()),
+        Ok(bytes) => Err(ProposeError::TooLarge { size: bytes.len(), max: MAX }),
+        Err(CodecError::TooLarge { size, .. }) => Err(ProposeError::TooLarge { size, max: MAX }),
         Err(error) => Err(ProposeError::Unencodable(error.to_string())),
     }
 }

@@ -1,11 +1,12 @@
 //! Raft's answers to other voters' questions. One task holds them all; a slow one delays no other.
 
 use super::canvass::{Canvass, Ear};
-use super::codec::{self, FRAME_MAX};
-use super::network::{Answer, Verb, verb_of};
+use super::network::Answer;
 use super::replica::Leadership;
 use super::types::{Raft, StateMachine, Types, Vote};
 use crate::bus::{BusError, Encoding, Query, Stream};
+use consort_protocol::codec;
+use consort_protocol::keys::{Key, Keys, RaftCall};
 use futures::StreamExt as _;
 use futures::stream::FuturesUnordered;
 use openraft::error::{InstallSnapshotError, RaftError};
@@ -31,6 +32,7 @@ pub(super) struct Service<S: StateMachine> {
     pub(super) heartbeat: Duration,
     /// Questions refused so far.
     pub(super) refused: Arc<AtomicU64>,
+    pub(super) keys: Keys,
 }
 
 impl<S: StateMachine> Service<S> {
@@ -50,12 +52,12 @@ impl<S: StateMachine> Service<S> {
     }
 
     async fn answer(&self, query: Query) {
-        let outcome = match verb_of(&query.key) {
-            Some(Verb::Vote) => self.vote(&query).await,
-            Some(Verb::Append) => self.append(&query).await,
-            Some(Verb::Snapshot) => self.snapshot(&query).await,
-            Some(Verb::Canvass) => self.canvass(&query),
-            None => Err("no such question".to_owned()),
+        let outcome = match self.keys.read(&query.key) {
+            Some(Key::Raft(_, RaftCall::Vote)) => self.vote(&query).await,
+            Some(Key::Raft(_, RaftCall::Append)) => self.append(&query).await,
+            Some(Key::Raft(_, RaftCall::Snapshot)) => self.snapshot(&query).await,
+            Some(Key::Raft(_, RaftCall::Canvass)) => self.canvass(&query),
+            _ => Err("no such question".to_owned()),
         };
         let sent = match outcome {
             Ok(bytes) => query.replier.reply(&query.key, bytes.into(), Encoding::Wire).await,
@@ -116,11 +118,11 @@ async fn refuse(query: &Query, reason: &str, refused: &AtomicU64) -> Result<(), 
 }
 
 fn read<T: DeserializeOwned>(query: &Query) -> Result<T, String> {
-    codec::decode(&query.payload, FRAME_MAX).map_err(in_words)
+    codec::decode(&query.payload).map_err(in_words)
 }
 
 fn written<T: Serialize>(answer: &T) -> Result<Vec<u8>, String> {
-    codec::encode(answer, FRAME_MAX).map_err(in_words)
+    codec::encode(answer).map_err(in_words)
 }
 
 fn in_words(error: impl Display) -> String {

@@ -1,10 +1,10 @@
 //! openraft's storage over a [`Journal`]: the log cached in memory, and the state machine with its snapshots.
 
-use super::codec::{self, RECORD_MAX};
 use super::journal::{Journal, Recorded};
 use super::types::{
     Epoch, LogId, SnapshotMeta, StateMachine, StorageError, StorageIOError, StoredMembership, Types, Vote, epoch_of,
 };
+use consort_protocol::codec;
 use openraft::storage::{LogFlushed, RaftLogStorage, RaftStateMachine};
 use openraft::{AnyError, Entry, EntryPayload, LogState, OptionalSend, RaftLogReader, RaftSnapshotBuilder, Snapshot};
 use serde::{Deserialize, Serialize};
@@ -48,13 +48,11 @@ pub(super) async fn open<S: StateMachine>(
 }
 
 fn read_record<T: serde::de::DeserializeOwned>(bytes: &[u8]) -> std::io::Result<T> {
-    codec::decode(bytes, RECORD_MAX)
-        .map_err(|error| std::io::Error::new(std::io::ErrorKind::InvalidData, error.to_string()))
+    codec::decode_record(bytes).map_err(|error| std::io::Error::new(std::io::ErrorKind::InvalidData, error.to_string()))
 }
 
 fn write_record<T: Serialize>(value: &T) -> std::io::Result<Vec<u8>> {
-    codec::encode(value, RECORD_MAX)
-        .map_err(|error| std::io::Error::new(std::io::ErrorKind::InvalidData, error.to_string()))
+    codec::encode_record(value).map_err(|error| std::io::Error::new(std::io::ErrorKind::InvalidData, error.to_string()))
 }
 
 /// The log as openraft reads it; the journal holds the same, durably.

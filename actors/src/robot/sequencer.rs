@@ -13,6 +13,8 @@ pub struct Sequencer {
     running: Option<StepIndex>,
     /// Who holds the mission's managed roles.
     holders: BTreeMap<RoleId, RobotId>,
+    /// Roles that somebody has held: one of them that nobody holds now is being given to another.
+    cast: BTreeSet<RoleId>,
     /// What this role has told others.
     said: BTreeSet<Signal>,
 }
@@ -51,10 +53,12 @@ impl Sequencer {
         });
         let said = said.collect();
         let progress = PlanProgress::restore(plan, ended.clone(), BTreeSet::new())?;
-        Ok(Sequencer { progress, running: None, holders, said })
+        let cast = holders.keys().cloned().collect();
+        Ok(Sequencer { progress, running: None, holders, cast, said })
     }
 
-    /// The next thing to do, which the caller does at once; `None` while a task is under way or all is waiting. Telling
+    /// The next thing to do, which the caller does at once; `None` while a task is under way or all is waiting, be it for
+    /// a signal or, in a task that names another role, for somebody to hold that role. Telling
     /// and hearing end with being returned; a task ends with [`end`](Sequencer::end).
     pub fn next_move(&mut self) -> Option<Move> {
         if self.running.is_some() {
@@ -62,6 +66,7 @@ impl Sequencer {
         }
         let (step, action) = self.progress.next().map(|(index, step)| (index, step.action.clone()))?;
         match action {
+            StepAction::Task { spec, .. } if self.names_a_vacancy(&spec) => None,
             StepAction::Task { id, spec } => {
                 self.running = Some(step);
                 Some(Move::Perform { step, task: id, spec })
@@ -76,6 +81,11 @@ impl Sequencer {
                 Some(Move::Heard(signal))
             }
         }
+    }
+
+    fn names_a_vacancy(&self, spec: &TaskSpec) -> bool {
+        let mut vacant = self.cast.iter().filter(|role| !self.holders.contains_key(*role));
+        vacant.any(|role| spec.roles.contains(role) || spec.parameters.values().any(|value| value == role.as_str()))
     }
 
     fn finish(&mut self, step: StepIndex) {
@@ -134,6 +144,36 @@ impl Sequencer {
 
     /// Takes in who holds the managed roles now.
     pub fn set_holders(&mut self, holders: BTreeMap<RoleId, RobotId>) {
+        self.cast.extend(holders.keys().cloned());
         self.holders = holders;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use consort_protocol::plan::Step;
+
+    #[test]
+    fn a_task_that_names_a_role_begins_once_somebody_holds_that_role_again() {
+        let role = |name: &str| RoleId::new(name).unwrap();
+        let robot = |name: &str| RobotId::new(name).unwrap();
+        let spec = TaskSpec {
+            task_type: "approach_robot".parse().unwrap(),
+            parameters: BTreeMap::from([("robot_role".to_owned(), "arm".to_owned())]),
+            reaches: BTreeMap::new(),
+            roles: vec![role("r1")],
+        };
+        let id: TaskId = "meet".parse().unwrap();
+        let step = Step { action: StepAction::Task { id: id.clone(), spec: spec.clone() }, after: vec![] };
+        let plan = LocalPlan { role: role("r1"), steps: vec![step] };
+        let alone = BTreeMap::from([(role("r1"), robot("ada"))]);
+        let both = BTreeMap::from([(role("r1"), robot("ada")), (role("arm"), robot("bob"))]);
+
+        let mut sequencer = Sequencer::new(plan, &BTreeSet::new(), both.clone()).unwrap();
+        sequencer.set_holders(alone);
+        assert_eq!(sequencer.next_move(), None);
+        sequencer.set_holders(both);
+        assert_eq!(sequencer.next_move(), Some(Move::Perform { step: 0, task: id, spec }));
     }
 }

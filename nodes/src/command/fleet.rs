@@ -72,15 +72,19 @@ fn row(node: &Value, fleet: &Value, coordinator: &Value) -> Vec<String> {
         .pointer("/robot/skills")
         .and_then(Value::as_array)
         .map(|skills| skills.iter().filter_map(Value::as_str).collect::<Vec<_>>().join(", "));
-    let voters = coordinator.get("voters").and_then(Value::as_array);
-    let votes = voters.is_some_and(|voters| voters.iter().any(|voter| voter.as_str() == Some(name)));
+    let among = |list: &str| {
+        let list = coordinator.get(list).and_then(Value::as_array);
+        list.is_some_and(|list| list.iter().any(|node| node.as_str() == Some(name)))
+    };
     let coordinates = coordinator.get("node").and_then(Value::as_str) == Some(name);
     vec![
         name.to_owned(),
         yes_no(node.get("alive")).to_owned(),
         if coordinates {
             "coordinates"
-        } else if votes {
+        } else if among("voters_lost") {
+            "lost"
+        } else if among("voters") {
             "votes"
         } else {
             "-"

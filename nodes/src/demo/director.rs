@@ -334,7 +334,7 @@ impl<S: Stage> Director<S> {
                 ));
             }
             (Some((_, victim)), None) => {
-                words.push(format!("coordinator {victim} killed; nobody was heard to take over"))
+                words.push(format!("coordinator {victim} killed; nobody was heard to take over"));
             }
             (None, _) => {}
         }

@@ -25,7 +25,10 @@ use narrator::Narrator;
 use processes::Processes;
 use virtual_stage::VirtualStage;
 
-/// Flags of `consort demo`.
+/// Play the main job: a fleet delivers lab samples and survives the death of its coordinator
+///
+/// Starts a hospital, robots and an arm as processes that talk over Zenoh on loopback, submits lab samples, kills the
+/// process that coordinates while the mission runs, and ends with the sample in the laboratory.
 #[derive(Debug, Clone, clap::Args)]
 #[command(after_long_help = "\
 Examples:

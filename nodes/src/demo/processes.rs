@@ -147,7 +147,7 @@ impl Stage for Processes {
 
     fn introduction(&self) -> String {
         format!(
-            "{} processes on loopback ({} world seconds a second); look in with: consort fleet --connect {}",
+            "{} processes on loopback ({} world seconds a second); look in with: consort fleet --fleet demo --connect {}",
             self.children.len(),
             self.speed,
             self.endpoint

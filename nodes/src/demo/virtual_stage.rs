@@ -104,7 +104,7 @@ impl Stage for VirtualStage {
 
     async fn interrupted(&mut self) {
         // A run takes less time than it takes to change one's mind; the signal's own default ends the process.
-        std::future::pending().await
+        std::future::pending::<()>().await;
     }
 
     async fn strike(self) {

@@ -38,8 +38,20 @@ pub(super) fn verb(goal: &Goal) -> &'static str {
 pub(super) enum Effect {
     Nothing,
     Beside(Beside),
-    Drawer { open: bool },
-    HandOver { sample: Entity, to: Holder },
+    Drawer {
+        open: bool,
+    },
+    HandOver {
+        sample: Entity,
+        to: Holder,
+    },
+    /// A fixed arm lays what it holds on the table beside it, then takes the next.
+    Exchange {
+        held: Entity,
+        table: Holder,
+        sample: Entity,
+        to: Holder,
+    },
 }
 
 impl World {
@@ -81,6 +93,10 @@ impl World {
                 }
             }
             Effect::HandOver { sample, to } => self.hand_over(sample, to),
+            Effect::Exchange { held, table, sample, to } => {
+                self.hand_over(held, table);
+                self.hand_over(sample, to);
+            }
         }
     }
 
@@ -127,14 +143,20 @@ impl World {
 
     fn pick_up(&self, robot: Entity, from: &RobotId) -> Result<Effect, ActionError> {
         let from = self.other_robot(robot, from)?;
-        if let Some(held) = self.in_arm(robot)? {
+        let held = self.in_arm(robot)?;
+        if let Some(held) = held.filter(|_| self.get::<Body>(robot).0.mobile) {
             let message = format!("{} already holds {}", self.name(robot), self.label(held));
             return Err(refused(ErrorCode::Busy, message));
         }
         self.open_drawer_in_reach(robot, from)?;
-        match self.held(Holder::Drawer(from)).first() {
-            Some(sample) => Ok(Effect::HandOver { sample: *sample, to: Holder::Arm(robot) }),
-            None => Err(refused(ErrorCode::DrawerState, format!("the drawer of {} is empty", self.name(from)))),
+        let to = Holder::Arm(robot);
+        match (self.held(Holder::Drawer(from)).first().copied(), held) {
+            (Some(sample), None) => Ok(Effect::HandOver { sample, to }),
+            (Some(sample), Some(held)) => {
+                let table = Holder::Table(self.standing_place(robot)?);
+                Ok(Effect::Exchange { held, table, sample, to })
+            }
+            (None, _) => Err(refused(ErrorCode::DrawerState, format!("the drawer of {} is empty", self.name(from)))),
         }
     }
 

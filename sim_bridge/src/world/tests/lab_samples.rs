@@ -85,3 +85,25 @@ fn an_arm_on_wheels_carries_a_sample_from_one_drawer_to_another() {
     assert_eq!(keeper(&world), Keeper::Drawer(robot("r2")));
     assert_eq!(world.samples()[0].place, place("PC Corridor 1"));
 }
+
+#[test]
+fn a_fixed_arm_lays_down_what_it_holds_before_it_takes_the_next() {
+    let mut nurse = nurse("Ana", "Laboratory", "s1");
+    nurse.samples.push("s2".into());
+    let setup = hospital(1)
+        .robot(carrier("r1", "Laboratory"))
+        .robot(RobotBody::arm(robot("lab_arm"), place("Laboratory")))
+        .person(nurse);
+    let mut world = World::new(setup).unwrap();
+    does(&mut world, "r1", 1, Goal::OperateDrawer { open: true });
+    for (turn, goals) in [(1, [2, 3]), (2, [4, 5])] {
+        does(&mut world, "r1", goals[0], Goal::ApproachPerson { role: role("nurse") });
+        world.ask_person(GoalId(turn), deposit("r1"));
+        let soon = at(world.now().as_secs() + 10.0);
+        world.advance(soon);
+        does(&mut world, "r1", goals[1], Goal::ApproachRobot { robot: robot("lab_arm") });
+        does(&mut world, "lab_arm", turn, Goal::PickUp { from: robot("r1") });
+    }
+    let keepers: Vec<Keeper> = world.samples().into_iter().map(|sample| sample.keeper).collect();
+    assert_eq!(keepers, [Keeper::Table(place("Laboratory")), Keeper::Arm(robot("lab_arm"))]);
+}

@@ -1,0 +1,97 @@
+use super::support::{consort, own, run, written};
+
+#[test]
+fn the_shipped_examples_missions_and_maps_are_right() {
+    let files = [
+        ("examples/fleet.toml", "a fleet: ward"),
+        ("examples/robot.toml", "a robot: ada"),
+        ("examples/arm.toml", "a robot: lab-arm"),
+        ("examples/station.toml", "a station: station-1"),
+        ("examples/world.toml", "a world: 2 robots, 1 people"),
+        ("examples/workers.toml", "workers: 4 of them"),
+        ("tests/data/ward_map.json", "a map: 5 places, 4 ways"),
+        ("tests/data/ward_scenarios.json", "scenarios: 1 of them"),
+        ("../protocol/missions/lab-samples.yaml", "a mission: lab-samples, 3 roles, 19 steps"),
+        ("../sim_bridge/maps/hospital.yaml", "a map: 32 places, 31 ways"),
+    ];
+    let paths: Vec<String> = files.iter().map(|(path, _)| own(path)).collect();
+    let mut args = vec!["check"];
+    args.extend(paths.iter().map(String::as_str));
+    let ran = run(&args);
+    let expected: String = paths.iter().zip(&files).map(|(path, (_, what))| format!("{path}: ok, {what}\n")).collect();
+    assert_eq!((ran.code, ran.out), (Some(0), expected), "{}", ran.err);
+}
+
+#[test]
+fn check_names_every_problem_with_file_and_place() {
+    let fleet = written("wrong_fleet.toml", "name = \"ward\"\nmapp = \"hospital\"\n[lease]\nlase_ms = 1\n");
+    let robot = written("wrong_robot.toml", "name = \"a\"\nplace = \"Kitchen\"\nskills = [\"pick_up\"]\n");
+    let map = written(
+        "wrong_map.yaml",
+        "name: m\nplaces:\n  - { name: A, kind: room, x_m: 0, y_m: 0 }\nlanes:\n  - { between: [A, B] }\n",
+    );
+    let mission = written(
+        "wrong_mission.yaml",
+        "mission: m\nroles:\n  r1: { kind: managed }\nroot: { task: go, type: navigate, roles: [r2] }\n",
+    );
+    let ran = run(&["check", &fleet, &robot, &map, &mission]);
+    assert_eq!(ran.code, Some(1), "{}", ran.out);
+    for expected in [
+        format!("{fleet}:2:1: unknown key `mapp` in a fleet file; allowed: name, map, "),
+        format!("{fleet}:4:1: unknown key `lase_ms` in a fleet file; allowed: lease_ms, grace_ms"),
+        format!("{robot}: robot a: place: \"Kitchen\" is not on the fleet's map; allowed: "),
+        format!("{map}: lane between \"A\" and \"B\": there is no place \"B\""),
+        format!("{mission}: root"),
+        "unknown task type `navigate`".to_owned(),
+    ] {
+        assert!(ran.out.contains(&expected), "{expected:?} is missing in\n{}", ran.out);
+    }
+    assert!(ran.err.contains("4 of 4 files have problems"), "{}", ran.err);
+}
+
+#[test]
+fn a_node_with_an_unknown_key_does_not_start() {
+    let file = written("unknown_key.toml", "name = \"s\"\nstationery = true\n");
+    let ran = run(&["station", "--config", &file]);
+    assert_eq!(ran.code, Some(2));
+    let expected =
+        format!("consort: {file}:2:1: unknown key `stationery` in a station file; allowed: name, stationary, ");
+    assert!(ran.err.starts_with(&expected), "{}", ran.err);
+    assert!(ran.err.contains("did you mean `stationary`?"), "{}", ran.err);
+}
+
+#[test]
+fn what_print_config_prints_is_read_back_as_the_same() {
+    for (command, file) in [("robot", "robot.toml"), ("station", "station.toml"), ("world", "world.toml")] {
+        let first = run(&[command, "--config", &own(&format!("examples/{file}")), "--print-config"]);
+        assert_eq!(first.code, Some(0), "{}", first.err);
+        let copy = written(&format!("printed_{file}"), &first.out);
+        let second = run(&[command, "--config", &copy, "--print-config"]);
+        assert_eq!((second.code, second.out), (Some(0), first.out), "{}", second.err);
+    }
+}
+
+#[test]
+fn flags_prevail_over_variables_and_variables_over_files() {
+    let file = own("examples/robot.toml");
+    let args = ["robot", "--config", &file, "--print-config", "--lease-ms", "7000"];
+    let mut command = consort(&args);
+    command.env("CONSORT_LEASE_MS", "9000").env("CONSORT_SPEED_MPS", "0.25").env("CONSORT_CONNECT", "tcp/a:1,tcp/b:2");
+    let output = command.output().expect("the binary starts");
+    let printed: toml::Table = String::from_utf8_lossy(&output.stdout).parse().expect("TOML");
+    let at =
+        |path: &[&str]| path.iter().try_fold(toml::Value::Table(printed.clone()), |value, key| value.get(key).cloned());
+    assert_eq!(at(&["fleet", "lease", "lease_ms"]), Some(7000.into()));
+    assert_eq!(at(&["fleet", "lease", "grace_ms"]), Some(2000.into()));
+    assert_eq!(at(&["speed_mps"]), Some(0.25.into()));
+    assert_eq!(at(&["battery"]), Some(0.9.into()));
+    assert_eq!(at(&["bus", "connect"]), Some(vec!["tcp/a:1", "tcp/b:2"].into()));
+}
+
+#[test]
+fn a_value_that_a_flag_gives_is_checked_like_one_of_a_file() {
+    let file = own("examples/station.toml");
+    let ran = run(&["station", "--config", &file, "--print-config", "--lease-ms", "1"]);
+    assert_eq!(ran.code, Some(2));
+    assert!(ran.err.contains("lease.lease_ms is 1, allowed is 500 to 3600000"), "{}", ran.err);
+}

@@ -1,0 +1,7 @@
+//! The binary as people and scripts meet it.
+
+mod dry_run;
+mod files;
+mod help;
+mod network;
+mod support;

@@ -1,0 +1,66 @@
+use super::support::{Running, consort, run};
+use std::net::TcpListener;
+use std::process::{Command, Stdio};
+use std::time::{Duration, Instant};
+
+/// An address on loopback that was free a moment ago.
+fn free_address() -> String {
+    let listener = TcpListener::bind("127.0.0.1:0").expect("a free port");
+    format!("tcp/{}", listener.local_addr().expect("its address"))
+}
+
+#[test]
+fn a_client_that_reaches_nobody_says_so_and_what_to_do() {
+    let address = free_address();
+    for command in [&["missions"][..], &["fleet"], &["submit", "lab-samples"], &["cancel", "m-1"]] {
+        let ran = run(&[command, &["--connect", &address, "--timeout", "0.3"]].concat());
+        assert_eq!(ran.code, Some(3), "{command:?}: {}", ran.err);
+        let expected = format!("consort: not connected: nothing answers at {address}");
+        assert!(ran.err.contains(&expected), "{command:?}: {}", ran.err);
+        assert!(ran.err.contains("--connect tcp/HOST:PORT"), "{command:?}: {}", ran.err);
+    }
+}
+
+#[test]
+fn a_station_alone_coordinates_takes_missions_and_stops_when_told() {
+    let address = free_address();
+    let station = consort(&["station", "--name", "s1", "--listen", &address])
+        .stderr(Stdio::null())
+        .spawn()
+        .expect("the binary starts");
+    let mut station = Running(station);
+
+    let ran = run(&["submit", "lab-samples", "--request", "r-1", "--connect", &address]);
+    assert_eq!((ran.code, ran.out.as_str()), (Some(0), "lab-samples-1\n"), "{}", ran.err);
+    let ran = run(&["submit", "lab-samples", "--request", "r-1", "--connect", &address]);
+    assert_eq!(ran.out, "lab-samples-1 (asked for before)\n", "{}", ran.err);
+    let ran = run(&["submit", "lab-samples", "--set", "rom=x", "--connect", &address]);
+    assert_eq!(ran.code, Some(1));
+    assert!(ran.err.contains("did you mean `room`?"), "{}", ran.err);
+    let ran = run(&["fleet", "--connect", &address]);
+    assert!(ran.out.starts_with("s1 coordinates since "), "{}{}", ran.out, ran.err);
+    let ran = run(&["missions", "--connect", &address]);
+    assert!(ran.out.contains("lab-samples-1  pending  0/16"), "{}{}", ran.out, ran.err);
+    let ran = run(&["cancel", "lab-samples-1", "--by", "Nia", "--connect", &address]);
+    assert_eq!((ran.code, ran.out.as_str()), (Some(0), "lab-samples-1 canceled: by Nia\n"), "{}", ran.err);
+    let ran = run(&["fleet", "--fleet", "another", "--timeout", "0.5", "--connect", &address]);
+    assert_eq!(ran.code, Some(3));
+    assert!(ran.err.contains("no coordinator of fleet another answers"), "{}", ran.err);
+
+    // The port is taken: a second node there says so.
+    let ran = run(&["station", "--name", "s2", "--listen", &address]);
+    assert_eq!(ran.code, Some(2), "{}", ran.err);
+    assert!(ran.err.contains(&format!("listen on {address}")), "{}", ran.err);
+
+    let told = Command::new("kill").args(["-TERM", &station.0.id().to_string()]).status().expect("kill is there");
+    assert!(told.success());
+    let end = Instant::now() + Duration::from_secs(10);
+    let status = loop {
+        if let Some(status) = station.0.try_wait().expect("a child of ours") {
+            break status;
+        }
+        assert!(Instant::now() < end, "the station has not stopped 10 s after SIGTERM");
+        std::thread::sleep(Duration::from_millis(20));
+    };
+    assert_eq!(status.code(), Some(0));
+}

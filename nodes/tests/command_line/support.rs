@@ -1,0 +1,52 @@
+//! Running the binary.
+
+use std::path::PathBuf;
+use std::process::{Child, Command, Output};
+
+/// The binary, without what the environment of the tests might tell it.
+pub(crate) fn consort(args: &[&str]) -> Command {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_consort"));
+    for (name, _) in std::env::vars_os().filter(|(name, _)| name.to_string_lossy().starts_with("CONSORT_")) {
+        command.env_remove(name);
+    }
+    command.env_remove("RUST_LOG").args(args);
+    command
+}
+
+/// What a run came to.
+pub(crate) struct Ran {
+    pub(crate) code: Option<i32>,
+    pub(crate) out: String,
+    pub(crate) err: String,
+}
+
+pub(crate) fn run(args: &[&str]) -> Ran {
+    let Output { status, stdout, stderr } = consort(args).output().expect("the binary starts");
+    let text = |bytes: Vec<u8>| String::from_utf8(bytes).expect("the binary writes UTF-8");
+    Ran { code: status.code(), out: text(stdout), err: text(stderr) }
+}
+
+/// A file of this crate.
+pub(crate) fn own(path: &str) -> String {
+    format!("{}/{path}", env!("CARGO_MANIFEST_DIR"))
+}
+
+/// A file written for one test.
+pub(crate) fn written(name: &str, text: &str) -> String {
+    let folder = PathBuf::from(env!("CARGO_TARGET_TMPDIR")).join("command_line");
+    std::fs::create_dir_all(&folder).expect("cargo's own folder");
+    let path = folder.join(name);
+    std::fs::write(&path, text).expect("cargo's own folder");
+    path.display().to_string()
+}
+
+/// A process that does not outlive its test.
+pub(crate) struct Running(pub(crate) Child);
+
+impl Drop for Running {
+    fn drop(&mut self) {
+        // It may have ended already.
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
+}

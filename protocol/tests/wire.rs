@@ -1,0 +1,393 @@
+//! Every message survives the wire, and no bytes do any harm.
+
+use consort_protocol::auction::{
+    Answer, AuctionEntry, AuctionId, AuctionRecord, Bid, BidPart, CallForBids, Refusal, RefusalReason, Tender,
+    Unviable, Verdict,
+};
+use consort_protocol::codec::{LIMIT, decode, encode};
+use consort_protocol::ids::{MissionId, NodeId, PlaceId, RequestId, RobotId, RoleId, TaskId, TaskType};
+use consort_protocol::knowledge::{Availability, Digest, Knowledge, Record, Stamp, Worker};
+use consort_protocol::lease::{Award, Declined, Ending, Epoch};
+use consort_protocol::ledger::{Command, Ledger, MissionState, Outcome, Refused, Submission};
+use consort_protocol::message::{
+    AwardAnswer, AwardNotice, Beacon, Changed, Exchange, LivePlan, Report, ReportAnswer, Said, TaskFailure,
+};
+use consort_protocol::mission::{Body, Method, Mission, Order, Role, RoleKind, TaskNode, TaskSpec};
+use consort_protocol::plan::{Division, LocalPlan, Signal, SignalKind, Step, StepAction};
+use consort_protocol::pose::Pose;
+use consort_protocol::units::{BatteryShare, MetresPerSecond, Seconds, SharePerSecond};
+use proptest::collection::{btree_map, btree_set, vec};
+use proptest::option;
+use proptest::prelude::*;
+use serde::Serialize;
+use serde::de::DeserializeOwned;
+use std::fmt::Debug;
+
+fn name<T: TryFrom<String, Error: Debug> + Debug>() -> impl Strategy<Value = T> {
+    "[a-zA-Z0-9_.-]{1,12}".prop_map(|text| T::try_from(text).expect("a slug"))
+}
+
+fn place() -> impl Strategy<Value = PlaceId> {
+    "[A-Z][a-zäöü]{1,8} [0-9]{1,2}".prop_map(|text| PlaceId::new(text).expect("a label"))
+}
+
+fn text() -> impl Strategy<Value = String> {
+    "\\PC{0,20}"
+}
+
+fn epoch() -> impl Strategy<Value = Epoch> {
+    (any::<u64>(), any::<u64>()).prop_map(|(term, index)| Epoch { term, index })
+}
+
+fn stamp() -> impl Strategy<Value = Stamp> {
+    (any::<u64>(), any::<u64>()).prop_map(|(incarnation, version)| Stamp { incarnation, version })
+}
+
+fn share() -> impl Strategy<Value = BatteryShare> {
+    (0.0..=1.0).prop_map(|share| BatteryShare::new(share).expect("a share"))
+}
+
+fn seconds() -> impl Strategy<Value = Seconds> {
+    (0.0..1e6).prop_map(|seconds| Seconds::new(seconds).expect("a time"))
+}
+
+fn spec() -> impl Strategy<Value = TaskSpec> {
+    (name(), vec(name(), 1..3), btree_map(text(), text(), 0..3), btree_map(text(), text(), 0..2))
+        .prop_map(|(task_type, roles, parameters, reaches)| TaskSpec { task_type, roles, parameters, reaches })
+}
+
+fn signal() -> impl Strategy<Value = Signal> {
+    (any::<bool>(), name(), name(), name()).prop_map(|(done, task, from, to)| {
+        let kind = if done { SignalKind::Done } else { SignalKind::Ready };
+        Signal { kind, task, from, to }
+    })
+}
+
+fn plan() -> impl Strategy<Value = LocalPlan> {
+    let action = prop_oneof![
+        (name(), spec()).prop_map(|(id, spec)| StepAction::Task { id, spec }),
+        signal().prop_map(StepAction::Send),
+        signal().prop_map(StepAction::Wait),
+    ];
+    let step = (action, vec(any::<u32>(), 0..3)).prop_map(|(action, after)| Step { action, after });
+    (name(), vec(step, 0..6)).prop_map(|(role, steps)| LocalPlan { role, steps })
+}
+
+fn mission() -> impl Strategy<Value = Mission> {
+    let kind = prop_oneof![Just(RoleKind::Managed), Just(RoleKind::Unmanaged)];
+    let order = prop_oneof![Just(Order::Sequential), Just(Order::Unordered)];
+    let body = prop_oneof![
+        spec().prop_map(Body::Elementary),
+        (order, vec(any::<u32>(), 0..4)).prop_map(|(order, children)| Body::Abstract(Method { order, children })),
+    ];
+    let node = (name(), body).prop_map(|(id, body)| TaskNode { id, body });
+    (name(), btree_map(name(), kind.prop_map(|kind| Role { kind }), 0..4), vec(node, 0..6))
+        .prop_map(|(name, roles, tasks)| Mission { name, roles, tasks })
+}
+
+fn availability() -> impl Strategy<Value = Availability> {
+    prop_oneof![
+        Just(Availability::Free),
+        (name(), name(), any::<bool>()).prop_map(|(mission, role, suspended)| Availability::Holding {
+            mission,
+            role,
+            suspended
+        }),
+        text().prop_map(|problem| Availability::OutOfService { problem }),
+    ]
+}
+
+fn worker() -> impl Strategy<Value = Worker> {
+    let speed = option::of((0.01..9.0).prop_map(|speed| MetresPerSecond::new(speed).expect("a speed")));
+    let pose = (-1e3..1e3, -1e3..1e3, -4.0..4.0).prop_map(|(x, y, yaw)| Pose::new(x, y, yaw));
+    let rate = (0.0..1.0).prop_map(|rate| SharePerSecond::new(rate).expect("a rate"));
+    (btree_set(name::<TaskType>(), 0..5), place(), pose, share(), rate, share(), speed, availability(), text())
+        .prop_map(|(skills, place, pose, battery, discharge, useful_charge, speed, availability, estimator)| Worker {
+            skills,
+            place,
+            pose,
+            battery,
+            discharge,
+            useful_charge,
+            speed,
+            availability,
+            estimator,
+        })
+}
+
+fn record() -> impl Strategy<Value = Record> {
+    let flags = (any::<bool>(), any::<bool>(), any::<bool>());
+    (name(), stamp(), flags, option::of(any::<u64>()), option::of(worker())).prop_map(
+        |(owner, stamp, (may_vote, stationary, mains_powered), replica, worker)| Record {
+            owner,
+            stamp,
+            knowledge: Knowledge { may_vote, stationary, mains_powered, replica, worker },
+        },
+    )
+}
+
+fn auction() -> impl Strategy<Value = AuctionId> {
+    (name(), any::<u64>(), any::<u32>()).prop_map(|(mission, term, round)| AuctionId { mission, term, round })
+}
+
+fn bid() -> impl Strategy<Value = Bid> {
+    let part = (any::<u32>(), text(), name(), seconds(), 0.0..2.0)
+        .prop_map(|(step, label, skill, time, energy)| BidPart { step, label, skill, time, energy });
+    (name(), name(), seconds(), 0.0..2.0, -1.0..1.0, share(), place(), any::<u64>(), vec(part, 0..4)).prop_map(
+        |(robot, role, time, energy, remaining, useful_charge, from, age_ms, parts)| Bid {
+            robot,
+            role,
+            time,
+            energy,
+            remaining,
+            useful_charge,
+            from,
+            age_ms,
+            parts,
+        },
+    )
+}
+
+fn reason() -> impl Strategy<Value = RefusalReason> {
+    prop_oneof![
+        vec(name(), 0..4).prop_map(|skills| RefusalReason::MissingSkills { skills }),
+        (name(), name()).prop_map(|(mission, role)| RefusalReason::Busy { mission, role }),
+        (name(), text()).prop_map(|(task, problem)| RefusalReason::NotFeasible { task, problem }),
+        text().prop_map(|problem| RefusalReason::OutOfService { problem }),
+        (name(), text()).prop_map(|(ensemble, why)| RefusalReason::NotMember { ensemble, why }),
+        any::<u64>().prop_map(|window_ms| RefusalReason::Silent { window_ms }),
+    ]
+}
+
+fn auction_record() -> impl Strategy<Value = AuctionRecord> {
+    let verdict = prop_oneof![
+        (seconds(), 0.0..2.0, -1.0..1.0).prop_map(|(time, energy, remaining)| Verdict::Viable {
+            time,
+            energy,
+            remaining
+        }),
+        (seconds(), 0.0..2.0, -1.0..1.0, share()).prop_map(|(time, energy, remaining, floor)| {
+            Verdict::Unviable { time, energy, remaining, why: Unviable::LowCharge { remaining, floor } }
+        }),
+        reason().prop_map(|reason| Verdict::Refused { reason }),
+    ];
+    let entry = (name(), name(), verdict).prop_map(|(role, robot, verdict)| AuctionEntry { role, robot, verdict });
+    let chosen = btree_map(name(), name(), 0..3);
+    (auction(), any::<u64>(), vec(entry, 0..4), any::<u32>(), chosen, option::of(text())).prop_map(
+        |(auction, at_ms, entries, omitted, chosen, failure)| AuctionRecord {
+            auction,
+            at_ms,
+            entries,
+            omitted,
+            chosen,
+            failure,
+        },
+    )
+}
+
+fn submission() -> impl Strategy<Value = Submission> {
+    let division = btree_map(name(), plan(), 0..3).prop_map(|plans| Division { plans });
+    (name::<RequestId>(), mission(), division, btree_map(text(), text(), 0..3), any::<u64>()).prop_map(
+        |(request, mission, division, parameters, at_ms)| Submission { request, mission, division, parameters, at_ms },
+    )
+}
+
+fn command() -> impl Strategy<Value = Command> {
+    let held = || (name::<MissionId>(), name::<RoleId>(), epoch());
+    prop_oneof![
+        submission().prop_map(|submission| Command::Submit(Box::new(submission))),
+        (name(), btree_map(name(), name(), 0..3), auction_record())
+            .prop_map(|(mission, holders, auction)| Command::Award { mission, holders, auction }),
+        (name(), auction_record()).prop_map(|(mission, auction)| Command::Defer { mission, auction }),
+        (held(), any::<u64>()).prop_map(|((mission, role, epoch), incarnation)| {
+            Command::Accept { mission, role, epoch, incarnation }
+        }),
+        (held(), btree_set(any::<u32>(), 0..5)).prop_map(|((mission, role, epoch), ended)| Command::Progress {
+            mission,
+            role,
+            epoch,
+            ended
+        }),
+        (held(), text()).prop_map(|((mission, role, epoch), cause)| Command::Release { mission, role, epoch, cause }),
+        (name(), text()).prop_map(|(mission, cause)| Command::Fail { mission, cause }),
+        (name(), text()).prop_map(|(mission, by)| Command::Cancel { mission, by }),
+    ]
+}
+
+fn outcome() -> impl Strategy<Value = Outcome> {
+    prop_oneof![
+        (name(), any::<bool>()).prop_map(|(mission, again)| Outcome::Submitted { mission, again }),
+        epoch().prop_map(|epoch| Outcome::Awarded { epoch }),
+        Just(Outcome::Done),
+        (name(), text()).prop_map(|(mission, cause)| {
+            Outcome::Refused(Refused::Over { mission, state: MissionState::Failed { cause } })
+        }),
+        (name(), name(), option::of(epoch())).prop_map(|(mission, role, held)| Outcome::Refused(Refused::Epoch {
+            mission,
+            role,
+            held
+        })),
+    ]
+}
+
+fn ending() -> impl Strategy<Value = Ending> {
+    prop_oneof![Just(Ending::Canceled), Just(Ending::Failed), Just(Ending::Over), Just(Ending::Replaced)]
+}
+
+fn notice() -> impl Strategy<Value = AwardNotice> {
+    let award = (name(), name(), name(), epoch(), plan(), btree_map(name(), name(), 0..3))
+        .prop_map(|(mission, role, robot, epoch, plan, holders)| Award { mission, role, robot, epoch, plan, holders });
+    prop_oneof![
+        award.prop_map(|award| AwardNotice::Awarded(Box::new(award))),
+        (epoch(), ending()).prop_map(|(epoch, reason)| AwardNotice::Revoked { epoch, reason }),
+    ]
+}
+
+fn award_answer() -> impl Strategy<Value = AwardAnswer> {
+    prop_oneof![
+        Just(AwardAnswer::Heard),
+        (name(), name()).prop_map(|(mission, role)| AwardAnswer::Declined(Declined::Busy { mission, role })),
+        epoch().prop_map(|known| AwardAnswer::Declined(Declined::Stale { known })),
+        name().prop_map(|robot| AwardAnswer::Declined(Declined::NotMine { robot })),
+    ]
+}
+
+fn report() -> impl Strategy<Value = Report> {
+    let failure = (name(), text()).prop_map(|(task, cause)| TaskFailure { task, cause });
+    let who = (name::<RobotId>(), any::<u64>(), name(), name(), epoch());
+    (who, btree_set(any::<u32>(), 0..5), option::of(name::<TaskId>()), option::of(failure)).prop_map(
+        |((robot, incarnation, mission, role, epoch), ended, at, failure)| Report {
+            robot,
+            incarnation,
+            mission,
+            role,
+            epoch,
+            ended,
+            at,
+            failure,
+        },
+    )
+}
+
+fn report_answer() -> impl Strategy<Value = ReportAnswer> {
+    prop_oneof![
+        (epoch(), btree_set(any::<u32>(), 0..5), btree_map(name(), name(), 0..3))
+            .prop_map(|(epoch, ended, holders)| ReportAnswer::Renewed { epoch, ended, holders }),
+        (epoch(), ending()).prop_map(|(epoch, reason)| ReportAnswer::Ended { epoch, reason }),
+        option::of(name()).prop_map(|coordinator| ReportAnswer::NotCoordinator { coordinator }),
+    ]
+}
+
+fn survives<T: Serialize + DeserializeOwned + PartialEq + Debug>(message: &T) -> Result<(), TestCaseError> {
+    let bytes = encode(message).expect("a small message");
+    prop_assert_eq!(&decode::<T>(&bytes).expect("what was encoded"), message);
+    // A byte less is never a message: nothing is guessed.
+    prop_assert!(decode::<T>(&bytes[..bytes.len() - 1]).is_err());
+    Ok(())
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(64))]
+
+    #[test]
+    fn knowledge_survives(record in record(), digest in btree_map(name::<NodeId>(), stamp(), 0..5)) {
+        let digest: Digest = digest;
+        survives(&record)?;
+        survives(&Exchange { digest, records: vec![record] })?;
+    }
+
+    #[test]
+    fn auctions_survive(
+        auction in auction(), roles in btree_map(name(), plan(), 0..3), ensemble in name(), bid in bid(),
+        robot in name::<RobotId>(), role in name::<RoleId>(), reason in reason()
+    ) {
+        survives(&CallForBids { auction: auction.clone(), ensemble, roles })?;
+        let refusal = Refusal { robot: robot.clone(), role, reason };
+        survives(&Tender { robot, auction, answers: vec![Answer::Bid(bid), Answer::Refusal(refusal)] })?;
+    }
+
+    #[test]
+    fn what_is_said_of_awards_survives(
+        notice in notice(), award_answer in award_answer(), report in report(), report_answer in report_answer()
+    ) {
+        survives(&notice)?;
+        survives(&award_answer)?;
+        survives(&report)?;
+        survives(&report_answer)?;
+    }
+
+    #[test]
+    fn what_goes_into_the_ledger_survives(commands in vec(command(), 1..6), outcome in outcome()) {
+        let mut ledger = Ledger::default();
+        for (index, command) in (1..).zip(commands) {
+            survives(&command)?;
+            survives(&ledger.apply(Epoch { term: 1, index }, command))?;
+        }
+        survives(&ledger)?;
+        survives(&outcome)?;
+    }
+
+    #[test]
+    fn what_roles_and_coordinators_say_survives(
+        mission in name::<MissionId>(), epoch in epoch(), signals in btree_set(signal(), 0..4), node in name::<NodeId>(),
+        term in any::<u64>(), voters in btree_set(name::<NodeId>(), 0..4), plan in plan(),
+        ended in btree_set(any::<u32>(), 0..4), holders in btree_map(name(), name(), 0..3)
+    ) {
+        survives(&Said { mission: mission.clone(), epoch, signals })?;
+        survives(&Beacon { node: node.clone(), term, voters, since_ms: term })?;
+        survives(&Changed { node, term })?;
+        survives(&vec![LivePlan { mission, plan, ended, holders }])?;
+    }
+
+    #[test]
+    fn no_bytes_do_any_harm(bytes in vec(any::<u8>(), 0..300), versioned in any::<bool>()) {
+        let mut bytes = bytes;
+        if versioned && !bytes.is_empty() {
+            bytes[0] = 1;
+        }
+        // What cannot be read is an error; what can be read is the same again.
+        harmless::<Record>(&bytes);
+        harmless::<Exchange>(&bytes);
+        harmless::<CallForBids>(&bytes);
+        harmless::<Tender>(&bytes);
+        harmless::<AwardNotice>(&bytes);
+        harmless::<AwardAnswer>(&bytes);
+        harmless::<Report>(&bytes);
+        harmless::<ReportAnswer>(&bytes);
+        harmless::<Command>(&bytes);
+        harmless::<Outcome>(&bytes);
+        harmless::<Ledger>(&bytes);
+        harmless::<Said>(&bytes);
+        harmless::<Beacon>(&bytes);
+        harmless::<Changed>(&bytes);
+        harmless::<Vec<LivePlan>>(&bytes);
+    }
+
+    #[test]
+    fn a_message_with_a_flipped_bit_does_no_harm(command in command(), at in any::<prop::sample::Index>(), bit in 0u8..8) {
+        let mut bytes = encode(&command).expect("a small message");
+        let at = at.index(bytes.len());
+        bytes[at] ^= 1 << bit;
+        harmless::<Command>(&bytes);
+        harmless::<Tender>(&bytes);
+    }
+}
+
+fn harmless<T: Serialize + DeserializeOwned>(bytes: &[u8]) {
+    if let Ok(message) = decode::<T>(bytes) {
+        assert!(encode(&message).is_ok_and(|again| again.len() <= LIMIT));
+    }
+}
+
+#[test]
+fn a_length_that_lies_about_more_than_the_limit_is_refused_before_memory_is_taken() {
+    // A set of 2^62 steps, in an otherwise sound beginning of a report.
+    for lie in [u64::MAX, 1 << 62, 1 << 40, 1 << 20] {
+        let mut bytes = vec![1, 253];
+        bytes.extend(lie.to_le_bytes());
+        bytes.extend([0; 64]);
+        assert!(decode::<Vec<u64>>(&bytes).is_err());
+        assert!(decode::<String>(&bytes).is_err());
+        assert!(decode::<Report>(&bytes).is_err());
+    }
+}

@@ -1,0 +1,182 @@
+//! All that happened in a fleet, as each node told it at its own place: faults between nodes hide nothing.
+
+use consort_protocol::event::{Event, Happening};
+use consort_protocol::ids::{MissionId, NodeId, RobotId, RoleId};
+use std::collections::BTreeMap;
+use std::sync::{Arc, Mutex, MutexGuard};
+use std::time::Duration;
+use tokio::sync::watch;
+
+/// Something that happened, or that the test did to a node.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Entry {
+    /// A node told of it.
+    Told(Event),
+    /// The test did it.
+    Done {
+        /// To which node.
+        node: NodeId,
+        /// What.
+        what: &'static str,
+    },
+}
+
+impl Entry {
+    /// What a node told.
+    pub fn happening(&self) -> Option<&Happening> {
+        match self {
+            Entry::Told(event) => Some(&event.what),
+            Entry::Done { .. } => None,
+        }
+    }
+
+    /// At which node it happened.
+    pub fn node(&self) -> &NodeId {
+        match self {
+            Entry::Told(event) => &event.node,
+            Entry::Done { node, .. } => node,
+        }
+    }
+}
+
+/// The record; clones are one.
+#[derive(Clone)]
+pub struct Chronicle {
+    entries: Arc<Mutex<Vec<(Duration, Entry)>>>,
+    grown: watch::Sender<usize>,
+}
+
+impl Chronicle {
+    pub(crate) fn new() -> Chronicle {
+        Chronicle { entries: Arc::default(), grown: watch::Sender::new(0) }
+    }
+
+    pub(crate) fn add(&self, at: Duration, entry: Entry) {
+        self.lock().push((at, entry));
+        self.grown.send_modify(|count| *count += 1);
+    }
+
+    pub(crate) fn grown(&self) -> watch::Receiver<usize> {
+        self.grown.subscribe()
+    }
+
+    fn lock(&self) -> MutexGuard<'_, Vec<(Duration, Entry)>> {
+        self.entries.lock().expect("no panic while it is held")
+    }
+
+    /// Everything, in order.
+    pub fn entries(&self) -> Vec<(Duration, Entry)> {
+        self.lock().clone()
+    }
+
+    /// How much there is.
+    pub fn len(&self) -> usize {
+        self.lock().len()
+    }
+
+    /// Whether nothing has happened yet.
+    pub fn is_empty(&self) -> bool {
+        self.len() == 0
+    }
+
+    /// When something of the kind happened, each time.
+    pub fn times(&self, what: impl Fn(&Happening) -> bool) -> Vec<Duration> {
+        let entries = self.lock();
+        let wanted = entries.iter().filter(|(_, entry)| entry.happening().is_some_and(&what));
+        wanted.map(|(at, _)| *at).collect()
+    }
+
+    /// How often something of the kind happened.
+    pub fn count(&self, what: impl Fn(&Happening) -> bool) -> usize {
+        self.times(what).len()
+    }
+
+    /// Everything, a line each, for a person who looks for the reason.
+    pub fn tale(&self) -> String {
+        let line = |(at, entry): &(Duration, Entry)| {
+            let mut what = match entry {
+                Entry::Told(event) => format!("{:?}", event.what),
+                Entry::Done { what, .. } => format!("*** {what}"),
+            };
+            what.truncate(what.char_indices().nth(260).map_or(what.len(), |(index, _)| index));
+            format!("{:8.3} {:>8} {what}\n", at.as_secs_f64(), entry.node().to_string())
+        };
+        self.lock().iter().map(line).collect()
+    }
+
+    /// By task of a mission: at which nodes it was begun, and at which it ended well, in order.
+    pub fn doers(&self, mission: &MissionId) -> BTreeMap<String, (Vec<String>, Vec<String>)> {
+        let mut doers: BTreeMap<String, (Vec<String>, Vec<String>)> = BTreeMap::new();
+        for (_, entry) in self.lock().iter() {
+            match entry.happening() {
+                Some(Happening::TaskBegan { mission: of, task, .. }) if of == mission => {
+                    doers.entry(task.to_string()).or_default().0.push(entry.node().to_string());
+                }
+                Some(Happening::TaskEnded { mission: of, task, .. }) if of == mission => {
+                    doers.entry(task.to_string()).or_default().1.push(entry.node().to_string());
+                }
+                _ => {}
+            }
+        }
+        doers
+    }
+
+    /// Who acted in which role from when to when: from its start or resumption until it suspended, halted or was killed.
+    pub fn spells(&self) -> Vec<Spell> {
+        let mut spells: Vec<Spell> = vec![];
+        let entries = self.entries();
+        for (at, entry) in &entries {
+            let node = entry.node();
+            let of = |mission: &MissionId, role: &RoleId| (mission.clone(), role.clone());
+            match entry {
+                Entry::Told(event) => match &event.what {
+                    Happening::Started { mission, role, .. } | Happening::Resumed { mission, role } => {
+                        let (mission, role) = of(mission, role);
+                        spells.push(Spell { robot: node.clone().into(), mission, role, from: *at, to: None });
+                    }
+                    Happening::Suspended { mission, role } | Happening::Halted { mission, role, .. } => {
+                        let ends = |spell: &&mut Spell| {
+                            spell.to.is_none()
+                                && spell.robot.as_str() == node.as_str()
+                                && (&spell.mission, &spell.role) == (mission, role)
+                        };
+                        if let Some(spell) = spells.iter_mut().find(ends) {
+                            spell.to = Some(*at);
+                        }
+                    }
+                    _ => {}
+                },
+                Entry::Done { what: "killed", .. } => {
+                    for spell in spells.iter_mut().filter(|s| s.to.is_none() && s.robot.as_str() == node.as_str()) {
+                        spell.to = Some(*at);
+                    }
+                }
+                Entry::Done { .. } => {}
+            }
+        }
+        spells
+    }
+}
+
+/// One robot's acting in one role.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Spell {
+    /// Who.
+    pub robot: RobotId,
+    /// For which mission.
+    pub mission: MissionId,
+    /// In which role.
+    pub role: RoleId,
+    /// Since when.
+    pub from: Duration,
+    /// Until when; `None` if still.
+    pub to: Option<Duration>,
+}
+
+impl Spell {
+    /// Whether there was an instant that belongs to both.
+    pub fn overlaps(&self, other: &Spell) -> bool {
+        let ends = |spell: &Spell| spell.to.unwrap_or(Duration::MAX);
+        self.from < ends(other) && other.from < ends(self)
+    }
+}

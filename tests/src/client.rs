@@ -1,0 +1,86 @@
+//! What any client can do: make requests, look, and see who is there.
+
+use crate::{Fleet, slug};
+use consort_actors::bus::Bus;
+use consort_protocol::ids::MissionId;
+use consort_protocol::keys::{ApiCall, Key};
+use serde_json::{Value, json};
+use std::collections::{BTreeMap, BTreeSet};
+use std::time::Duration;
+
+impl Fleet {
+    /// Makes a request as any client would. `None` when nobody answered.
+    pub async fn ask(&self, call: ApiCall, payload: &Value) -> Option<Value> {
+        self.ask_in_words(call, &payload.to_string()).await
+    }
+
+    /// Makes a request of any content.
+    pub async fn ask_in_words(&self, call: ApiCall, payload: &str) -> Option<Value> {
+        let key = self.keys.write(&Key::Api(call));
+        let limit = Duration::from_secs(3);
+        let payload = payload.to_owned().into();
+        let mut replies = self.client.query(&key, payload, limit).await.expect("a virtual bus");
+        let payload = replies.recv().await?.payload.expect("an answer");
+        Some(serde_json::from_slice(&payload).expect("JSON"))
+    }
+
+    /// Makes a request to which there must be an answer.
+    pub async fn answer(&self, call: ApiCall, payload: &Value) -> Value {
+        let answer = self.ask(call, payload).await;
+        answer.unwrap_or_else(|| panic!("seed {}: no answer to {payload}\n{}", self.seed, self.tale()))
+    }
+
+    /// What is to be seen under a key expression below `view/`, and how often each key was answered.
+    ///
+    /// # Panics
+    /// When the answers are not JSON, or one key is answered twice.
+    pub async fn view(&self, what: &str) -> BTreeMap<String, Value> {
+        let key = format!("consort/ward/view/{what}");
+        let limit = Duration::from_secs(1);
+        let mut replies = self.client.query(&key, vec![].into(), limit).await.expect("a virtual bus");
+        let mut views = BTreeMap::new();
+        while let Some(reply) = replies.recv().await {
+            let payload = reply.payload.expect("a view");
+            let value: Value = serde_json::from_slice(&payload).expect("JSON");
+            let name = reply.key.trim_start_matches("consort/ward/view/").to_owned();
+            let former = views.insert(name, value);
+            assert!(former.is_none(), "seed {}: {} was answered twice", self.seed, reply.key);
+        }
+        views
+    }
+
+    /// Asks for lab samples from a room until somebody acknowledges it.
+    pub async fn submit(&self, request: &str, room: &str) -> MissionId {
+        slug(self.submit_and_read(request, room).await["mission"].as_str().expect("an acknowledgement names it"))
+    }
+
+    /// As [`submit`](Fleet::submit), and gives the whole answer.
+    pub async fn submit_and_read(&self, request: &str, room: &str) -> Value {
+        let asked = json!({ "mission": "lab-samples", "parameters": { "room": room }, "request": request });
+        for _ in 0..200 {
+            if let Some(answer) = self.ask(ApiCall::Submit, &asked).await
+                && answer["mission"].is_string()
+            {
+                return answer;
+            }
+            tokio::time::sleep(Duration::from_millis(100)).await;
+        }
+        panic!("seed {}: request {request} was not acknowledged\n{}", self.seed, self.tale());
+    }
+
+    /// The presence tokens that a client who comes now sees, without the fleet's prefix.
+    pub async fn present(&self) -> BTreeSet<String> {
+        let mut tokens = self.client.watch(&self.keys.any_alive()).await.expect("a virtual bus");
+        let mut present = BTreeSet::new();
+        // What is there already is told within one crossing of the network.
+        while let Ok(Some(token)) = tokio::time::timeout(Duration::from_millis(100), tokens.recv()).await {
+            let name = token.key.trim_start_matches("consort/ward/alive/").to_owned();
+            if token.alive {
+                present.insert(name)
+            } else {
+                present.remove(&name)
+            };
+        }
+        present
+    }
+}

@@ -1,0 +1,136 @@
+//! How things stand, looked at from inside and from the world.
+
+use crate::{Fleet, slug};
+use consort_actors::node::NodeHandle;
+use consort_protocol::event::Happening;
+use consort_protocol::ids::{MissionId, NodeId, RobotId};
+use consort_protocol::ledger::{Ledger, MissionState};
+use consort_sim::world::{JournalEntry, Keeper};
+use consort_skills::actions::BodyHost;
+use std::collections::{BTreeMap, BTreeSet};
+use std::time::Duration;
+
+impl Fleet {
+    /// Waits until somebody coordinates, and says who.
+    pub async fn coordinator(&mut self) -> NodeId {
+        self.until("an election", Duration::from_secs(20), |fleet| fleet.coordinating().is_some()).await;
+        self.coordinating().expect("just seen")
+    }
+
+    /// Who coordinates at this moment: of several who believe that they do, the latest elected.
+    pub fn coordinating(&self) -> Option<NodeId> {
+        let leads = |node: &NodeHandle| {
+            let leadership = node.replica.as_ref()?.leadership().borrow().clone();
+            leadership.is_me.then(|| (leadership.term, node.node.clone()))
+        };
+        self.nodes.values().filter_map(leads).max().map(|(_, node)| node)
+    }
+
+    /// The names of the nodes that run.
+    pub fn running(&self) -> Vec<String> {
+        self.nodes.keys().cloned().collect()
+    }
+
+    /// What the coordinator's ledger says; `None` while nobody coordinates.
+    pub fn ledger<T>(&self, look: impl FnOnce(&Ledger) -> T) -> Option<T> {
+        let coordinator = self.coordinating()?;
+        Some(self.nodes[coordinator.as_str()].replica.as_ref()?.read(look))
+    }
+
+    /// How a mission stands, as the ledger of that node says which has come furthest.
+    pub fn state_of(&self, mission: &MissionId) -> Option<MissionState> {
+        let states = self.nodes.values().filter_map(|node| {
+            let read = |ledger: &Ledger| {
+                let entry = ledger.mission(mission)?;
+                Some((entry.state.is_end(), entry.progress().0, entry.state.clone()))
+            };
+            node.replica.as_ref()?.read(read)
+        });
+        states.max_by_key(|(over, done, _)| (*over, *done)).map(|(_, _, state)| state)
+    }
+
+    /// The same in one word.
+    pub fn state(&self, mission: &MissionId) -> Option<String> {
+        self.state_of(mission).map(|state| state.word().to_owned())
+    }
+
+    /// Waits for the end of a mission and says how it ended.
+    pub async fn end_of(&mut self, mission: &MissionId) -> MissionState {
+        let over = |fleet: &Fleet| fleet.state_of(mission).filter(MissionState::is_end);
+        self.until(&format!("the end of {mission}"), Duration::from_secs(300), |fleet| over(fleet).is_some()).await;
+        over(self).expect("just seen")
+    }
+
+    /// Waits until missions are completed; tells the whole tale if one ends otherwise.
+    pub async fn completes(&mut self, mission: &MissionId) {
+        let end = self.end_of(mission).await;
+        assert_eq!(end, MissionState::Completed, "seed {}: {mission}\n{}", self.seed, self.tale());
+    }
+
+    /// Who holds a role of a mission, as the coordinator's ledger says.
+    pub fn holder(&self, mission: &MissionId, role: &str) -> Option<RobotId> {
+        let role = slug(role);
+        self.ledger(|ledger| {
+            ledger.mission(mission)?.roles.get(&role)?.holder.as_ref().map(|holder| holder.robot.clone())
+        })?
+    }
+
+    /// Every robot to which a role of the mission was ever given.
+    pub fn holders_ever(&self, mission: &MissionId) -> BTreeSet<String> {
+        let mut robots: BTreeSet<String> = self
+            .ledger(|ledger| ledger.mission(mission).map(|entry| entry.holders()))
+            .flatten()
+            .into_iter()
+            .flatten()
+            .map(|(_, robot)| robot.to_string())
+            .collect();
+        for what in self.happenings() {
+            if let Happening::Awarded { mission: of, holders, .. } = what
+                && of == *mission
+            {
+                robots.extend(holders.into_values().map(|robot| robot.to_string()));
+            }
+        }
+        robots.extend(
+            self.chronicle
+                .spells()
+                .into_iter()
+                .filter(|spell| spell.mission == *mission)
+                .map(|spell| spell.robot.to_string()),
+        );
+        robots
+    }
+
+    /// All that nodes told, in order.
+    pub fn happenings(&self) -> Vec<Happening> {
+        self.chronicle.entries().iter().filter_map(|(_, entry)| entry.happening().cloned()).collect()
+    }
+
+    /// Whether something of the kind has happened.
+    pub fn happened(&self, what: impl Fn(&Happening) -> bool) -> bool {
+        self.chronicle.count(what) > 0
+    }
+
+    /// How often each task of a mission was begun and ended well, by name.
+    pub fn tasks(&self, mission: &MissionId) -> BTreeMap<String, (usize, usize)> {
+        let doers = self.chronicle.doers(mission);
+        doers.into_iter().map(|(task, (began, ended))| (task, (began.len(), ended.len()))).collect()
+    }
+
+    /// Where a robot's body is, in metres.
+    pub fn position(&self, robot: &str) -> (f64, f64) {
+        let telemetry = self.world.telemetry(&slug(robot)).expect("a body of this world");
+        (telemetry.pose.x, telemetry.pose.y)
+    }
+
+    /// Who has the sample of a room.
+    pub fn keeper(&self, room: &str) -> Keeper {
+        let id = format!("sample of {room}").as_str().into();
+        self.world.with(|world| world.sample(&id).expect("a sample of this world").keeper)
+    }
+
+    /// What happened in the world so far.
+    pub fn journal(&self) -> &[JournalEntry] {
+        &self.journal
+    }
+}

@@ -1,0 +1,98 @@
+//! Robots of a fleet, before it starts.
+
+use crate::slug;
+use consort_protocol::ids::PlaceId;
+use consort_protocol::knowledge::{Availability, Worker};
+use consort_protocol::pose::Pose;
+use consort_protocol::units::{BatteryShare, MetresPerSecond, SharePerSecond};
+use consort_sim::map::Map;
+use consort_sim::world::RobotBody;
+use consort_skills::library::SkillLibrary;
+
+/// A robot of the fleet, before the fleet starts.
+#[derive(Debug, Clone)]
+pub struct Member {
+    /// Its name.
+    pub name: &'static str,
+    /// Where it starts.
+    pub place: &'static str,
+    /// Metres per second; `None` for an arm.
+    pub speed: Option<f64>,
+    /// Charge at the start, as a share.
+    pub battery: f64,
+    /// Its skills.
+    pub skills: Vec<&'static str>,
+    /// Changes its skill library before it starts.
+    pub trained: Option<fn(&mut SkillLibrary)>,
+    /// Whether its node is started only when the test says so.
+    pub late: bool,
+}
+
+impl Member {
+    /// A robot with a drawer, as lab samples need one.
+    pub fn carrier(name: &'static str, place: &'static str) -> Member {
+        let skills = vec!["navigation", "approach_person", "authenticate_person", "operate_drawer", "approach_robot"];
+        Member { name, place, speed: Some(0.6), battery: 0.9, skills, trained: None, late: false }
+    }
+
+    /// An arm that takes samples out of drawers.
+    pub fn arm(name: &'static str, place: &'static str) -> Member {
+        Member { name, place, speed: None, battery: 1.0, skills: vec!["pick_up"], trained: None, late: false }
+    }
+
+    /// The same robot with another speed, in metres per second.
+    pub fn at_speed(self, speed: f64) -> Member {
+        Member { speed: Some(speed), ..self }
+    }
+
+    /// The same robot with another charge.
+    pub fn charged(self, battery: f64) -> Member {
+        Member { battery, ..self }
+    }
+
+    /// The same robot with other skills.
+    pub fn able(self, skills: &[&'static str]) -> Member {
+        Member { skills: skills.to_vec(), ..self }
+    }
+
+    /// The same robot with a skill library of its own.
+    pub fn trained(self, train: fn(&mut SkillLibrary)) -> Member {
+        Member { trained: Some(train), ..self }
+    }
+
+    /// The same robot, whose node is started later by the test.
+    pub fn late(self) -> Member {
+        Member { late: true, ..self }
+    }
+
+    pub(crate) fn body(&self) -> RobotBody {
+        let (id, place) = (slug(self.name), slug(self.place));
+        match self.speed {
+            Some(speed) => {
+                let speed = MetresPerSecond::new(speed).expect("a speed");
+                let battery = BatteryShare::new(self.battery).expect("a share");
+                RobotBody::carrier(id, place, speed, battery, self.discharge())
+            }
+            None => RobotBody::arm(id, place),
+        }
+    }
+
+    fn discharge(&self) -> SharePerSecond {
+        SharePerSecond::new(if self.speed.is_some() { 0.0004 } else { 0.0 }).expect("a rate")
+    }
+
+    pub(crate) fn worker(&self, map: &Map) -> Worker {
+        let place: PlaceId = slug(self.place);
+        Worker {
+            skills: self.skills.iter().map(|skill| slug(skill)).collect(),
+            pose: map.place(&place).map_or(Pose::default(), |place| place.pose),
+            place,
+            battery: BatteryShare::new(self.battery).expect("a share"),
+            discharge: self.discharge(),
+            useful_charge: BatteryShare::new(0.08).expect("a share"),
+            speed: self.speed.map(|speed| MetresPerSecond::new(speed).expect("a speed")),
+            availability: Availability::Free,
+            estimator: "1".to_owned(),
+        }
+    }
+}

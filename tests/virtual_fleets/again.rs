@@ -1,0 +1,21 @@
+//! One mission after another.
+
+use consort_protocol::event::Happening;
+use consort_protocol::ledger::MissionState;
+use consort_tests::{Fleet, Member};
+
+#[tokio::test(flavor = "current_thread", start_paused = true)]
+async fn a_robot_that_has_finished_wins_again_at_once() {
+    for seed in 1..=5 {
+        let robots = vec![Member::carrier("ada", "Dock")];
+        let mut fleet = Fleet::hospital(seed, robots, &["station"], &["IC Room 1", "PC Room 1"]).await;
+        for (number, room) in [(1, "IC Room 1"), (2, "PC Room 1")] {
+            let mission = fleet.submit(&format!("request-{number}"), room).await;
+            assert_eq!(fleet.end_of(&mission).await, MissionState::Completed, "seed {seed}\n{}", fleet.tale());
+        }
+        let happenings = fleet.happenings();
+        let releases = happenings.iter().filter(|what| matches!(what, Happening::Released { .. })).count();
+        let awards = happenings.iter().filter(|what| matches!(what, Happening::Awarded { .. })).count();
+        assert_eq!((awards, releases), (2, 0), "seed {seed}\n{}", fleet.tale());
+    }
+}

@@ -1,0 +1,64 @@
+//! One seed is one run.
+
+use consort_actors::bus::LinkModel;
+use consort_protocol::event::Happening;
+use consort_tests::{Entry, Fleet, Member, tell};
+use std::cell::RefCell;
+use std::time::Duration;
+
+/// A mission over bad links, with a takeover and a restart in it.
+async fn run(seed: u64) -> (Vec<(Duration, Entry)>, u64) {
+    let robots = vec![
+        Member::carrier("amber", "PC Room 8"),
+        Member::carrier("birch", "IC Room 4"),
+        Member::carrier("cedar", "Dock"),
+    ];
+    let mut fleet = Fleet::hospital(seed, robots, &["aba", "abb"], &["IC Room 6"]).await;
+    fleet.network.set_link_model(LinkModel {
+        loss: 0.01,
+        duplication: 0.01,
+        reordering: 0.01,
+        reordering_delay: Duration::from_millis(20),
+        ..LinkModel::LAN
+    });
+    fleet.coordinator().await;
+    let mission = fleet.submit("a", "IC Room 6").await;
+    let began = |what: &Happening| matches!(what, Happening::TaskBegan { .. });
+    fleet.until("the first task", Duration::from_secs(60), |fleet| fleet.happened(began)).await;
+    fleet.kill("aba").await;
+    fleet.coordinator().await;
+    fleet.start_station("aba").await;
+    fleet.end_of(&mission).await;
+    (fleet.chronicle.entries(), fleet.network.digest())
+}
+
+fn alone(seed: u64) -> (Vec<(Duration, Entry)>, u64) {
+    let runs = RefCell::new(vec![]);
+    tell([seed], async |seed| {
+        let outcome = run(seed).await;
+        runs.borrow_mut().push(outcome);
+    });
+    runs.into_inner().pop().expect("one run")
+}
+
+#[test]
+fn a_seed_gives_the_same_tale_and_the_same_messages_each_time() {
+    for seed in 1..=3 {
+        let (tale, digest) = alone(seed);
+        let (again, digest_again) = alone(seed);
+        for (one, other) in tale.iter().zip(&again) {
+            assert_eq!(one, other, "seed {seed}: the first difference");
+        }
+        assert_eq!(tale.len(), again.len(), "seed {seed}");
+        assert_eq!(digest, digest_again, "seed {seed}");
+    }
+}
+
+#[test]
+fn another_seed_gives_another_run() {
+    let runs: Vec<_> = (1..=3).map(alone).collect();
+    for (one, other) in [(0, 1), (0, 2), (1, 2)] {
+        assert_ne!(runs[one].1, runs[other].1, "digests of seeds {} and {}", one + 1, other + 1);
+        assert_ne!(runs[one].0, runs[other].0, "tales of seeds {} and {}", one + 1, other + 1);
+    }
+}

@@ -1,0 +1,157 @@
+//! A role has one active holder at most, whatever the network does.
+
+use consort_protocol::event::Happening;
+use consort_protocol::ids::MissionId;
+use consort_protocol::lease::{Ending, LeaseTerms};
+use consort_sim::world::{Happening as InWorld, JournalEntry};
+use consort_skills::actions::Goal;
+use consort_tests::{Fleet, Member, tell};
+use std::time::Duration;
+
+const SEEDS: [u64; 3] = [81, 82, 83];
+const ROOM: &str = "IC Room 6";
+const SOON: Duration = Duration::from_secs(60);
+/// How often a robot looks after its lease.
+const BEAT: Duration = Duration::from_millis(260);
+
+fn began(task: &'static str) -> impl Fn(&Happening) -> bool {
+    move |what| matches!(what, Happening::TaskBegan { task: of, .. } if of.as_str() == task)
+}
+
+fn suspended(what: &Happening) -> bool {
+    matches!(what, Happening::Suspended { .. })
+}
+
+fn released(what: &Happening) -> bool {
+    matches!(what, Happening::Released { .. })
+}
+
+fn replaced(what: &Happening) -> bool {
+    matches!(what, Happening::Halted { reason: Ending::Replaced, .. })
+}
+
+/// `gorse` is on its long way to the room, and has told nobody anything.
+async fn under_way(seed: u64) -> (Fleet, MissionId) {
+    let robots = vec![Member::carrier("fern", "Dock"), Member::carrier("gorse", "PC Room 8").at_speed(0.7)];
+    let mut fleet = Fleet::hospital(seed, robots, &["aster", "basil", "clove"], &[ROOM]).await;
+    assert_eq!(fleet.coordinator().await.as_str(), "aster", "seed {seed}: who coordinates");
+    // fern is slower to get there only if gorse is nearer: the story needs to know who holds the role.
+    let mission = fleet.submit("a", ROOM).await;
+    fleet.until("the way to the room", SOON, |fleet| fleet.happened(began("navto_room"))).await;
+    (fleet, mission)
+}
+
+fn holder(fleet: &Fleet, mission: &MissionId) -> (String, String) {
+    let holder = fleet.holder(mission, "r1").expect("held").to_string();
+    let other = if holder == "gorse" { "fern" } else { "gorse" };
+    (holder, other.to_owned())
+}
+
+/// At no instant of the world did both carriers drive.
+fn never_two_driven(fleet: &Fleet) {
+    let mut driving: Vec<(String, u64)> = vec![];
+    let mut drives = 0;
+    for JournalEntry { time, what } in fleet.journal() {
+        match what {
+            InWorld::GoalBegan { robot, id, goal: Goal::NavigateToPose { .. } } => {
+                drives += 1;
+                driving.push((robot.to_string(), id.0));
+            }
+            InWorld::GoalEnded { robot, id, .. } => driving.retain(|one| *one != (robot.to_string(), id.0)),
+            _ => {}
+        }
+        let first = driving.first().map(|(robot, _)| robot);
+        assert!(
+            driving.iter().all(|(robot, _)| Some(robot) == first),
+            "seed {}: {driving:?} at {time:?}\n{}",
+            fleet.seed,
+            fleet.tale()
+        );
+    }
+    assert!(drives > 1, "seed {}: {drives} drives in the journal", fleet.seed);
+}
+
+/// The holder suspends in time, the role goes to the other only afterwards, and only one ends the mission.
+async fn replaced_in_time(fleet: &mut Fleet, mission: &MissionId, latest: Duration) {
+    let seed = fleet.seed;
+    let (old, new) = holder(fleet, mission);
+    let cut = fleet.elapsed();
+    fleet.until("the suspension", SOON, |fleet| fleet.happened(suspended)).await;
+    let stopped = fleet.elapsed() - cut;
+    assert!(stopped <= latest + BEAT, "seed {seed}: suspended only after {stopped:?}\n{}", fleet.tale());
+    // A canceled goal has ended within a crossing of the network, if it did not end before.
+    tokio::time::sleep(Duration::from_millis(20)).await;
+    let place = fleet.position(&old);
+    fleet.until("the release", SOON, |fleet| fleet.happened(released)).await;
+    assert!(fleet.chronicle.times(suspended) < fleet.chronicle.times(released), "seed {seed}\n{}", fleet.tale());
+    fleet
+        .until("the other to begin", SOON, |fleet| {
+            fleet.spells_of(mission, "r1").last().is_some_and(|spell| spell.robot.as_str() == new)
+        })
+        .await;
+    assert_eq!(fleet.position(&old), place, "seed {seed}: it stands still\n{}", fleet.tale());
+    fleet.heal();
+    fleet.until("the old holder to put its role down", SOON, |fleet| fleet.happened(replaced)).await;
+    fleet.completes(mission).await;
+    fleet.sample_delivered(ROOM);
+    fleet.one_role_one_robot();
+    never_two_driven(fleet);
+    let doers = &fleet.chronicle.doers(mission)["navto_room"];
+    assert_eq!(*doers, (vec![old, new.clone()], vec![new]), "seed {seed}\n{}", fleet.tale());
+}
+
+#[test]
+fn a_robot_that_nobody_hears_suspends_and_is_replaced_only_then() {
+    tell(SEEDS, async |seed| {
+        let (mut fleet, mission) = under_way(seed).await;
+        let (old, _) = holder(&fleet, &mission);
+        fleet.cut_off(&[&old]);
+        replaced_in_time(&mut fleet, &mission, LeaseTerms::default().lease).await;
+    });
+}
+
+#[test]
+fn a_robot_that_still_reaches_its_body_stops_it_all_the_same() {
+    tell(SEEDS, async |seed| {
+        let (mut fleet, mission) = under_way(seed).await;
+        let (old, _) = holder(&fleet, &mission);
+        // Only the host of its body hears it, so that nothing but its own lease stops it.
+        for node in fleet.running().iter().filter(|node| **node != old && *node != "world") {
+            let (old, node) = (old.parse().expect("a name"), node.parse().expect("a name"));
+            fleet.network.cut(Clone::clone(&old), Clone::clone(&node));
+            fleet.network.cut(node, old);
+        }
+        replaced_in_time(&mut fleet, &mission, LeaseTerms::default().lease).await;
+    });
+}
+
+#[test]
+fn a_blackout_shorter_than_the_lease_is_survived_in_motion() {
+    tell(SEEDS, async |seed| {
+        let (mut fleet, mission) = under_way(seed).await;
+        let (old, _) = holder(&fleet, &mission);
+        fleet.cut_off(&[&old]);
+        fleet.never("a suspension", Duration::from_millis(2500), |fleet| fleet.happened(suspended)).await;
+        fleet.heal();
+        fleet.completes(&mission).await;
+        fleet.each_task_once(&mission);
+        fleet.sample_delivered(ROOM);
+        assert!(!fleet.happened(suspended) && !fleet.happened(released), "seed {seed}\n{}", fleet.tale());
+    });
+}
+
+#[test]
+fn a_coordinator_cut_off_with_a_holder_stops_renewing_its_lease() {
+    tell(SEEDS, async |seed| {
+        let (mut fleet, mission) = under_way(seed).await;
+        let (old, _) = holder(&fleet, &mission);
+        fleet.cut_off(&["aster", &old]);
+        // It may renew for as long as it may believe that it leads.
+        let terms = LeaseTerms::default();
+        replaced_in_time(&mut fleet, &mission, terms.leadership_age_max() + terms.lease).await;
+        let coordinator = fleet.coordinator().await;
+        assert_ne!(coordinator.as_str(), "aster", "seed {seed}");
+        let down = fleet.chronicle.count(|what| matches!(what, Happening::SteppedDown { .. }));
+        assert_eq!(down, 1, "seed {seed}: the former coordinator knows\n{}", fleet.tale());
+    });
+}

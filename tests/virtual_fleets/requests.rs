@@ -1,0 +1,173 @@
+//! What clients ask for, and what they get.
+
+use consort_protocol::event::Happening;
+use consort_protocol::keys::ApiCall;
+use consort_protocol::lease::Ending;
+use consort_tests::{Fleet, Member, tell};
+use serde_json::{Value, json};
+use std::time::Duration;
+
+const SEEDS: [u64; 2] = [91, 92];
+const ROOM: &str = "IC Room 6";
+const SOON: Duration = Duration::from_secs(60);
+
+async fn fleet(seed: u64) -> Fleet {
+    let robots = vec![Member::carrier("fern", "Dock"), Member::carrier("gorse", "IC Room 4")];
+    let mut fleet = Fleet::hospital(seed, robots, &["aster", "basil", "clove"], &[ROOM]).await;
+    assert_eq!(fleet.coordinator().await.as_str(), "aster", "seed {seed}: who coordinates");
+    fleet
+}
+
+/// Nobody can do it: all carriers are nearly empty.
+async fn tired_fleet(seed: u64) -> Fleet {
+    let robots = vec![Member::carrier("fern", "Dock").charged(0.1), Member::carrier("gorse", "IC Room 4").charged(0.1)];
+    let mut fleet = Fleet::hospital(seed, robots, &["aster"], &[ROOM]).await;
+    fleet.coordinator().await;
+    fleet
+}
+
+fn missions(fleet: &Fleet) -> Option<usize> {
+    fleet.ledger(|ledger| ledger.missions().count())
+}
+
+#[test]
+fn a_repeated_request_gets_the_first_answer_again_whoever_coordinates() {
+    tell(SEEDS, async |seed| {
+        let mut fleet = fleet(seed).await;
+        let first = fleet.submit_and_read("my-7", ROOM).await;
+        assert_eq!(first, json!({ "mission": "lab-samples-1", "again": false }), "seed {seed}");
+        let again = json!({ "mission": "lab-samples-1", "again": true });
+        assert_eq!(fleet.submit_and_read("my-7", ROOM).await, again, "seed {seed}");
+        fleet.kill("aster").await;
+        assert_eq!(fleet.submit_and_read("my-7", ROOM).await, again, "seed {seed}: after a takeover");
+        assert_eq!(missions(&fleet), Some(1), "seed {seed}");
+        fleet.completes(&"lab-samples-1".parse().expect("an id")).await;
+        assert_eq!(fleet.submit_and_read("my-7", ROOM).await, again, "seed {seed}: after the end");
+        assert_eq!(missions(&fleet), Some(1), "seed {seed}");
+    });
+}
+
+#[test]
+fn an_answer_that_was_lost_with_its_coordinator_is_given_by_the_next() {
+    tell(SEEDS, async |seed| {
+        let mut fleet = fleet(seed).await;
+        fleet.network.cut("aster".parse().expect("a name"), "client".parse().expect("a name"));
+        let asked = json!({ "mission": "lab-samples", "parameters": { "room": ROOM }, "request": "my-7" });
+        let answer = fleet.ask(ApiCall::Submit, &asked).await;
+        assert_eq!(answer, None, "seed {seed}: the answer was lost");
+        assert_eq!(missions(&fleet), Some(1), "seed {seed}: and the mission committed");
+        fleet.kill("aster").await;
+        fleet.heal();
+        let answer = fleet.submit_and_read("my-7", ROOM).await;
+        assert_eq!(answer, json!({ "mission": "lab-samples-1", "again": true }), "seed {seed}");
+        assert_eq!(missions(&fleet), Some(1), "seed {seed}");
+        let mission = "lab-samples-1".parse().expect("an id");
+        fleet.completes(&mission).await;
+        fleet.each_task_once(&mission);
+    });
+}
+
+#[test]
+fn a_request_that_cannot_be_understood_says_what_would_be_and_changes_nothing() {
+    tell(SEEDS, async |seed| {
+        let fleet = fleet(seed).await;
+        let cases: [(ApiCall, &str, &[&str]); 8] = [
+            (ApiCall::Submit, "{", &["an example is", "lab-samples"]),
+            (ApiCall::Submit, "", &["an example is"]),
+            (ApiCall::Submit, r#"{"mision": "lab-samples"}"#, &["unknown field `mision`", "expected one of `mission`"]),
+            (ApiCall::Submit, r#"{"mission": "tea"}"#, &["\"tea\"", "bed-transfer, lab-samples, ward-disinfection"]),
+            (ApiCall::Submit, r#"{"mission": "lab-samples", "parameters": {"romm": "IC Room 6"}}"#, &["romm", "room"]),
+            (ApiCall::Submit, r#"{"mission": "lab-samples", "request": "a b/c*"}"#, &["a b/c*"]),
+            (ApiCall::Cancel, r#"{"mission": "lab-samples-9"}"#, &["no mission lab-samples-9"]),
+            (ApiCall::Get, r#"{"mission": "lab-samples-9"}"#, &["no mission lab-samples-9"]),
+        ];
+        for (call, payload, says) in cases {
+            let answer = fleet.ask_in_words(call, payload).await;
+            let answer = answer.unwrap_or_else(|| panic!("seed {seed}: no answer to {payload}"));
+            let error = answer["error"].as_str().unwrap_or_else(|| panic!("seed {seed}: {payload} got {answer}"));
+            for part in says {
+                assert!(error.contains(part), "seed {seed}: {payload} got {error:?}, without {part:?}");
+            }
+        }
+        assert_eq!(missions(&fleet), Some(0), "seed {seed}");
+        assert!(!fleet.happened(|what| matches!(what, Happening::Submitted { .. })), "seed {seed}\n{}", fleet.tale());
+    });
+}
+
+#[test]
+fn a_mission_canceled_while_it_waits_is_never_begun() {
+    tell(SEEDS, async |seed| {
+        let mut fleet = tired_fleet(seed).await;
+        let mission = fleet.submit("a", ROOM).await;
+        let answer = fleet.answer(ApiCall::Cancel, &json!({ "mission": mission, "by": "a nurse" })).await;
+        let state = json!({ "canceled": { "by": "a nurse" } });
+        assert_eq!(answer, json!({ "mission": mission, "state": state }), "seed {seed}");
+        assert_eq!(fleet.end_of(&mission).await.word(), "canceled", "seed {seed}");
+        let called = |what: &Happening| matches!(what, Happening::Called { .. });
+        let calls = fleet.chronicle.count(called);
+        fleet.never("a call", Duration::from_secs(10), |fleet| fleet.chronicle.count(called) > calls).await;
+        assert!(fleet.tasks(&mission).is_empty(), "seed {seed}\n{}", fleet.tale());
+    });
+}
+
+#[test]
+fn a_mission_canceled_under_way_stops_its_robots_and_frees_them() {
+    tell(SEEDS, async |seed| {
+        let mut fleet = fleet(seed).await;
+        let mission = fleet.submit("a", ROOM).await;
+        let began =
+            |what: &Happening| matches!(what, Happening::TaskBegan { task, .. } if task.as_str() == "navto_lab");
+        fleet.until("the way to the laboratory", SOON, |fleet| fleet.happened(began)).await;
+        let robot = fleet.holder(&mission, "r1").expect("held").to_string();
+        fleet.answer(ApiCall::Cancel, &json!({ "mission": mission })).await;
+        let halted = |what: &Happening| matches!(what, Happening::Halted { reason: Ending::Canceled, .. });
+        fleet.until("both to halt", Duration::from_secs(2), |fleet| fleet.chronicle.count(halted) == 2).await;
+        // The order to stop is one crossing of the network away.
+        tokio::time::sleep(Duration::from_millis(20)).await;
+        let place = fleet.position(&robot);
+        for who in [robot.as_str(), "lab-arm"] {
+            let mut free = false;
+            for _ in 0..30 {
+                let views = fleet.view(&format!("robot/{who}")).await;
+                free = views[&format!("robot/{who}")]["robot"]["availability"] == "free";
+                if free {
+                    break;
+                }
+                tokio::time::sleep(Duration::from_millis(100)).await;
+            }
+            assert!(free, "seed {seed}: {who}\n{}", fleet.tale());
+        }
+        assert_eq!(fleet.position(&robot), place, "seed {seed}: it stands still");
+        let begun = fleet.tasks(&mission);
+        fleet.never("anything of the mission", Duration::from_secs(10), |fleet| fleet.tasks(&mission) != begun).await;
+
+        // Once more is an error, and changes nothing.
+        let answer = fleet.answer(ApiCall::Cancel, &json!({ "mission": mission, "by": "a late one" })).await;
+        let error = answer["error"].as_str().expect("an error");
+        assert!(error.contains(mission.as_str()) && error.contains("canceled"), "seed {seed}: {error}");
+        let got = fleet.answer(ApiCall::Get, &json!({ "mission": mission })).await;
+        assert_eq!(got["detail"], json!({ "canceled": { "by": "a client" } }), "seed {seed}");
+    });
+}
+
+#[test]
+fn missions_can_be_listed_and_looked_at_one_by_one() {
+    tell(SEEDS, async |seed| {
+        let mut fleet = fleet(seed).await;
+        assert_eq!(fleet.answer(ApiCall::List, &Value::Null).await, json!({ "missions": [] }), "seed {seed}");
+        let mission = fleet.submit("my-7", ROOM).await;
+        fleet.completes(&mission).await;
+        let list = fleet.answer(ApiCall::List, &Value::Null).await;
+        let brief = &list["missions"][0];
+        assert_eq!(brief["mission"], json!(mission), "seed {seed}: {list}");
+        assert_eq!((&brief["state"], &brief["done"]), (&json!("completed"), &brief["steps"]), "seed {seed}");
+        assert_eq!(brief["holders"], json!({ "lab_arm": "lab-arm", "r1": "gorse" }), "seed {seed}");
+        let got = fleet.answer(ApiCall::Get, &json!({ "mission": mission })).await;
+        assert_eq!((&got["request"], &got["number"]), (&json!("my-7"), &json!(1)), "seed {seed}");
+        let views = fleet.view(&format!("mission/{mission}")).await;
+        assert_eq!(views[&format!("mission/{mission}")], got, "seed {seed}: both ways of looking agree");
+        let answer = fleet.answer(ApiCall::Cancel, &json!({ "mission": mission })).await;
+        let error = answer["error"].as_str().expect("an error");
+        assert!(error.contains("completed"), "seed {seed}: {error}");
+    });
+}

@@ -1,0 +1,140 @@
+//! The coordinator is killed at any point, and missions go on.
+//!
+//! In a fleet with the stations `aster`, `basil` and `clove`, the voters are these three, the arm and `fern`, the first
+//! of the robots by name; `aster` founds the ledger. None of the nodes that may coordinate first holds a role that way.
+
+use consort_protocol::event::Happening;
+use consort_protocol::ids::MissionId;
+use consort_protocol::ledger::MissionState;
+use consort_tests::{Fleet, Member, tell};
+use std::time::Duration;
+
+const SEEDS: [u64; 3] = [11, 12, 13];
+const ROOM: &str = "IC Room 6";
+const SOON: Duration = Duration::from_secs(60);
+
+/// `fern` is far away and `gorse` near, so that `gorse` carries.
+async fn fleet(seed: u64) -> Fleet {
+    let robots = vec![Member::carrier("fern", "Dock"), Member::carrier("gorse", "IC Room 4")];
+    let mut fleet = Fleet::hospital(seed, robots, &["aster", "basil", "clove"], &[ROOM]).await;
+    let coordinator = fleet.coordinator().await;
+    assert_eq!(coordinator.as_str(), "aster", "seed {seed}: who coordinates first");
+    fleet
+}
+
+fn called(what: &Happening) -> bool {
+    matches!(what, Happening::Called { .. })
+}
+
+fn awarded(what: &Happening) -> bool {
+    matches!(what, Happening::Awarded { .. })
+}
+
+/// The mission was carried out once, and nobody noticed more than that.
+async fn carried_out_once(fleet: &mut Fleet, mission: &MissionId) {
+    fleet.completes(mission).await;
+    fleet.each_task_once(mission);
+    fleet.sample_delivered(ROOM);
+    fleet.one_role_one_robot();
+    // A coordinator that only came later finds the mission ended, too.
+    let seed = fleet.seed;
+    let end = |fleet: &Fleet| fleet.ledger(|ledger| ledger.mission(mission).map(|entry| entry.state.clone()));
+    fleet.until("the new coordinator to know", SOON, |fleet| end(fleet) == Some(Some(MissionState::Completed))).await;
+    let number = fleet.ledger(|ledger| ledger.missions().count());
+    assert_eq!(number, Some(1), "seed {seed}: missions in the ledger");
+}
+
+#[test]
+fn killed_as_soon_as_the_request_is_acknowledged_it_leaves_the_auction_to_the_next() {
+    tell(SEEDS, async |seed| {
+        let mut fleet = fleet(seed).await;
+        let mission = fleet.submit("a", ROOM).await;
+        fleet.kill("aster").await;
+        let awards = fleet.chronicle.count(awarded);
+        assert_eq!(awards, 0, "seed {seed}: awards before the kill\n{}", fleet.tale());
+        carried_out_once(&mut fleet, &mission).await;
+    });
+}
+
+#[test]
+fn killed_while_bids_come_in_it_leaves_a_new_auction_to_the_next() {
+    tell(SEEDS, async |seed| {
+        let mut fleet = fleet(seed).await;
+        // Members that answer late hold the auction open.
+        fleet.network.mute("fern".parse().expect("a name"));
+        let asked = fleet.submit("a", ROOM);
+        let mission = asked.await;
+        fleet.until("a call for bids", SOON, |fleet| fleet.happened(called)).await;
+        assert!(
+            !fleet.happened(|what| matches!(what, Happening::Closed { .. } | Happening::Awarded { .. })),
+            "seed {seed}: the auction was open at the kill\n{}",
+            fleet.tale()
+        );
+        fleet.kill("aster").await;
+        fleet.heal();
+        carried_out_once(&mut fleet, &mission).await;
+        assert!(fleet.chronicle.count(called) >= 2, "seed {seed}: called anew\n{}", fleet.tale());
+    });
+}
+
+#[test]
+fn killed_when_the_award_is_committed_and_nobody_knows_it_leaves_the_award_in_force() {
+    tell(SEEDS, async |seed| {
+        let mut fleet = fleet(seed).await;
+        let mission = fleet.submit("a", ROOM).await;
+        let held = |fleet: &Fleet| fleet.holder(&mission, "r1").is_some();
+        fleet.until("an award", SOON, held).await;
+        let epoch = |fleet: &Fleet| {
+            let epochs = fleet.ledger(|ledger| {
+                let roles = &ledger.mission(&mission).expect("it is there").roles;
+                roles.values().filter_map(|role| role.holder.as_ref().map(|holder| holder.epoch)).collect::<Vec<_>>()
+            });
+            epochs.expect("somebody coordinates")
+        };
+        let before = epoch(&fleet);
+        let accepted = |what: &Happening| matches!(what, Happening::Started { .. });
+        assert!(!fleet.happened(accepted), "seed {seed}: nobody has begun at the kill\n{}", fleet.tale());
+        fleet.kill("aster").await;
+        fleet.until("the next coordinator", SOON, |fleet| fleet.coordinating().is_some()).await;
+        carried_out_once(&mut fleet, &mission).await;
+        assert_eq!(epoch(&fleet), before, "seed {seed}: epochs\n{}", fleet.tale());
+        assert_eq!(fleet.chronicle.count(called), 1, "seed {seed}: calls\n{}", fleet.tale());
+    });
+}
+
+#[test]
+fn killed_at_any_point_of_the_execution_it_is_not_missed() {
+    let points = ["navto_room", "authenticate_nurse", "deposit", "navto_lab", "pick_up_sample", "close_drawer_lab"];
+    tell(21..27, async |seed| {
+        let point = points[usize::try_from(seed - 21).expect("a small number")];
+        let mut fleet = fleet(seed).await;
+        let mission = fleet.submit("a", ROOM).await;
+        let began = |what: &Happening| matches!(what, Happening::TaskBegan { task, .. } if task.as_str() == point);
+        fleet.until(&format!("the beginning of {point}"), SOON, |fleet| fleet.happened(began)).await;
+        fleet.kill("aster").await;
+        carried_out_once(&mut fleet, &mission).await;
+        assert_eq!(fleet.chronicle.count(called), 1, "seed {seed}: calls\n{}", fleet.tale());
+        let halted = fleet.chronicle.count(|what| matches!(what, Happening::Suspended { .. }));
+        assert_eq!(halted, 0, "seed {seed}: a takeover is shorter than a lease\n{}", fleet.tale());
+    });
+}
+
+#[test]
+fn five_voters_survive_two_coordinators_killed_in_one_mission() {
+    tell(SEEDS, async |seed| {
+        let robots = vec![Member::carrier("fern", "Dock"), Member::carrier("gorse", "IC Room 4")];
+        let stations = ["aster", "basil", "clove", "daisy", "elder"];
+        let mut fleet = Fleet::hospital(seed, robots, &stations, &[ROOM]).await;
+        assert_eq!(fleet.coordinator().await.as_str(), "aster", "seed {seed}: who coordinates first");
+        let mission = fleet.submit("a", ROOM).await;
+        let began = |task: &'static str| move |what: &Happening| matches!(what, Happening::TaskBegan { task: of, .. } if of.as_str() == task);
+        fleet.until("the way to the room", SOON, |fleet| fleet.happened(began("navto_room"))).await;
+        fleet.kill("aster").await;
+        fleet.until("the deposit", SOON, |fleet| fleet.happened(began("deposit"))).await;
+        let second = fleet.coordinator().await;
+        fleet.kill(second.as_str()).await;
+        carried_out_once(&mut fleet, &mission).await;
+        let third = fleet.coordinator().await;
+        assert!(third != second && third.as_str() != "aster", "seed {seed}: {third} coordinates");
+    });
+}

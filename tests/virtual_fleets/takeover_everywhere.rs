@@ -1,0 +1,73 @@
+//! The coordinator is killed after the n-th thing that happens, for every n.
+
+use consort_protocol::ledger::MissionState;
+use consort_tests::{Fleet, Member, tell};
+use std::cell::RefCell;
+use std::time::Duration;
+
+const ROOM: &str = "PC Room 8";
+
+/// Kills the coordinator after the `nth` happening since the request. `None` when the mission was over before.
+async fn killed_after(seed: u64, nth: usize, stations: &[&'static str]) -> Option<(Fleet, String, MissionState)> {
+    let robots = vec![Member::carrier("amber", "PC Room 8"), Member::carrier("birch", "PC Room 2")];
+    let robots = robots.into_iter().map(|robot| robot.at_speed(1.5)).collect();
+    let mut fleet = Fleet::hospital(seed, robots, stations, &[ROOM]).await;
+    let coordinator = fleet.coordinator().await.to_string();
+    let before = fleet.chronicle.len();
+    let mission = fleet.submit("a", ROOM).await;
+    fleet
+        .until(&format!("{nth} things"), Duration::from_secs(60), |fleet| {
+            fleet.chronicle.len() >= before + nth || fleet.state_of(&mission).is_some_and(|state| state.is_end())
+        })
+        .await;
+    if fleet.state_of(&mission).is_some_and(|state| state.is_end()) {
+        return None;
+    }
+    fleet.kill(&coordinator).await;
+    let end = fleet.end_of(&mission).await;
+    fleet.one_role_one_robot();
+    if end == MissionState::Completed {
+        fleet.sample_delivered(ROOM);
+    }
+    if fleet.holders_ever(&mission).iter().all(|robot| *robot != coordinator) {
+        assert_eq!(end, MissionState::Completed, "seed {seed}, killed after {nth}\n{}", fleet.tale());
+        fleet.each_task_once(&mission);
+    }
+    Some((fleet, coordinator, end))
+}
+
+/// How missions ended whose coordinator was killed after each `every`th happening.
+fn ends(every: usize, first_seed: u64, stations: &[&'static str], coordinates: &str) -> Vec<MissionState> {
+    let ends = RefCell::new(vec![]);
+    for nth in (0..).step_by(every) {
+        let before = ends.borrow().len();
+        tell([first_seed + nth as u64 % 7], async |seed| {
+            if let Some((fleet, coordinator, end)) = killed_after(seed, nth, stations).await {
+                assert_eq!(coordinator, coordinates, "seed {seed}, killed after {nth}\n{}", fleet.tale());
+                ends.borrow_mut().push(end);
+            }
+        });
+        if ends.borrow().len() == before {
+            break;
+        }
+    }
+    ends.into_inner()
+}
+
+#[test]
+fn a_coordinator_without_a_role_is_never_missed() {
+    let ends = ends(3, 50, &["aba", "abb"], "aba");
+    assert!(ends.len() > 12, "the mission was over after {} kills", ends.len());
+    assert!(ends.iter().all(|end| *end == MissionState::Completed), "{ends:?}");
+}
+
+#[test]
+fn a_coordinator_with_a_role_is_replaced_or_its_mission_ends_with_the_reason() {
+    let (completed, otherwise): (Vec<_>, Vec<_>) =
+        ends(3, 60, &["post-1", "post-2"], "amber").into_iter().partition(|end| *end == MissionState::Completed);
+    for end in &otherwise {
+        let lost = "amber was lost as r1 after others had acted on its work: amber silent for ";
+        assert!(matches!(end, MissionState::Failed { cause } if cause.starts_with(lost)), "{end:?}");
+    }
+    assert!(completed.len() > 3 && otherwise.len() > 3, "{completed:?}, {otherwise:?}");
+}

@@ -1,0 +1,146 @@
+//! The coordinator that is killed holds a role itself.
+
+use consort_protocol::event::Happening;
+use consort_protocol::ids::MissionId;
+use consort_protocol::lease::LeaseTerms;
+use consort_protocol::ledger::MissionState;
+use consort_tests::{Fleet, Member, tell};
+use std::time::Duration;
+
+const SEEDS: [u64; 3] = [31, 32, 33];
+const ROOM: &str = "IC Room 6";
+const SOON: Duration = Duration::from_secs(60);
+
+fn began(task: &'static str) -> impl Fn(&Happening) -> bool {
+    move |what| matches!(what, Happening::TaskBegan { task: of, .. } if of.as_str() == task)
+}
+
+fn released(what: &Happening) -> bool {
+    matches!(what, Happening::Released { .. })
+}
+
+/// All five are voters; `amber` founds the ledger, and is near the room, so that it also wins the role.
+async fn led_by_a_carrier(seed: u64) -> (Fleet, MissionId) {
+    let robots = vec![Member::carrier("amber", "IC Room 4"), Member::carrier("birch", "Dock")];
+    let mut fleet = Fleet::hospital(seed, robots, &["post-1", "post-2"], &[ROOM]).await;
+    assert_eq!(fleet.coordinator().await.as_str(), "amber", "seed {seed}: who coordinates");
+    let mission = fleet.submit("a", ROOM).await;
+    (fleet, mission)
+}
+
+/// `lab-arm` founds the ledger with the posts; robots that move are not among the five voters.
+async fn led_by_the_arm(seed: u64) -> (Fleet, MissionId) {
+    let robots = vec![Member::carrier("amber", "IC Room 4"), Member::carrier("birch", "Dock")];
+    let posts = ["post-1", "post-2", "post-3", "post-4"];
+    let mut fleet = Fleet::hospital(seed, robots, &posts, &[ROOM]).await;
+    assert_eq!(fleet.coordinator().await.as_str(), "lab-arm", "seed {seed}: who coordinates");
+    let mission = fleet.submit("a", ROOM).await;
+    (fleet, mission)
+}
+
+#[test]
+fn a_carrier_killed_before_it_told_anybody_is_replaced_after_lease_and_grace() {
+    tell(SEEDS, async |seed| {
+        let (mut fleet, mission) = led_by_a_carrier(seed).await;
+        fleet.until("the way to the room", SOON, |fleet| fleet.happened(began("navto_room"))).await;
+        assert_eq!(fleet.holder(&mission, "r1").expect("held").as_str(), "amber", "seed {seed}");
+        fleet.kill("amber").await;
+        let killed = fleet.elapsed();
+        fleet.completes(&mission).await;
+        fleet.sample_delivered(ROOM);
+        fleet.one_role_one_robot();
+        let [given_up] = fleet.chronicle.times(released)[..] else {
+            panic!("seed {seed}: one release\n{}", fleet.tale())
+        };
+        let terms = LeaseTerms::default();
+        let silence = given_up - killed;
+        assert!(silence >= terms.lease + terms.grace, "seed {seed}: given up after {silence:?}\n{}", fleet.tale());
+        assert!(
+            silence < terms.lease + terms.grace + Duration::from_secs(2),
+            "seed {seed}: given up only after {silence:?}\n{}",
+            fleet.tale()
+        );
+        for (task, (began, ended)) in fleet.chronicle.doers(&mission) {
+            // Only what the dead one was at was begun twice, and it ended none of its tasks.
+            let who: &[&str] = match task.as_str() {
+                "navto_room" => &["amber", "birch"],
+                "deposit" => &["world"],
+                "pick_up_sample" => &["lab-arm"],
+                _ => &["birch"],
+            };
+            let story = format!("seed {seed}: {task}\n{}", fleet.tale());
+            assert_eq!(began, who, "{story}");
+            assert_eq!(ended, who[who.len() - 1..], "{story}");
+        }
+    });
+}
+
+#[test]
+fn a_carrier_killed_after_others_acted_on_its_work_fails_the_mission_with_the_reason() {
+    let points = ["deposit", "navto_lab", "pick_up_sample"];
+    tell(SEEDS, async |seed| {
+        let point = points[usize::try_from(seed - SEEDS[0]).expect("a small number")];
+        let (mut fleet, mission) = led_by_a_carrier(seed).await;
+        fleet.until(point, SOON, |fleet| fleet.happened(began(point))).await;
+        fleet.kill("amber").await;
+        let MissionState::Failed { cause } = fleet.end_of(&mission).await else {
+            panic!("seed {seed}: the mission ended otherwise\n{}", fleet.tale())
+        };
+        let expected = "amber was lost as r1 after others had acted on its work: amber silent for ";
+        assert!(cause.starts_with(expected), "seed {seed}: {cause}");
+        assert_eq!(fleet.tasks(&mission)["navto_room"], (1, 1), "seed {seed}: nobody else began\n{}", fleet.tale());
+        // The other robot is free for what comes next.
+        let free = |fleet: &Fleet| fleet.ledger(|ledger| ledger.held_by(&"lab-arm".parse().expect("a name")).is_none());
+        assert_eq!(free(&fleet), Some(true), "seed {seed}");
+        fleet
+            .until("the arm to put its role down", SOON, |fleet| {
+                fleet.spells_of(&mission, "lab_arm").iter().all(|spell| spell.to.is_some())
+            })
+            .await;
+    });
+}
+
+#[test]
+fn an_arm_killed_and_restarted_at_once_is_given_its_role_anew() {
+    tell(SEEDS, async |seed| {
+        let (mut fleet, mission) = led_by_the_arm(seed).await;
+        fleet.until("the way to the room", SOON, |fleet| fleet.happened(began("navto_room"))).await;
+        fleet.kill("lab-arm").await;
+        let second = fleet.coordinator().await;
+        fleet.start_robot("lab-arm").await;
+        fleet.completes(&mission).await;
+        fleet.each_task_once(&mission);
+        fleet.sample_delivered(ROOM);
+        fleet.one_role_one_robot();
+        // It came back without a ledger, and neither founded another nor unseated anybody.
+        assert_eq!(fleet.coordinating(), Some(second), "seed {seed}\n{}", fleet.tale());
+        let elections = fleet.chronicle.count(|what| matches!(what, Happening::Elected { .. }));
+        assert_eq!(elections, 2, "seed {seed}: elections\n{}", fleet.tale());
+    });
+}
+
+#[test]
+fn an_arm_that_stays_away_holds_the_mission_up_with_the_reason_until_it_returns() {
+    tell(SEEDS, async |seed| {
+        let (mut fleet, mission) = led_by_the_arm(seed).await;
+        fleet.until("the way to the room", SOON, |fleet| fleet.happened(began("navto_room"))).await;
+        fleet.kill("lab-arm").await;
+        fleet.until("the arm to be given up", SOON, |fleet| fleet.happened(released)).await;
+        let why = |fleet: &Fleet| {
+            fleet.ledger(|ledger| ledger.mission(&mission)?.auction.as_ref()?.failure.clone()).flatten()
+        };
+        fleet.until("an auction in vain", SOON, |fleet| why(fleet).is_some()).await;
+        assert_eq!(why(&fleet).as_deref(), Some("no viable bid for lab_arm"), "seed {seed}\n{}", fleet.tale());
+        assert_eq!(fleet.state(&mission).as_deref(), Some("pending"), "seed {seed}");
+        // The carrier goes on with what it holds, and waits in the laboratory for somebody to hand over to.
+        let arrived =
+            |what: &Happening| matches!(what, Happening::TaskEnded { task, .. } if task.as_str() == "navto_lab");
+        fleet.until("the carrier in the laboratory", SOON, |fleet| fleet.happened(arrived)).await;
+        fleet.never("the meeting", Duration::from_secs(10), |fleet| fleet.happened(began("approach_arm"))).await;
+        fleet.start_robot("lab-arm").await;
+        fleet.completes(&mission).await;
+        fleet.each_task_once(&mission);
+        fleet.sample_delivered(ROOM);
+        fleet.one_role_one_robot();
+    });
+}
