@@ -42,15 +42,17 @@ pub fn start_log(filter: Option<String>, default: &str) -> Result<(), Failure> {
         let allowed = "allowed is error, warn, info, debug or trace, also by module, as info,consort_actors=debug";
         Failure::Usage(format!("{text:?} is not a filter for the log: {problem}; {allowed}"))
     })?;
-    // Colours are for terminals: in a file they are in the way of whoever searches it.
-    let colours = std::io::stderr().is_terminal();
-    let log = tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr).with_ansi(colours);
     // A second call, as tests may make, keeps the first log.
-    let _ = log.try_init();
+    let _ = tracing_subscriber::fmt()
+        .with_env_filter(filter)
+        .with_ansi(std::io::stderr().is_terminal())
+        .with_writer(std::io::stderr)
+        .try_init();
     Ok(())
 }
 
-/// Runs a node until Ctrl-C or SIGTERM, until its standard input closes if that is asked for, or until an actor of it fails. `settings` is called once, within the runtime.
+/// Runs a node until Ctrl-C or SIGTERM, until its standard input closes if that is asked for, or until an actor of it
+/// fails. `settings` is called once, within the runtime.
 ///
 /// # Errors
 /// [`Failure::Usage`] if it cannot start as configured, [`Failure::Unsuccessful`] if it fails.
