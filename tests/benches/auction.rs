@@ -111,7 +111,7 @@ async fn withdraw(fleet: &mut Fleet, mission: &MissionId, holders: BTreeSet<Robo
     let begun = |what: &Happening| matches!(what, Happening::Started { mission: of, .. } if of == mission);
     all_say(fleet, format!("the beginning of {mission}"), holders.clone(), begun).await?;
     let answer = fleet.api(ApiCall::Cancel, &json!({ "mission": mission, "by": "bench" })).await;
-    if !answer.as_ref().is_some_and(|answer| answer.get("error").is_none()) {
+    if answer.as_ref().is_none_or(|answer| answer.get("error").is_some()) {
         return Err(format!("{mission} was not canceled: {answer:?}"));
     }
     let halted = |what: &Happening| matches!(what, Happening::Halted { mission: of, .. } if of == mission);
