@@ -2,7 +2,7 @@
 //!
 //! | key | how | who → whom | says | answer |
 //! |---|---|---|---|---|
-//! | `wire/knowledge/{node}` | publish | node → all | [`Record`](crate::knowledge::Record) | – |
+//! | `wire/knowledge/{node}` | publish | node → all | [`Record`] | – |
 //! | `wire/gossip/{node}` | query | node → node | [`Exchange`] | [`Exchange`] |
 //! | `wire/beacon` | publish | coordinator → all | [`Beacon`] | – |
 //! | `wire/bid/*` | query | coordinator → robots | [`CallForBids`](crate::auction::CallForBids) | [`Tender`](crate::auction::Tender) |

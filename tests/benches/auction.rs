@@ -13,12 +13,12 @@ mod support;
 use consort_nodes::demo::{Cast, Stage};
 use consort_protocol::event::Happening;
 use consort_protocol::ids::{MissionId, RobotId};
-use consort_protocol::keys::ApiCall;
+use consort_protocol::keys::{ApiCall, Key};
 use serde_json::{Value, json};
 use std::collections::BTreeSet;
 use std::process::ExitCode;
 use std::time::Duration;
-use support::{Fleet, Problem, acknowledged, figures, in_fleet, lab_samples, ms};
+use support::{Fleet, LOOK, Problem, acknowledged, ask, figures, in_fleet, lab_samples, ms};
 use tokio::time::Instant;
 
 /// Mobile robots.
@@ -86,7 +86,7 @@ async fn measure_in(fleet: &mut Fleet, missions: usize) -> Result<Value, Problem
 /// Has one mission awarded and withdraws it.
 async fn one(fleet: &mut Fleet, request: &str, room: &str) -> Result<Sample, Problem> {
     let begun = Instant::now();
-    let answer = fleet.api(ApiCall::Submit, &lab_samples(request, room)).await;
+    let answer = api(fleet, ApiCall::Submit, &lab_samples(request, room)).await;
     let mission = acknowledged(answer.as_ref()).ok_or_else(|| format!("{request} was not acknowledged: {answer:?}"))?;
     let acknowledged_ms = ms(begun, Instant::now());
     let (mut asked, mut rounds) = (0, 0);
@@ -110,7 +110,7 @@ async fn one(fleet: &mut Fleet, request: &str, room: &str) -> Result<Sample, Pro
 async fn withdraw(fleet: &mut Fleet, mission: &MissionId, holders: BTreeSet<RobotId>) -> Result<(), Problem> {
     let begun = |what: &Happening| matches!(what, Happening::Started { mission: of, .. } if of == mission);
     all_say(fleet, format!("the beginning of {mission}"), holders.clone(), begun).await?;
-    let answer = fleet.api(ApiCall::Cancel, &json!({ "mission": mission, "by": "bench" })).await;
+    let answer = api(fleet, ApiCall::Cancel, &json!({ "mission": mission, "by": "bench" })).await;
     if answer.as_ref().is_none_or(|answer| answer.get("error").is_some()) {
         return Err(format!("{mission} was not canceled: {answer:?}"));
     }
@@ -132,4 +132,9 @@ async fn all_say(
         robots.is_empty().then_some(())
     });
     all.await.map(|_| ())
+}
+
+/// Makes a request of whoever coordinates.
+async fn api(fleet: &Fleet, call: ApiCall, request: &Value) -> Option<Value> {
+    ask(&fleet.stage.bus(), &fleet.keys.write(&Key::Api(call)), request, LOOK).await
 }

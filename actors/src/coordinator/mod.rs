@@ -10,7 +10,7 @@
 //!                                           accept, progress, fail ─────┴─ report ─┘
 //! ```
 //!
-//! [`duties`] says what is to be done, as a value; the [`Coordinator`] actor does it.
+//! `duties` says what is to be done, as a value; the [`Coordinator`] actor does it, reign by reign.
 
 mod actor;
 mod api;

@@ -5,7 +5,7 @@ use consort_nodes::config::{FleetConfig, FleetRef};
 use consort_nodes::demo::{Cast, Processes, Stage};
 use consort_protocol::event::Event;
 use consort_protocol::ids::MissionId;
-use consort_protocol::keys::{ApiCall, Key, Keys};
+use consort_protocol::keys::{Key, Keys};
 use serde_json::{Value, json};
 use std::fmt::Display;
 use std::future::Future;
@@ -19,7 +19,7 @@ use tokio::time::{Instant, sleep, timeout_at};
 const PATIENCE: Duration = Duration::from_secs(30);
 
 /// How long one look or one request may take.
-const LOOK: Duration = Duration::from_secs(2);
+pub(crate) const LOOK: Duration = Duration::from_secs(2);
 
 /// Why there is no figure.
 pub(crate) type Problem = String;
@@ -60,11 +60,6 @@ impl Fleet {
 
     async fn voters(&self) -> usize {
         self.coordinator().await.and_then(|view| view["voters"].as_array().map(Vec::len)).unwrap_or(0)
-    }
-
-    /// Makes a request of whoever coordinates.
-    pub(crate) async fn api(&self, call: ApiCall, request: &Value) -> Option<Value> {
-        ask(&self.stage.bus(), &self.keys.write(&Key::Api(call)), request, LOOK).await
     }
 
     /// Waits for an event, and says when it was heard.
