@@ -66,7 +66,15 @@ fn stations() -> Cast {
 }
 
 async fn takeover(fleet: &mut Fleet, number: usize) -> Result<(f64, f64), Problem> {
-    let view = fleet.coordinator().await.ok_or("nobody coordinates")?;
+    let deadline = Instant::now() + LIMIT;
+    // On a busy machine a coordinator may doubt itself for a moment.
+    let view = loop {
+        match fleet.coordinator().await {
+            Some(view) => break view,
+            None if Instant::now() >= deadline => return Err("nobody coordinates".to_owned()),
+            None => sleep(TRY_EVERY).await,
+        }
+    };
     let victim: NodeId = view["node"].as_str().and_then(|node| node.parse().ok()).ok_or("a coordinator has a name")?;
     let term = view["term"].as_u64().ok_or("a coordinator has a term")?;
     let killed = Instant::now();
