@@ -51,7 +51,8 @@ pub fn start_log(filter: Option<String>, default: &str) -> Result<(), Failure> {
     Ok(())
 }
 
-/// Runs a node until Ctrl-C or SIGTERM, until its standard input closes if that is asked for, or until an actor of it fails. `settings` is called once, within the runtime.
+/// Runs a node until Ctrl-C or SIGTERM, until its standard input closes if that is asked for, or until an actor of it
+/// fails. `settings` is called once, within the runtime.
 ///
 /// # Errors
 /// [`Failure::Usage`] if it cannot start as configured, [`Failure::Unsuccessful`] if it fails.

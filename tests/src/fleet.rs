@@ -262,7 +262,8 @@ impl Fleet {
     }
 }
 
-fn topology(map: &Map) -> TopologicalMap {
+/// The places of a map and the ways between them, as estimators know them.
+pub fn topology(map: &Map) -> TopologicalMap {
     let places = map.places().iter().map(|place| (place.id.clone(), place.pose)).collect();
     let edges = map.lanes().iter().map(|lane| Edge {
         a: lane.from.clone(),

@@ -8,7 +8,7 @@ mod look;
 mod member;
 
 pub use chronicle::{Chronicle, Entry, Spell};
-pub use fleet::Fleet;
+pub use fleet::{Fleet, topology};
 pub use member::Member;
 
 use std::fmt;

@@ -30,12 +30,11 @@ fn replaced(what: &Happening) -> bool {
     matches!(what, Happening::Halted { reason: Ending::Replaced, .. })
 }
 
-/// `gorse` is on its long way to the room, and has told nobody anything.
+/// One of the two carriers is on its long way to the room, and has told nobody anything.
 async fn under_way(seed: u64) -> (Fleet, MissionId) {
     let robots = vec![Member::carrier("fern", "Dock"), Member::carrier("gorse", "PC Room 8").at_speed(0.7)];
     let mut fleet = Fleet::hospital(seed, robots, &["aster", "basil", "clove"], &[ROOM]).await;
     assert_eq!(fleet.coordinator().await.as_str(), "aster", "seed {seed}: who coordinates");
-    // fern is slower to get there only if gorse is nearer: the story needs to know who holds the role.
     let mission = fleet.submit("a", ROOM).await;
     fleet.until("the way to the room", SOON, |fleet| fleet.happened(began("navto_room"))).await;
     (fleet, mission)

@@ -10,13 +10,13 @@ use std::sync::atomic::{AtomicBool, Ordering};
 
 const ROOM: &str = "IC Room 6";
 
-/// A drawer that panics when it is to be operated in the presence of the nurse whose test it is, the first time.
+/// Approaching a person panics the first time.
 fn stumbles_once(library: &mut SkillLibrary) {
     library
         .extend(|registry| {
             registry.register(Manifest::new("Stumble", NodeKind::Action, []), |_: &TaskContext| {
                 Box::new(Instant(|_: &mut LeafContext<'_, '_>| {
-                    assert!(STUMBLED.with(|stumbled| stumbled.swap(true, Ordering::Relaxed)), "the drawer is jammed");
+                    assert!(STUMBLED.with(|stumbled| stumbled.swap(true, Ordering::Relaxed)), "nobody stands there");
                     Ok(true)
                 }))
             })
@@ -47,7 +47,7 @@ fn a_panicking_skill_fails_its_mission_with_the_cause_and_its_robot_bids_again()
         let MissionState::Failed { cause } = fleet.end_of(&mission).await else {
             panic!("seed {seed}: it ended otherwise\n{}", fleet.tale())
         };
-        for part in ["gorse as r1 could not do approach_nurse", "crashed", "the drawer is jammed"] {
+        for part in ["gorse as r1 could not do approach_nurse", "crashed", "nobody stands there"] {
             assert!(cause.contains(part), "seed {seed}: {cause:?} without {part:?}");
         }
         let failed = |what: &Happening| matches!(what, Happening::TaskFailed { .. });

@@ -60,10 +60,9 @@ fn killed_as_soon_as_the_request_is_acknowledged_it_leaves_the_auction_to_the_ne
 fn killed_while_bids_come_in_it_leaves_a_new_auction_to_the_next() {
     tell(SEEDS, async |seed| {
         let mut fleet = fleet(seed).await;
-        // Members that answer late hold the auction open.
+        // A member that is not heard holds the auction open.
         fleet.network.mute("fern".parse().expect("a name"));
-        let asked = fleet.submit("a", ROOM);
-        let mission = asked.await;
+        let mission = fleet.submit("a", ROOM).await;
         fleet.until("a call for bids", SOON, |fleet| fleet.happened(called)).await;
         assert!(
             !fleet.happened(|what| matches!(what, Happening::Closed { .. } | Happening::Awarded { .. })),

@@ -37,6 +37,7 @@ fn every_view_is_answered_once_and_says_how_things_stand() {
             "robot/fern",
             "robot/gorse",
             "robot/lab-arm",
+            "world",
         ];
         assert_eq!(names, expected, "seed {seed}");
 

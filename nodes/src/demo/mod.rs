@@ -18,11 +18,12 @@ mod stage;
 mod virtual_stage;
 
 pub use cast::{Cast, Request};
+pub use processes::Processes;
+pub use stage::Stage;
 
 use crate::exit::Failure;
 use director::{Director, Plan};
 use narrator::Narrator;
-use processes::Processes;
 use virtual_stage::VirtualStage;
 
 /// Play the main job: a fleet delivers lab samples and survives the death of its coordinator
@@ -104,7 +105,10 @@ pub fn run(args: Args) -> Result<(), Failure> {
         let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build();
         let runtime = runtime.map_err(|problem| Failure::Unsuccessful(format!("no runtime: {problem}")))?;
         runtime.block_on(async {
-            let stage = Processes::set(&cast, args.port).await?;
+            let program = std::env::current_exe();
+            let program =
+                program.map_err(|problem| Failure::Unsuccessful(format!("this program's own file: {problem}")))?;
+            let stage = Processes::set(&cast, &program, args.port).await?;
             Director::new(plan, cast, stage, narrator).play().await
         })
     }

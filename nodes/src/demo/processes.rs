@@ -1,4 +1,4 @@
-//! Every node a process of its own: this very program, once for each, talking over Zenoh on loopback alone.
+//! Every node a process of its own: the program `consort`, once for each, talking over Zenoh on loopback alone.
 //!
 //! A child ends with its parent, however that ends: it is killed when its handle is dropped, and by itself when its
 //! standard input is closed.
@@ -24,7 +24,7 @@ use tokio::signal::unix::{Signal, SignalKind, signal};
 const CONNECT_LIMIT: Duration = Duration::from_secs(20);
 
 /// A fleet of processes.
-pub(super) struct Processes {
+pub struct Processes {
     folder: Folder,
     program: PathBuf,
     kinds: BTreeMap<NodeId, &'static str>,
@@ -71,14 +71,16 @@ fn failed(what: impl std::fmt::Display) -> impl FnOnce(std::io::Error) -> Failur
 }
 
 impl Processes {
-    /// Starts every node of the cast, listening on ports from `first_port` up, or on free ones.
-    pub(super) async fn set(cast: &Cast, first_port: Option<u16>) -> Result<Processes, Failure> {
+    /// Starts every node of the cast as a process of `program`, listening on ports from `first_port` up, or on free ones.
+    ///
+    /// # Errors
+    /// [`Failure`] says what could not be had or started, or what a node said before it ended.
+    pub async fn set(cast: &Cast, program: &Path, first_port: Option<u16>) -> Result<Processes, Failure> {
         let started = Instant::now();
         let mut ending = Ending::new()?;
         let name = format!("consort-demo-{}", std::process::id());
         let folder = Folder(std::env::temp_dir().join(name));
         fs::create_dir_all(&folder.0).map_err(failed(format_args!("{}", folder.0.display())))?;
-        let program = std::env::current_exe().map_err(failed("this program's own file"))?;
         let voters = cast.voters();
         let ports = ports(voters.len() + 1, first_port)?;
         let endpoint = |index: usize| format!("tcp/127.0.0.1:{}", ports[index]);
@@ -120,7 +122,7 @@ impl Processes {
         let endpoint = endpoint(0);
         let mut children = BTreeMap::new();
         for (node, kind) in &kinds {
-            children.insert(node.clone(), spawn(&program, &folder.0, node, kind)?);
+            children.insert(node.clone(), spawn(program, &folder.0, node, kind)?);
         }
         let connected = tokio::select! {
             biased;
@@ -136,6 +138,7 @@ impl Processes {
             }
         };
         let speed = cast.world.speed;
+        let program = program.to_owned();
         Ok(Processes { folder, program, kinds, children, bus: Arc::new(bus), endpoint, speed, started, ending })
     }
 }

@@ -7,7 +7,7 @@ use std::future::Future;
 use std::time::Duration;
 
 /// Where a demo is played.
-pub(super) trait Stage {
+pub trait Stage {
     /// The bus, as an onlooker and a client have it.
     fn bus(&self) -> SharedBus;
 

@@ -48,7 +48,7 @@ pub fn conclude(call: &CallForBids, tenders: &[Tender], circumstances: &Circumst
     let robots: BTreeSet<&RobotId> =
         circumstances.expected.iter().chain(answers.keys().map(|(_, robot)| *robot)).collect();
 
-    let mut viable: Vec<Bid> = vec![];
+    let mut viable: Vec<&Bid> = vec![];
     let mut entries = vec![];
     for role in call.roles.keys() {
         for &robot in &robots {
@@ -82,14 +82,14 @@ pub fn conclude(call: &CallForBids, tenders: &[Tender], circumstances: &Circumst
     Conclusion { holders, record }
 }
 
-fn judge(bid: &Bid, circumstances: &Circumstances<'_>, viable: &mut Vec<Bid>) -> Verdict {
+fn judge<'t>(bid: &'t Bid, circumstances: &Circumstances<'_>, viable: &mut Vec<&'t Bid>) -> Verdict {
     let Bid { time, energy, remaining, .. } = *bid;
     if let Some((mission, role)) = circumstances.taken.get(&bid.robot) {
         return Verdict::Refused { reason: RefusalReason::Busy { mission: mission.clone(), role: role.clone() } };
     }
     match bid.viable(circumstances.limits) {
         Ok(()) => {
-            viable.push(bid.clone());
+            viable.push(bid);
             Verdict::Viable { time, energy, remaining }
         }
         Err(why) => Verdict::Unviable { time, energy, remaining, why },

@@ -8,6 +8,7 @@ use super::bid::Bid;
 use crate::ids::{RobotId, RoleId};
 use pathfinding::matrix::Matrix;
 use pathfinding::prelude::kuhn_munkres_min;
+use std::borrow::Borrow;
 use std::collections::{BTreeMap, BTreeSet};
 
 /// Why no robots were chosen. Nothing is assigned: a mission is filled whole or not at all.
@@ -34,11 +35,12 @@ fn names<T: std::fmt::Display>(list: &[T]) -> String {
 }
 
 /// Chooses one bid for each role, by index into `bids`, from bids that are all viable. Bids for roles that are not open
-/// are ignored; of several bids by one robot for one role the first counts.
+/// are ignored; of several bids by one robot for one role the first counts. Bids may be given or lent.
 ///
 /// # Errors
 /// [`NoCoalition`] when not every role can be filled by a robot of its own.
-pub fn select(roles: &BTreeSet<RoleId>, bids: &[Bid]) -> Result<BTreeMap<RoleId, usize>, NoCoalition> {
+pub fn select<B: Borrow<Bid>>(roles: &BTreeSet<RoleId>, bids: &[B]) -> Result<BTreeMap<RoleId, usize>, NoCoalition> {
+    let bids: Vec<&Bid> = bids.iter().map(Borrow::borrow).collect();
     let robots: BTreeSet<&RobotId> =
         bids.iter().filter(|bid| roles.contains(&bid.role)).map(|bid| &bid.robot).collect();
     let columns: BTreeMap<&RobotId, usize> = robots.iter().enumerate().map(|(rank, robot)| (*robot, rank)).collect();

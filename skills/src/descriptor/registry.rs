@@ -123,7 +123,7 @@ impl Estimator {
         for (step, each) in (0..).zip(&plan.steps) {
             let (task, estimate, skill, label) = match &each.action {
                 StepAction::Task { id, spec } => {
-                    (id, self.estimate(spec, &context), spec.task_type.clone(), id.to_string())
+                    (id, self.estimate(spec, &context), spec.task_type.clone(), id.as_str().to_owned())
                 }
                 StepAction::Send(signal) => self.message(&self.send, signal, &context),
                 StepAction::Wait(signal) => self.message(&self.wait, signal, &context),

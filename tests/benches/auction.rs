@@ -1,0 +1,135 @@
+//! From the commit of a request to the commit of its award: ten robots' processes, an arm's and the world's on loopback
+//! over Zenoh, missions one after the other. Each is withdrawn once it is awarded.
+//!
+//! ```text
+//! cargo bench -p consort --bench auction [-- MISSIONS]
+//! ```
+//!
+//! `award` is the coordinator's own account; `seen` is what the client saw from sending the request to hearing of the
+//! award.
+
+mod support;
+
+use consort_nodes::demo::{Cast, Stage};
+use consort_protocol::event::Happening;
+use consort_protocol::ids::{MissionId, RobotId};
+use consort_protocol::keys::ApiCall;
+use serde_json::{Value, json};
+use std::collections::BTreeSet;
+use std::process::ExitCode;
+use std::time::Duration;
+use support::{Fleet, Problem, acknowledged, figures, in_fleet, lab_samples, ms};
+use tokio::time::Instant;
+
+/// Mobile robots.
+const ROBOTS: usize = 10;
+
+/// How long an award may take before the benchmark gives up.
+const LIMIT: Duration = Duration::from_secs(10);
+
+/// Where the nurse would wait.
+const ROOMS: [&str; 4] = ["IC Room 6", "PC Room 3", "IC Room 2", "PC Room 8"];
+
+fn main() -> ExitCode {
+    support::main("auction", measure(support::count(100)))
+}
+
+async fn measure(missions: usize) -> Result<Value, Problem> {
+    let cast = Cast::new(ROBOTS, 1, 1.0, 1);
+    // The default ensemble: every robot with any skill. So all of them are asked, and answer.
+    let fleet = consort_nodes::config::FleetConfig { ensemble: vec![], ..cast.fleet.clone() };
+    let mut fleet = Fleet::start(&in_fleet(cast, fleet)).await?;
+    let measured = measure_in(&mut fleet, missions).await;
+    let trouble = fleet.stage.trouble();
+    fleet.end().await;
+    trouble.map_or(measured, Err)
+}
+
+/// One mission's figures, in milliseconds.
+struct Sample {
+    asked: usize,
+    rounds: u32,
+    acknowledged: f64,
+    award: f64,
+    seen: f64,
+}
+
+async fn measure_in(fleet: &mut Fleet, missions: usize) -> Result<Value, Problem> {
+    // Not counted: the coordinator may not have met everybody yet, nothing is warm.
+    let mut warm = 0;
+    for number in 0.. {
+        let sample = one(fleet, &format!("warm-up-{number}"), ROOMS[0]).await?;
+        warm = if sample.asked > ROBOTS { warm + 1 } else { 0 };
+        if warm >= 5 {
+            break;
+        }
+        if number >= 100 {
+            return Err(format!("after {number} missions the coordinator asks only {} robots", sample.asked));
+        }
+        tokio::time::sleep(Duration::from_millis(200)).await;
+    }
+    let mut samples = vec![];
+    for (number, room) in (0..missions).zip(ROOMS.into_iter().cycle()) {
+        samples.push(one(fleet, &format!("bench-{number}"), room).await?);
+    }
+    let of = |pick: fn(&Sample) -> f64| figures(samples.iter().map(pick).collect());
+    Ok(json!({
+        "robots": ROBOTS,
+        "asked_min": samples.iter().map(|sample| sample.asked).min(),
+        "rounds_max": samples.iter().map(|sample| sample.rounds).max(),
+        "award": of(|sample| sample.award),
+        "acknowledged": of(|sample| sample.acknowledged),
+        "seen": of(|sample| sample.seen),
+    }))
+}
+
+/// Has one mission awarded and withdraws it.
+async fn one(fleet: &mut Fleet, request: &str, room: &str) -> Result<Sample, Problem> {
+    let begun = Instant::now();
+    let answer = fleet.api(ApiCall::Submit, &lab_samples(request, room)).await;
+    let mission = acknowledged(answer.as_ref()).ok_or_else(|| format!("{request} was not acknowledged: {answer:?}"))?;
+    let acknowledged_ms = ms(begun, Instant::now());
+    let (mut asked, mut rounds) = (0, 0);
+    let awarded = fleet.hear(format!("the award of {mission}"), LIMIT, |event| match event.what {
+        Happening::Called { mission: of, asked: number, round, .. } if of == mission => {
+            (asked, rounds) = (number, round);
+            None
+        }
+        Happening::Awarded { mission: of, holders, after_ms, .. } if of == mission => {
+            Some((holders.into_values().collect::<BTreeSet<RobotId>>(), after_ms))
+        }
+        _ => None,
+    });
+    let ((holders, after_ms), at) = awarded.await?;
+    let award = after_ms.ok_or("the coordinator does not say how long it took")?;
+    withdraw(fleet, &mission, holders).await?;
+    Ok(Sample { asked, rounds, acknowledged: acknowledged_ms, award, seen: ms(begun, at) })
+}
+
+/// Cancels a mission once its robots have begun, and waits until they are free again: the arm is needed for the next.
+async fn withdraw(fleet: &mut Fleet, mission: &MissionId, holders: BTreeSet<RobotId>) -> Result<(), Problem> {
+    let begun = |what: &Happening| matches!(what, Happening::Started { mission: of, .. } if of == mission);
+    all_say(fleet, format!("the beginning of {mission}"), holders.clone(), begun).await?;
+    let answer = fleet.api(ApiCall::Cancel, &json!({ "mission": mission, "by": "bench" })).await;
+    if answer.as_ref().is_none_or(|answer| answer.get("error").is_some()) {
+        return Err(format!("{mission} was not canceled: {answer:?}"));
+    }
+    let halted = |what: &Happening| matches!(what, Happening::Halted { mission: of, .. } if of == mission);
+    all_say(fleet, format!("the end of {mission}"), holders, halted).await
+}
+
+/// Waits until each of the robots has told of something.
+async fn all_say(
+    fleet: &mut Fleet,
+    what: String,
+    mut robots: BTreeSet<RobotId>,
+    told: impl Fn(&Happening) -> bool,
+) -> Result<(), Problem> {
+    let all = fleet.hear(what, LIMIT, |event| {
+        if told(&event.what) {
+            robots.remove(&RobotId::from(event.node));
+        }
+        robots.is_empty().then_some(())
+    });
+    all.await.map(|_| ())
+}

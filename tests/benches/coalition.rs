@@ -1,0 +1,142 @@
+//! Coalition formation in process: every worker prices role r1 of a lab-samples mission, one is chosen.
+//!
+//! ```text
+//! cargo bench -p consort-tests --bench coalition
+//! ```
+//!
+//! `auction` is what a fleet does, less the bus: each robot's `Bidder::tender` and the coordinator's `conclude` with its
+//! record of all answers. `tenders` and `conclude` are its two halves; `lean` is the same estimates and choice without
+//! tenders, refusals and record.
+
+use consort_actors::robot::{Bidder, Circumstance};
+use consort_protocol::auction::{
+    AuctionId, Bid, CallForBids, Circumstances, Conclusion, Limits, Tender, conclude, select,
+};
+use consort_protocol::ensemble::Membership;
+use consort_protocol::ids::{PlaceId, RobotId, RoleId};
+use consort_protocol::knowledge::{Availability, Worker};
+use consort_protocol::mission::{Domain, shipped};
+use consort_protocol::plan::divide_and_check;
+use consort_protocol::units::{BatteryShare, MetresPerSecond, Seconds, SharePerSecond};
+use consort_sim::map;
+use consort_skills::descriptor::{Context, DescriptorRegistry, Estimator};
+use consort_skills::environment::{Environment, Routes};
+use consort_tests::{slug, topology};
+use criterion::{BenchmarkId, Criterion, criterion_group, criterion_main};
+use std::collections::{BTreeMap, BTreeSet};
+use std::hint::black_box;
+use std::sync::Arc;
+
+const SKILLS: [&str; 5] = ["navigation", "approach_person", "authenticate_person", "operate_drawer", "approach_robot"];
+
+/// Workers all over the hospital, and what they are asked.
+struct Scene {
+    call: CallForBids,
+    roles: BTreeSet<RoleId>,
+    estimator: Arc<Estimator>,
+    bidders: Vec<Bidder>,
+    circumstances: Vec<Circumstance<'static>>,
+    expected: BTreeSet<RobotId>,
+    limits: Limits,
+}
+
+impl Scene {
+    fn new(workers: usize) -> Scene {
+        let map = map::shipped("hospital").expect("the shipped map is sound");
+        let environment = Environment::new().with(Routes::new(&topology(&map)).expect("the shipped map is sound"));
+        let estimator = Arc::new(DescriptorRegistry::standard().resolve(environment).expect("routes are there"));
+        let room = BTreeMap::from([("room".to_owned(), "IC Room 6".to_owned())]);
+        let mission = shipped()["lab-samples"].instantiate(&room, &Domain::hospital()).expect("a shipped mission");
+        let plan = divide_and_check(&mission).expect("a shipped mission").plans[&slug::<RoleId>("r1")].clone();
+        let robot = |number: usize| slug::<RobotId>(&format!("robot-{number:04}"));
+        let worker = |number: usize| {
+            let place = &map.places()[number * 7 % map.places().len()];
+            Worker {
+                skills: SKILLS.into_iter().map(slug).collect(),
+                place: place.id.clone(),
+                pose: place.pose,
+                battery: BatteryShare::new(0.3 + 0.7 * (number % 11) as f64 / 11.0).expect("a share"),
+                discharge: SharePerSecond::new(0.0004).expect("a rate"),
+                useful_charge: BatteryShare::new(0.08).expect("a share"),
+                speed: Some(MetresPerSecond::new(0.4 + 0.05 * (number % 7) as f64).expect("a speed")),
+                availability: Availability::Free,
+                estimator: "1".to_owned(),
+            }
+        };
+        let circumstance = |number: usize| {
+            // Bidders live as long as the program does, and borrow what they know of themselves.
+            let worker: &'static Worker = Box::leak(Box::new(worker(number)));
+            let membership = Membership { member: true, reason: "has the skills".to_owned(), age_ms: 0 };
+            Circumstance { worker, age_ms: 0, membership }
+        };
+        Scene {
+            call: CallForBids {
+                auction: AuctionId { mission: slug("lab-samples-1"), term: 1, round: 1 },
+                ensemble: slug("logistics"),
+                roles: BTreeMap::from([(slug("r1"), plan)]),
+            },
+            roles: BTreeSet::from([slug("r1")]),
+            bidders: (0..workers).map(|number| Bidder::new(robot(number), Arc::clone(&estimator))).collect(),
+            estimator,
+            circumstances: (0..workers).map(circumstance).collect(),
+            expected: (0..workers).map(robot).collect(),
+            limits: Limits::default(),
+        }
+    }
+
+    fn tenders(&self) -> Vec<Tender> {
+        let each = self.bidders.iter().zip(&self.circumstances);
+        each.map(|(bidder, circumstance)| bidder.tender(&self.call, circumstance)).collect()
+    }
+
+    fn conclude(&self, tenders: &[Tender]) -> Conclusion {
+        let taken = BTreeMap::new();
+        let (expected, limits) = (&self.expected, &self.limits);
+        conclude(&self.call, tenders, &Circumstances { expected, taken: &taken, limits, window_ms: 200, at_ms: 0 })
+    }
+
+    /// The estimates and the choice alone.
+    fn lean(&self) -> RobotId {
+        let (role, plan) = self.call.roles.first_key_value().expect("there is r1");
+        let bid = |(robot, circumstance): (&RobotId, &Circumstance<'_>)| {
+            let worker = circumstance.worker;
+            let (place, speed, discharge) = (worker.place.clone(), worker.speed?, worker.discharge);
+            let parts = self.estimator.price(plan, &Context { place, speed, discharge }).ok()?;
+            let energy: f64 = parts.iter().map(|part| part.energy).sum();
+            let bid = Bid {
+                robot: robot.clone(),
+                role: role.clone(),
+                time: parts.iter().fold(Seconds::ZERO, |sum, part| sum + part.time),
+                energy,
+                remaining: worker.battery.get() - energy,
+                useful_charge: worker.useful_charge,
+                from: PlaceId::clone(&worker.place),
+                age_ms: 0,
+                parts,
+            };
+            bid.viable(&self.limits).is_ok().then_some(bid)
+        };
+        let bids: Vec<Bid> = self.expected.iter().zip(&self.circumstances).filter_map(bid).collect();
+        let chosen = select(&self.roles, &bids).expect("somebody can do it");
+        bids[chosen[role]].robot.clone()
+    }
+}
+
+fn coalition(criterion: &mut Criterion) {
+    let mut group = criterion.benchmark_group("coalition");
+    for workers in [6, 200, 1000] {
+        let scene = Scene::new(workers);
+        let tenders = scene.tenders();
+        let chosen = scene.conclude(&tenders).holders.expect("somebody can do it");
+        assert_eq!(chosen.into_values().collect::<Vec<_>>(), [scene.lean()], "both ways choose alike");
+        let id = |name| BenchmarkId::new(name, workers);
+        group.bench_function(id("auction"), |bench| bench.iter(|| scene.conclude(black_box(&scene.tenders()))));
+        group.bench_function(id("tenders"), |bench| bench.iter(|| scene.tenders()));
+        group.bench_function(id("conclude"), |bench| bench.iter(|| scene.conclude(black_box(&tenders))));
+        group.bench_function(id("lean"), |bench| bench.iter(|| scene.lean()));
+    }
+    group.finish();
+}
+
+criterion_group!(benches, coalition);
+criterion_main!(benches);

@@ -1,0 +1,164 @@
+//! What the benchmarks with processes share: a fleet, an onlooker with a clock, and figures as a line of JSON.
+
+use consort_actors::bus::{Sample, SharedBus, Stream};
+use consort_nodes::config::{FleetConfig, FleetRef};
+use consort_nodes::demo::{Cast, Processes, Stage};
+use consort_protocol::event::Event;
+use consort_protocol::ids::MissionId;
+use consort_protocol::keys::{ApiCall, Key, Keys};
+use serde_json::{Value, json};
+use std::fmt::Display;
+use std::future::Future;
+use std::io::Write;
+use std::path::Path;
+use std::process::ExitCode;
+use std::time::Duration;
+use tokio::time::{Instant, sleep, timeout_at};
+
+/// How long a fleet may take to start, and whatever else is certain to happen.
+const PATIENCE: Duration = Duration::from_secs(30);
+
+/// How long one look or one request may take.
+const LOOK: Duration = Duration::from_secs(2);
+
+/// Why there is no figure.
+pub(crate) type Problem = String;
+
+/// A fleet of processes and somebody who looks on, linked with the world's node, which nobody kills.
+pub(crate) struct Fleet {
+    pub(crate) stage: Processes,
+    pub(crate) keys: Keys,
+    events: Stream<Sample>,
+}
+
+impl Fleet {
+    /// Starts it and waits until somebody coordinates with as many voters as there can be.
+    pub(crate) async fn start(cast: &Cast) -> Result<Fleet, Problem> {
+        let program = Path::new(env!("CARGO_BIN_EXE_consort"));
+        let stage = Processes::set(cast, program, None).await.map_err(|problem| problem.to_string())?;
+        let keys = Keys::new(&cast.fleet.name);
+        let events = stage.bus().subscribe(&keys.write(&Key::Events)).await.map_err(|problem| problem.to_string())?;
+        let mut fleet = Fleet { stage, keys, events };
+        let wanted = cast.voters().len().min(5);
+        let deadline = Instant::now() + PATIENCE;
+        while fleet.voters().await < wanted {
+            if let Some(words) = fleet.stage.trouble() {
+                return Err(words);
+            }
+            if Instant::now() >= deadline {
+                return Err(format!("no coordinator with {wanted} voters within {PATIENCE:?}"));
+            }
+            sleep(Duration::from_millis(100)).await;
+        }
+        Ok(fleet)
+    }
+
+    /// What the coordinator shows of itself.
+    pub(crate) async fn coordinator(&self) -> Option<Value> {
+        ask(&self.stage.bus(), &self.keys.write(&Key::ViewCoordinator), &Value::Null, LOOK).await
+    }
+
+    async fn voters(&self) -> usize {
+        self.coordinator().await.and_then(|view| view["voters"].as_array().map(Vec::len)).unwrap_or(0)
+    }
+
+    /// Makes a request of whoever coordinates.
+    pub(crate) async fn api(&self, call: ApiCall, request: &Value) -> Option<Value> {
+        ask(&self.stage.bus(), &self.keys.write(&Key::Api(call)), request, LOOK).await
+    }
+
+    /// Waits for an event, and says when it was heard.
+    pub(crate) async fn hear<T>(
+        &mut self,
+        what: impl Display,
+        limit: Duration,
+        mut pick: impl FnMut(Event) -> Option<T>,
+    ) -> Result<(T, Instant), Problem> {
+        let deadline = Instant::now() + limit;
+        loop {
+            let sample = timeout_at(deadline, self.events.recv()).await;
+            let sample = sample.map_err(|_| format!("{what} was not heard within {limit:?}"))?;
+            let at = Instant::now();
+            let sample = sample.ok_or("the bus was closed")?;
+            let event = serde_json::from_slice(&sample.payload).map_err(|problem| problem.to_string())?;
+            if let Some(found) = pick(event) {
+                return Ok((found, at));
+            }
+        }
+    }
+
+    /// Ends it.
+    pub(crate) async fn end(self) {
+        self.stage.strike().await;
+    }
+}
+
+/// The same cast in another fleet; all its nodes agree on it.
+pub(crate) fn in_fleet(mut cast: Cast, fleet: FleetConfig) -> Cast {
+    let reference = FleetRef::from(fleet.clone());
+    cast.fleet = fleet;
+    cast.world.fleet = reference.clone();
+    cast.robots.iter_mut().for_each(|robot| robot.fleet = reference.clone());
+    cast.stations.iter_mut().for_each(|station| station.fleet = reference.clone());
+    cast
+}
+
+/// A request for lab samples.
+pub(crate) fn lab_samples(request: &str, room: &str) -> Value {
+    json!({ "mission": "lab-samples", "parameters": { "room": room }, "request": request })
+}
+
+/// The mission that an answer acknowledges.
+pub(crate) fn acknowledged(answer: Option<&Value>) -> Option<MissionId> {
+    answer?["mission"].as_str()?.parse().ok()
+}
+
+/// Asks, and gives the first answer that is JSON.
+pub(crate) async fn ask(bus: &SharedBus, key: &str, payload: &Value, limit: Duration) -> Option<Value> {
+    let bytes = if payload.is_null() { vec![] } else { payload.to_string().into_bytes() };
+    let mut replies = bus.query(key, bytes.into(), limit).await.ok()?;
+    while let Some(reply) = replies.recv().await {
+        if let Some(value) = reply.payload.ok().and_then(|bytes| serde_json::from_slice(&bytes).ok()) {
+            return Some(value);
+        }
+    }
+    None
+}
+
+/// The first number among the arguments, or `default`: `cargo bench -p consort --bench auction -- 20`.
+pub(crate) fn count(default: usize) -> usize {
+    std::env::args().find_map(|argument| argument.parse().ok()).unwrap_or(default)
+}
+
+/// Milliseconds from one instant to another.
+pub(crate) fn ms(from: Instant, to: Instant) -> f64 {
+    to.saturating_duration_since(from).as_secs_f64() * 1000.0
+}
+
+/// Median and tail of some milliseconds, by nearest rank.
+pub(crate) fn figures(mut all: Vec<f64>) -> Value {
+    all.sort_by(f64::total_cmp);
+    let rank = |share: f64| {
+        let rank = (all.len() as f64 * share).ceil().max(1.0) as usize;
+        all.get(rank - 1).map(|ms| (ms * 100.0).round() / 100.0)
+    };
+    json!({ "n": all.len(), "min": rank(0.0), "p50": rank(0.5), "p95": rank(0.95), "p99": rank(0.99), "max": rank(1.0) })
+}
+
+/// Runs a benchmark and prints what it found, and how busy the machine was, as one line of JSON.
+pub(crate) fn main(name: &str, measure: impl Future<Output = Result<Value, Problem>>) -> ExitCode {
+    let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build().expect("the system gives threads");
+    let found = runtime.block_on(measure);
+    let load = std::fs::read_to_string("/proc/loadavg").unwrap_or_default();
+    let cores = std::thread::available_parallelism().map_or(0, usize::from);
+    let line = match &found {
+        Ok(figures) => json!({
+            "bench": name, "cores": cores, "load_1min": load.split(' ').next(), "ms": figures,
+        }),
+        Err(problem) => json!({ "bench": name, "problem": problem }),
+    };
+    // Nobody reads it: then it need not be printed.
+    let _ = writeln!(std::io::stdout(), "{line}");
+    runtime.shutdown_background();
+    if found.is_ok() { ExitCode::SUCCESS } else { ExitCode::FAILURE }
+}
