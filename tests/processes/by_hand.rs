@@ -1,6 +1,6 @@
 //! The main job by hand: the example files, a process for each, and the commands that ask and look.
 
-use crate::support::{Fleet, Folder, example};
+use crate::support::{Fleet, Folder, Program, example, until};
 use serde_json::{Value, json};
 use std::time::Duration;
 
@@ -40,10 +40,9 @@ fn a_mission_is_submitted_watched_and_canceled_with_the_commands_and_the_example
 
     // One mission, waited for, and looked at meanwhile.
     let submit = ["submit", "lab-samples", "--set", "room=IC Room 6", "--request", "order-1"];
-    let waiting = fleet.begin(&[&submit[..], &["--wait"]].concat(), "world");
+    let mut waiting = fleet.begin(&[&submit[..], &["--wait"]].concat(), "world");
     let mut agreed = 0;
-    let mut waited = waiting;
-    while !waited.has_ended() {
+    while !waiting.has_ended() {
         let before = fleet.run(&["missions", "--json"], "ada").expect(0).json();
         let seen = fleet.run(&["fleet", "--json"], "station-1").expect(0).json();
         let after = fleet.run(&["missions", "--json"], "lab-arm").expect(0).json();
@@ -52,7 +51,7 @@ fn a_mission_is_submitted_watched_and_canceled_with_the_commands_and_the_example
             agreed += 1;
         }
     }
-    let ended = waited.end(Duration::from_secs(1)).expect(0);
+    let ended = waiting.end(Duration::from_secs(1)).expect(0);
     assert_eq!(
         ended.stdout.lines().collect::<Vec<_>>(),
         ["lab-samples-1", "lab-samples-1 completed"],
@@ -83,7 +82,7 @@ fn a_mission_is_submitted_watched_and_canceled_with_the_commands_and_the_example
     // A mission for which there are no robots waits, and says why; it can be withdrawn, once.
     let pending = fleet.run(&["submit", "bed-transfer", "--json"], "ada").expect(0).json();
     assert_eq!(pending, json!({ "mission": "bed-transfer-2", "again": false }));
-    crate::support::until("the auction of bed-transfer-2 says why it fails", Duration::from_secs(30), || {
+    until("the auction of bed-transfer-2 says why it fails", Duration::from_secs(30), || {
         let missions = fleet.run(&["missions", "--json"], "world").expect(0).json();
         let entry = mission(&missions, "bed-transfer-2");
         assert_eq!(entry["state"], "pending");
@@ -112,6 +111,6 @@ fn a_fleet_that_is_not_there_is_said_not_to_be() {
     let address = format!("tcp/{}", free.local_addr().expect("it has an address"));
     drop(free);
     let arguments = ["missions", "--connect", &address, "--timeout", "1"];
-    let ended = crate::support::Program::start(&folder, "missions", &arguments).end(Duration::from_secs(20)).expect(3);
+    let ended = Program::start(&folder, "missions", &arguments).end(Duration::from_secs(20)).expect(3);
     assert!(ended.stderr.contains(&format!("nothing answers at {address}")), "{}", ended.stderr);
 }

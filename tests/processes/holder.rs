@@ -1,7 +1,7 @@
 //! The robot that carries the sample dies on its way to the nurse.
 
 use crate::demo::each_once;
-use crate::support::{Client, Fleet, example};
+use crate::support::{Client, Fleet, example, until};
 use serde_json::Value;
 use std::time::Duration;
 use toml::Table;
@@ -35,7 +35,7 @@ fn hospital() -> Fleet {
 fn the_role_of_a_robot_that_dies_before_it_has_told_anybody_is_carried_out_by_another() {
     let mut fleet = hospital();
     let mut client = Client::open(&fleet.address("world"), "relay");
-    crate::support::until("both carriers and the arm are members", LONG, || {
+    until("both carriers and the arm are members", LONG, || {
         let members = client.view("fleet")["ensembles"][0]["nodes"].clone();
         let members = members.as_array()?.iter().filter(|entry| entry["member"] == true).count();
         (members == 3).then_some(())

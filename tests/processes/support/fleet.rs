@@ -104,9 +104,13 @@ impl Fleet {
         }
         for (_, node) in std::mem::take(&mut self.nodes) {
             let ended = node.end(Duration::from_secs(20)).expect(0);
-            // What Zenoh says of neighbours that leave before it is theirs.
+            // Zenoh 1.10.2 itself is not at its best when neighbours leave at once: while a session is closed, a thread of
+            // its own may panic about what has gone already (like its issue 2624). All is said and done by then.
+            let (lived, goodbye) = ended.stderr.split_once(" stops node=").expect("it says that it stops");
             let trouble = |line: &&str| line.contains(" ERROR consort") || line.contains("panicked at");
-            assert_eq!(ended.stderr.lines().find(trouble), None, "\n{}", ended.stderr);
+            let ours = |line: &&str| trouble(line) && !line.contains("/zenoh-");
+            let found = lived.lines().find(trouble).or_else(|| goodbye.lines().find(ours));
+            assert_eq!(found, None, "\n{}", ended.stderr);
         }
         self.folder.await_no_process(Duration::from_secs(5));
     }
