@@ -17,4 +17,5 @@ mod ledger;
 pub mod node;
 pub mod replica;
 pub mod robot;
+pub mod store;
 mod tasks;

@@ -12,8 +12,9 @@ use crate::clock::Clock;
 use crate::coordinator::{Coordinator, CoordinatorSettings};
 use crate::events::Events;
 use crate::gossip::{self, Gossip, GossipHandle, SharedKnowledge};
-use crate::replica::{MemoryJournal, RaftId, Replica, ReplicaSettings, StartError};
+use crate::replica::{RaftId, Replica, ReplicaSettings, StartError};
 use crate::robot::{Robot, RobotSettings};
+use crate::store::Store;
 use crate::tasks::Tasks;
 use consort_protocol::auction::Limits;
 use consort_protocol::ensemble::Ensemble;
@@ -68,6 +69,8 @@ pub struct NodeSettings {
     pub incarnation: u64,
     /// Where all its chance comes from.
     pub seed: u64,
+    /// What it remembers of former lives.
+    pub store: Store,
     /// Its clock.
     pub clock: Clock,
     /// Whether it keeps a copy of the ledger and may coordinate.
@@ -220,16 +223,15 @@ async fn assemble(
     bus: SharedBus,
     root: &ActorRef<NodeMessage>,
 ) -> Result<Assembled, NodeError> {
-    let NodeSettings { fleet, node, incarnation, seed, clock, .. } = settings;
+    let NodeSettings { fleet, node, incarnation, seed, store, clock, .. } = settings;
     let keys = Keys::new(&fleet.fleet);
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     let mut tasks = Tasks::default();
     let events = Events::open(node.clone(), &keys, bus.clone(), clock);
 
     let replica = if settings.may_vote {
-        let journal = Arc::new(MemoryJournal::new(rng.next_u64()));
         let replica_settings = ReplicaSettings::new(fleet.fleet.clone(), node.clone());
-        Some(Replica::<Ledger>::start(replica_settings, bus.clone(), journal, rng.next_u64()).await?)
+        Some(Replica::<Ledger>::start(replica_settings, bus.clone(), store.journal, rng.next_u64()).await?)
     } else {
         None
     };

@@ -6,6 +6,7 @@ use crate::floor::{self, Floor};
 use consort_actors::bus::ZenohSettings;
 use consort_actors::clock::Clock;
 use consort_actors::node::{FleetSettings, HostPart, NodeSettings, RobotPart};
+use consort_actors::store::Store;
 use consort_protocol::auction::Limits;
 use consort_protocol::ensemble::Ensemble;
 use consort_protocol::ids::{NodeId, PlaceId};
@@ -207,6 +208,7 @@ fn bare_node(node: NodeId, fleet: &FleetConfig, life: Life, may_vote: bool) -> R
         node,
         incarnation,
         seed,
+        store: Store::in_memory(seed),
         clock,
         may_vote,
         stationary: false,

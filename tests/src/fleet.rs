@@ -6,6 +6,7 @@ use crate::slug;
 use consort_actors::bus::{Bus, LinkModel, VirtualBus, VirtualNetwork};
 use consort_actors::clock::Clock;
 use consort_actors::node::{FleetSettings, HostPart, NodeHandle, NodeSettings, RobotPart};
+use consort_actors::store::Store;
 use consort_protocol::auction::Limits;
 use consort_protocol::ensemble::{Ensemble, EnsembleSpec};
 use consort_protocol::event::{Event, Happening};
@@ -140,12 +141,14 @@ impl Fleet {
 
     fn node(&mut self, name: &str, may_vote: bool, robot: Option<RobotPart>) -> NodeSettings {
         self.lives += 1;
+        let seed = self.seed.wrapping_mul(1_000_003).wrapping_add(self.lives);
         let stationary = robot.as_ref().is_none_or(|robot| robot.worker.speed.is_none());
         NodeSettings {
             fleet: self.settings.clone(),
             node: slug(name),
             incarnation: self.lives,
-            seed: self.seed.wrapping_mul(1_000_003).wrapping_add(self.lives),
+            seed,
+            store: Store::in_memory(seed),
             clock: Clock::virtual_at(0),
             may_vote,
             stationary,
