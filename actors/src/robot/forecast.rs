@@ -48,7 +48,7 @@ impl Forecast {
 }
 
 /// The robot as its estimator sees it, at the place where it stands or which it passed last.
-pub fn context(worker: &Worker) -> Context {
+pub(super) fn context(worker: &Worker) -> Context {
     // A robot that does not drive has no navigation task to price: its speed plays no part.
     let speed = worker.speed.unwrap_or(MetresPerSecond::new(1.0).expect("1 m/s is a speed"));
     Context { place: worker.place.clone(), pose: None, speed, discharge: worker.discharge }

@@ -22,6 +22,7 @@ pub struct Pen {
     due: bool,
     waiting: Vec<Telling>,
     writing: Option<Vec<Telling>>,
+    written: Vec<Telling>,
 }
 
 impl Pen {
@@ -38,7 +39,7 @@ impl Pen {
 
     /// Whether all is written down and told: something new may be begun.
     pub fn is_idle(&self) -> bool {
-        !self.due && self.writing.is_none()
+        !self.due && self.writing.is_none() && self.written.is_empty()
     }
 
     /// Whether the page is to be written now. The caller writes it, and says when that is [`done`](Pen::done).
@@ -51,9 +52,21 @@ impl Pen {
         true
     }
 
-    /// The page has been written: what may be told now, in order.
-    pub fn done(&mut self) -> Vec<Telling> {
-        self.writing.take().unwrap_or_default()
+    /// The page has been written.
+    pub fn done(&mut self) {
+        self.written.extend(self.writing.take().into_iter().flatten());
+    }
+
+    /// What may be told now, in order. The caller tells it.
+    pub fn take_written(&mut self) -> Vec<Telling> {
+        std::mem::take(&mut self.written)
+    }
+
+    /// Lays the pen down for good: what was not told, in order.
+    pub fn abandon(mut self) -> Vec<Telling> {
+        self.done();
+        self.written.extend(self.waiting);
+        self.written
     }
 }
 
@@ -75,11 +88,24 @@ mod tests {
         assert!(pen.begin());
         pen.note(telling("two"));
         assert!(!pen.begin(), "one page at a time");
-        assert_eq!(pen.done(), [telling("one")]);
+        assert_eq!(pen.take_written(), []);
+        pen.done();
+        assert_eq!(pen.take_written(), [telling("one")]);
         assert!(!pen.is_idle());
         assert!(pen.begin());
-        assert_eq!(pen.done(), [telling("two")]);
+        pen.done();
+        assert!(!pen.is_idle(), "it is still to be told");
+        assert_eq!(pen.take_written(), [telling("two")]);
         assert!(pen.is_idle());
-        assert_eq!(pen.done(), []);
+        assert_eq!(pen.take_written(), []);
+    }
+
+    #[test]
+    fn what_was_not_told_is_there_in_order_when_the_pen_is_laid_down() {
+        let mut pen = Pen::default();
+        pen.note(telling("one"));
+        pen.begin();
+        pen.note(telling("two"));
+        assert_eq!(pen.abandon(), [telling("one"), telling("two")]);
     }
 }

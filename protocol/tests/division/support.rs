@@ -30,10 +30,8 @@ pub(crate) fn mission(tree: &Tree) -> Mission {
         let (order, below) = match tree {
             Task(roles) => {
                 let spec = TaskSpec {
-                    task_type: TaskType::new("wait").unwrap(),
-                    roles: roles.iter().copied().map(role).collect(),
                     parameters: [("seconds".to_owned(), "1".to_owned())].into(),
-                    reaches: BTreeMap::new(),
+                    ..TaskSpec::of(TaskType::new("wait").unwrap(), roles.iter().copied().map(role).collect())
                 };
                 tasks.push(TaskNode { id: TaskId::new(format!("t{leaves}")).unwrap(), body: Body::Elementary(spec) });
                 *leaves += 1;
@@ -43,9 +41,9 @@ pub(crate) fn mission(tree: &Tree) -> Mission {
             Unordered(below) => (Order::Unordered, below),
         };
         let id = TaskId::new(format!("a{index}")).unwrap();
-        tasks.push(TaskNode { id, body: Body::Abstract(Method { order, children: vec![] }) });
+        tasks.push(TaskNode { id, body: Body::Abstract(Method::of(order, vec![])) });
         let children = below.iter().map(|tree| add(tree, tasks, leaves)).collect();
-        tasks[index].body = Body::Abstract(Method { order, children });
+        tasks[index].body = Body::Abstract(Method::of(order, children));
         index as TaskIndex
     }
     let mut tasks = Vec::new();
