@@ -7,6 +7,8 @@ mod leases;
 mod queueing;
 mod refusals;
 mod requests;
+mod restart;
+mod setbacks;
 mod supervision;
 mod takeover;
 mod takeover_everywhere;
