@@ -112,7 +112,8 @@ impl LeaseTerms {
     /// end of its lease its body is at rest. The derivation stands above. Nothing when the grace does not even cover the
     /// reaction.
     pub fn drift_max(&self, reaction: Duration) -> f64 {
-        let (lease, half, reaction) = (self.lease.as_secs_f64(), self.grace.as_secs_f64() / 2.0, reaction.as_secs_f64());
+        let (lease, half, reaction) =
+            (self.lease.as_secs_f64(), self.grace.as_secs_f64() / 2.0, reaction.as_secs_f64());
         ((half - reaction) / (lease + half + reaction)).max(0.0)
     }
 
@@ -507,7 +508,9 @@ mod tests {
             ada
         };
         let recalled = || Tenure::restore(RobotId::new("ada").unwrap(), LeaseTerms::default(), award(5));
-        for (name, make) in [("acting", &acting as &dyn Fn() -> Tenure), ("suspended", &suspended), ("recalled", &recalled)] {
+        for (name, make) in
+            [("acting", &acting as &dyn Fn() -> Tenure), ("suspended", &suspended), ("recalled", &recalled)]
+        {
             let events = [
                 Event::Heard(Box::new(award(4))),
                 renewed(4, 4000),
@@ -528,7 +531,10 @@ mod tests {
     fn a_robot_that_never_acted_has_nothing_to_halt() {
         let mut ada = tenure();
         ada.handle(Event::Heard(Box::new(award(5))), at(0));
-        assert_eq!(ada.handle(Event::Revoked { epoch: Epoch { term: 1, index: 5 }, reason: Ending::Canceled }, at(1)), []);
+        assert_eq!(
+            ada.handle(Event::Revoked { epoch: Epoch { term: 1, index: 5 }, reason: Ending::Canceled }, at(1)),
+            []
+        );
         assert_eq!(ada.award(), None);
         assert_eq!(ada.handle(renewed(5, 0), at(2)), [], "the word that it no longer holds it was faster");
     }
@@ -547,7 +553,8 @@ mod tests {
         ada.handle(Event::Renewed { epoch, sent: slow(answered), ended: BTreeSet::new() }, slow(answered));
         let reaction = u64::try_from(reaction.as_micros()).unwrap();
         let instants = (0..20_000_000).step_by(1_000);
-        let mut both = instants.filter(|us| ada.may_act(slow(us - reaction.min(*us))) && watch.is_over(epoch, &robot, fast(*us)));
+        let mut both =
+            instants.filter(|us| ada.may_act(slow(us - reaction.min(*us))) && watch.is_over(epoch, &robot, fast(*us)));
         both.next().is_some()
     }
 

@@ -191,6 +191,16 @@ impl Fleet {
         });
     }
 
+    /// A bus of somebody who is no node.
+    pub fn client(&self) -> &VirtualBus {
+        &self.client
+    }
+
+    /// The fleet's keys.
+    pub fn keys(&self) -> &Keys {
+        &self.keys
+    }
+
     /// What a robot has written down.
     pub async fn notebook(&self, name: &str) -> Option<Vec<u8>> {
         self.stores[name].notebook.read().await.expect("a notebook in memory")

@@ -36,12 +36,32 @@ impl Member {
     /// A robot with a drawer, as lab samples need one.
     pub fn carrier(name: &'static str, place: &'static str) -> Member {
         let skills = vec!["navigation", "approach_person", "authenticate_person", "operate_drawer", "approach_robot"];
-        Member { name, place, speed: Some(0.6), battery: 0.9, skills, trained: None, late: false, thirst: 1.0, clock_rate: 1.0 }
+        Member {
+            name,
+            place,
+            speed: Some(0.6),
+            battery: 0.9,
+            skills,
+            trained: None,
+            late: false,
+            thirst: 1.0,
+            clock_rate: 1.0,
+        }
     }
 
     /// An arm that takes samples out of drawers.
     pub fn arm(name: &'static str, place: &'static str) -> Member {
-        Member { name, place, speed: None, battery: 1.0, skills: vec!["pick_up"], trained: None, late: false, thirst: 1.0, clock_rate: 1.0 }
+        Member {
+            name,
+            place,
+            speed: None,
+            battery: 1.0,
+            skills: vec!["pick_up"],
+            trained: None,
+            late: false,
+            thirst: 1.0,
+            clock_rate: 1.0,
+        }
     }
 
     /// The same robot with another speed, in metres per second.

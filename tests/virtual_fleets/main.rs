@@ -3,6 +3,7 @@
 mod again;
 mod delivery;
 mod determinism;
+mod fencing;
 mod leases;
 mod queueing;
 mod refusals;

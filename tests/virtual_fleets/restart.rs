@@ -129,9 +129,7 @@ fn a_robot_that_asks_whether_its_role_is_still_its_own_is_not_free() {
         use consort_protocol::knowledge::Availability;
         let held = Availability::Holding { mission: mission.clone(), role: slug("r1"), suspended: true };
         fleet.until("it to say that it holds a role", SOON, |fleet| says(fleet) == Some(held.clone())).await;
-        fleet
-            .never("something else", Duration::from_secs(20), |fleet| says(fleet) != Some(held.clone()))
-            .await;
+        fleet.never("something else", Duration::from_secs(20), |fleet| says(fleet) != Some(held.clone())).await;
         assert!(fleet.position("gorse") == place && !fleet.happened(resumed), "seed {seed}\n{}", fleet.tale());
         fleet.heal();
         fleet.completes(&mission).await;
@@ -149,9 +147,7 @@ async fn interrupted(seed: u64, nth: usize, robot: &'static str, away: Duration)
     let before = fleet.chronicle.len();
     let mission = fleet.submit("a", room).await;
     let over = |fleet: &Fleet| fleet.state_of(&mission).is_some_and(|state| state.is_end());
-    fleet
-        .until(&format!("{nth} things"), SOON, |fleet| fleet.chronicle.len() >= before + nth || over(fleet))
-        .await;
+    fleet.until(&format!("{nth} things"), SOON, |fleet| fleet.chronicle.len() >= before + nth || over(fleet)).await;
     if over(&fleet) {
         return false;
     }
