@@ -102,10 +102,7 @@ impl Fleet {
             lives: 0,
             stores: BTreeMap::new(),
         };
-        let host = HostPart { world: Box::new(world), speed: 10.0 };
-        let mut settings = fleet.node("world", false, None);
-        settings.host = Some(host);
-        fleet.start(settings).await;
+        fleet.start_world().await;
         for station in stations {
             fleet.start_station(station).await;
         }
@@ -114,6 +111,14 @@ impl Fleet {
             fleet.start_robot(name).await;
         }
         fleet
+    }
+
+    /// Starts the node that hosts the bodies and the people, for the first time or again. The world itself goes on in any
+    /// case.
+    pub async fn start_world(&mut self) {
+        let host = HostPart { world: Box::new(self.world.clone()), speed: 10.0 };
+        let settings = NodeSettings { host: Some(host), ..self.node("world", false, None) };
+        self.start(settings).await;
     }
 
     /// Starts the node of a station, for the first time or again with an empty memory.
