@@ -17,7 +17,7 @@ use consort_protocol::keys::{Key, Keys, PeopleCall};
 use consort_protocol::lease::{Epoch, Holding};
 use consort_protocol::message::{Beacon, FailureKind, LivePlan, Report, ReportAnswer, Said, TaskFailure};
 use consort_protocol::mission::TaskSpec;
-use consort_protocol::plan::StepIndex;
+use consort_protocol::plan::{LocalPlan, StepIndex};
 use consort_skills::actions::{ActionError, GoalId, PersonAsk};
 use ractor::{Actor, ActorProcessingErr, ActorRef};
 use std::collections::BTreeMap;
@@ -74,6 +74,8 @@ pub struct AttendantState {
 
 /// One unmanaged role of a mission under way.
 struct Job {
+    /// Another one under the same name is that of the mission's recovery branch.
+    plan: LocalPlan,
     sequencer: Sequencer,
     /// What the person is at.
     ask: Option<(GoalId, StepIndex, PersonAsk)>,
@@ -194,6 +196,9 @@ impl AttendantState {
         for LivePlan { mission, plan, ended, holders } in plans {
             let holders = Holding::robots(&holders);
             let key = (mission.clone(), plan.role.clone());
+            if self.jobs.get(&key).is_some_and(|job| job.plan != plan) {
+                self.put_down(&key);
+            }
             if let Some(job) = self.jobs.get_mut(&key) {
                 if *job.sequencer.holders() != holders {
                     job.sequencer.set_holders(holders);
@@ -205,7 +210,7 @@ impl AttendantState {
                 }
             } else {
                 let role = plan.role.clone();
-                let sequencer = match Sequencer::new(plan, &ended, holders) {
+                let sequencer = match Sequencer::new(plan.clone(), &ended, holders) {
                     Ok(sequencer) => sequencer,
                     Err(problem) => {
                         warn!(%mission, %role, %problem, "a plan that cannot be taken up");
@@ -218,7 +223,7 @@ impl AttendantState {
                     // An attendant that has stopped needs no answer.
                     let _ = to.cast(AttendantMessage::Said(said));
                 });
-                self.jobs.insert(key.clone(), Job { sequencer, ask: None, failure: None });
+                self.jobs.insert(key.clone(), Job { plan, sequencer, ask: None, failure: None });
             }
             self.advance(myself, &key).await;
         }
