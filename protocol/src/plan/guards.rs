@@ -11,8 +11,9 @@
 //!
 //! The guard of a move stands with the role that gets the item. If that is nobody, or a person, it stands with the role
 //! that has it, and if that is nobody either, with the robots that do the task. A role that does the task itself is
-//! guarded at its own step, and at each `ready` that it sends for it; another one at the sends by which those who do it
-//! learn, directly or through others, that they may begin. A task that waits for nothing of that role has no guard: it
+//! guarded at its own step, or, where the task is joint, at each `ready` that it sends for it, since its partners begin when
+//! they have heard it; another one at the sends by which those who do it learn, directly or through others, that they may
+//! begin. A task that waits for nothing of that role has no guard: it
 //! may have been done as soon as the role is held.
 
 use super::local::{Division, Signal, SignalKind, StepAction, StepIndex};
@@ -94,7 +95,7 @@ fn sends(division: &Division) -> BTreeMap<&Signal, StepIndex> {
 fn own_guards(division: &Division, role: &RoleId, task: &TaskId) -> Vec<StepIndex> {
     let Some(plan) = division.plans.get(role) else { return vec![] };
     let of_task = |action: &StepAction| match action {
-        StepAction::Task { id, .. } => id == task,
+        StepAction::Task { id, spec } => id == task && !spec.is_joint(),
         StepAction::Send(signal) => signal.kind == SignalKind::Ready && signal.task == *task,
         StepAction::Wait(_) => false,
     };
