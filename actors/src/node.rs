@@ -13,8 +13,8 @@ use crate::coordinator::{Coordinator, CoordinatorSettings};
 use crate::events::Events;
 use crate::gossip::{self, Gossip, GossipHandle, SharedKnowledge};
 use crate::replica::{RaftId, Replica, ReplicaSettings, StartError};
-use crate::robot::{Robot, RobotSettings};
-use crate::store::Store;
+use crate::robot::{Patience, Robot, RobotSettings};
+use crate::store::{Notebook, Store};
 use crate::tasks::Tasks;
 use consort_protocol::auction::Limits;
 use consort_protocol::ensemble::Ensemble;
@@ -344,6 +344,7 @@ async fn assemble(
             clock,
             events,
             gossip,
+            store.notebook,
             &supervisor,
             &mut tasks,
         )
@@ -363,6 +364,7 @@ async fn start_robot(
     clock: Clock,
     events: Events,
     gossip: GossipHandle,
+    notebook: Arc<dyn Notebook>,
     supervisor: &ractor::ActorCell,
     tasks: &mut Tasks,
 ) -> Result<(), NodeError> {
@@ -391,10 +393,14 @@ async fn start_robot(
         knowledge: gossip.shared().clone(),
         gossip,
         ensemble: Arc::clone(&fleet.ensemble),
+        limits: fleet.limits,
         terms: fleet.terms,
         estimator: part.estimator,
         library: part.library,
         body,
+        notebook,
+        patience: Patience::default(),
+        pause: Duration::from_millis(500),
         beat: Duration::from_millis(250),
         tick: Duration::from_millis(100),
     };

@@ -43,6 +43,8 @@ pub struct Fleet {
     pub(crate) journal: Vec<JournalEntry>,
     started: Instant,
     lives: u64,
+    /// What the latest life of each node left behind.
+    stores: BTreeMap<String, Store>,
 }
 
 impl Fleet {
@@ -98,6 +100,7 @@ impl Fleet {
             journal: vec![],
             started: Instant::now(),
             lives: 0,
+            stores: BTreeMap::new(),
         };
         let host = HostPart { world: Box::new(world), speed: 10.0 };
         let mut settings = fleet.node("world", false, None);
@@ -113,14 +116,21 @@ impl Fleet {
         fleet
     }
 
-    /// Starts the node of a station, for the first time or again.
+    /// Starts the node of a station, for the first time or again with an empty memory.
     pub async fn start_station(&mut self, name: &str) {
+        self.stores.remove(name);
         let settings = self.node(name, true, None);
         self.start(settings).await;
     }
 
-    /// Starts a robot's node, for the first time or again.
+    /// Starts a robot's node, for the first time or again with an empty memory.
     pub async fn start_robot(&mut self, name: &'static str) {
+        self.stores.remove(name);
+        self.restart(name).await;
+    }
+
+    /// Starts a robot's node again with what its former life had written down.
+    pub async fn restart(&mut self, name: &'static str) {
         let member = self.members.get(name).expect("a robot of this fleet").clone();
         let robot = self.world.with(|world| {
             let map = world.map();
@@ -136,7 +146,8 @@ impl Fleet {
             }
         });
         let settings = self.node(name, true, Some(robot));
-        self.start(settings).await;
+        let clock = settings.clock.drifting(member.clock_rate);
+        self.start(NodeSettings { clock, ..settings }).await;
     }
 
     fn node(&mut self, name: &str, may_vote: bool, robot: Option<RobotPart>) -> NodeSettings {
@@ -148,7 +159,7 @@ impl Fleet {
             node: slug(name),
             incarnation: self.lives,
             seed,
-            store: Store::in_memory(seed),
+            store: self.stores.entry(name.to_owned()).or_insert_with(|| Store::in_memory(seed)).clone(),
             clock: Clock::virtual_at(0),
             may_vote,
             stationary,
@@ -178,6 +189,26 @@ impl Fleet {
                 }
             }
         });
+    }
+
+    /// A bus of somebody who is no node.
+    pub fn client(&self) -> &VirtualBus {
+        &self.client
+    }
+
+    /// The fleet's keys.
+    pub fn keys(&self) -> &Keys {
+        &self.keys
+    }
+
+    /// What a robot has written down.
+    pub async fn notebook(&self, name: &str) -> Option<Vec<u8>> {
+        self.stores[name].notebook.read().await.expect("a notebook in memory")
+    }
+
+    /// Puts something else there while the robot is not running.
+    pub async fn forge_notebook(&self, name: &str, page: Vec<u8>) {
+        self.stores[name].notebook.write(Some(page)).await.expect("a notebook in memory");
     }
 
     /// Ends a node as SIGKILL would.
