@@ -36,6 +36,7 @@ mod types;
 
 pub use journal::{Journal, MemoryJournal, Recorded, StoreIdentity};
 pub use replica::{BootstrapError, Leadership, MemberError, ProposeError, Replica, StartError};
+pub use store::Applied;
 pub use runtime::{SeededRuntime, seed_elections};
 pub use settings::{ReplicaSettings, SettingsError};
 pub use types::{Epoch, Peer, RaftId, Reign, StateMachine};
