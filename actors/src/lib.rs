@@ -20,3 +20,4 @@ pub mod replica;
 pub mod robot;
 pub mod store;
 mod tasks;
+pub mod timing;
