@@ -12,7 +12,8 @@ use crate::clock::Clock;
 use crate::coordinator::{Coordinator, CoordinatorSettings};
 use crate::events::Events;
 use crate::gossip::{self, Gossip, GossipHandle, SharedKnowledge};
-use crate::replica::{RaftId, Replica, ReplicaSettings, StartError};
+use crate::observe::SharedObserver;
+use crate::replica::{Applied, RaftId, Replica, ReplicaSettings, StartError};
 use crate::robot::{Patience, Robot, RobotSettings};
 use crate::store::{Notebook, Store};
 use crate::tasks::Tasks;
@@ -22,7 +23,7 @@ use consort_protocol::ids::{FleetId, NodeId, RobotId};
 use consort_protocol::keys::{Key, Keys};
 use consort_protocol::knowledge::{Knowledge, Worker};
 use consort_protocol::lease::LeaseTerms;
-use consort_protocol::ledger::Ledger;
+use consort_protocol::ledger::{Command, Ledger};
 use consort_protocol::mission::Domain;
 use consort_skills::actions::BodyHost;
 use consort_skills::descriptor::Estimator;
@@ -83,6 +84,8 @@ pub struct NodeSettings {
     pub robot: Option<RobotPart>,
     /// The bodies and people it hosts, if it does.
     pub host: Option<HostPart>,
+    /// Is told what happens on it, in place; none as a rule.
+    pub observer: Option<SharedObserver>,
 }
 
 /// A robot's part of a node.
@@ -181,6 +184,11 @@ impl NodeHandle {
         let _ = self.ended.await;
     }
 
+    /// Whether the node has ended by itself: an actor of it failed.
+    pub fn has_ended(&self) -> bool {
+        self.ended.is_finished()
+    }
+
     /// Waits until the node has ended by itself, and says why: an actor of it failed, or its copy of the ledger did.
     pub async fn ended(&mut self) -> String {
         // See above.
@@ -254,15 +262,20 @@ async fn assemble(
     bus: SharedBus,
     root: &ActorRef<NodeMessage>,
 ) -> Result<Assembled, NodeError> {
-    let NodeSettings { fleet, node, incarnation, seed, store, clock, .. } = settings;
+    let NodeSettings { fleet, node, incarnation, seed, store, clock, observer, .. } = settings;
     let keys = Keys::new(&fleet.fleet);
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     let mut tasks = Tasks::default();
-    let events = Events::open(node.clone(), &keys, bus.clone(), clock);
+    let events = Events::open(node.clone(), &keys, bus.clone(), clock, observer.clone());
 
     let replica = if settings.may_vote {
         let replica_settings = ReplicaSettings::new(fleet.fleet.clone(), node.clone());
-        Some(Replica::<Ledger>::start(replica_settings, bus.clone(), store.journal, rng.next_u64()).await?)
+        let applied = observer.map(|observer| {
+            let node = node.clone();
+            Arc::new(move |at, command: Option<&Command>| observer.applied(&node, at, command)) as Applied<Ledger>
+        });
+        let (bus, seed) = (bus.clone(), rng.next_u64());
+        Some(Replica::start_observed(replica_settings, bus, store.journal, seed, applied).await?)
     } else {
         None
     };

@@ -247,6 +247,7 @@ fn bare_node(node: NodeId, fleet: &FleetConfig, life: Life, may_vote: bool) -> R
         mains_powered: false,
         robot: None,
         host: None,
+        observer: None,
     })
 }
 

@@ -6,7 +6,7 @@ use super::network::{Heard, Switchboard};
 use super::runtime::seed_elections;
 use super::serve::Service;
 use super::settings::{ReplicaSettings, SettingsError};
-use super::store::{self, MachineStore};
+use super::store::{self, Applied, MachineStore};
 use super::succession::{self, Resigned, Succession};
 use super::types::{Epoch, Peer, Raft, RaftId, Reign, StateMachine, epoch_of, reign_of};
 use crate::bus::{BusError, SharedBus};
@@ -236,10 +236,24 @@ impl<S: StateMachine> Replica<S> {
         journal: Arc<dyn Journal>,
         seed: u64,
     ) -> Result<Self, StartError> {
+        Replica::start_observed(settings, bus, journal, seed, None).await
+    }
+
+    /// The same, and tells `applied` of every entry that this copy takes in.
+    ///
+    /// # Errors
+    /// As [`Replica::start`].
+    pub async fn start_observed(
+        settings: ReplicaSettings,
+        bus: SharedBus,
+        journal: Arc<dyn Journal>,
+        seed: u64,
+        applied: Option<Applied<S>>,
+    ) -> Result<Self, StartError> {
         let config = settings.to_config()?;
         let id = RaftId::of(&settings.node, journal.identity());
         let place = journal.place();
-        let opened = store::open::<S>(journal).await;
+        let opened = store::open::<S>(journal, applied).await;
         let (log, machine) = opened.map_err(|problem| StartError::Journal { place, problem })?;
         let keys = Keys::new(&settings.fleet);
         let queries = bus.serve(&keys.any_raft(id.0)).await?;
