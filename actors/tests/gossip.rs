@@ -171,7 +171,9 @@ fn a_change_is_heard_at_once_and_repaired_where_it_was_lost() {
 
             fleet.network.set_link_model(LinkModel { loss: 0.5, ..LinkModel::LAN });
             fleet.node(3).gossip.update_with(|own| own.replica = Some(2)).unwrap();
-            fleet.until("a change is repaired", secs(5), everybody_has(2)).await;
+            // Half of everything is lost. In 5 s a node misses all of some six repetitions and of ten exchanges in one of
+            // three hundred cases, which is one of four for nine nodes and ten seeds; in 10 s, one of ten thousand.
+            fleet.until("a change is repaired", secs(10), everybody_has(2)).await;
         });
     }
 }
@@ -368,7 +370,6 @@ async fn under_one_way_cuts(size: usize, seed: u64, cut: impl Fn(&VirtualNetwork
 #[test]
 fn one_way_cuts_settle_as_specified() {
     const SIZE: usize = 8;
-    let others = 1..SIZE;
     for seed in 0..3 {
         // Heard by nobody: down to all, and no more is said about it. It hears all speak, and doubts itself.
         let (alive, downs, returns) = virtually(under_one_way_cuts(SIZE, seed, |net| net.mute(name(0))));
@@ -397,15 +398,12 @@ fn one_way_cuts_settle_as_specified() {
         };
         let (_, downs, returns) = virtually(under_one_way_cuts(SIZE, seed, half));
         assert_eq!((downs[1], returns[1]), (0, 0), "seed {seed}: {downs:?} {returns:?}");
-        println!("seed {seed}: half {downs:?} {returns:?}");
     }
     // The smallest fleet: nobody can help.
     for seed in 0..3 {
         let (alive, downs, returns) = virtually(under_one_way_cuts(2, seed, |net| net.cut(name(0), name(1))));
-        println!("two: {alive:?} {downs:?} {returns:?}");
         assert_eq!((alive[1], downs[1], returns[1]), (1, 0, 0), "seed {seed}");
     }
-    drop(others);
 }
 
 #[test]
