@@ -106,7 +106,7 @@ impl Scene {
         let bid = |(robot, circumstance): (&RobotId, &Circumstance<'_>)| {
             let worker = circumstance.worker;
             let (place, speed, discharge) = (worker.place.clone(), worker.speed?, worker.discharge);
-            let parts = self.estimator.price(plan, &Context { place, speed, discharge }).ok()?;
+            let parts = self.estimator.price(plan, &Context { place, pose: None, speed, discharge }).ok()?;
             let energy: f64 = parts.iter().map(|part| part.energy).sum();
             let bid = Bid {
                 robot: robot.clone(),

@@ -74,7 +74,10 @@ impl Window<'_> {
             let nodes: Vec<Value> = base.iter().map(|(node, heard)| self.node(node, heard, &statuses)).collect();
             let members = base.iter().map(|(node, _)| {
                 let verdict = self.ensemble.judge(node, self.node, base, self.now);
-                json!({ "node": node, "member": verdict.member, "reason": verdict.reason, "age_ms": verdict.age_ms })
+                // Whoever is judged down is asked for no bids, however fresh the last that was heard of it.
+                let down = verdict.member && !statuses.get(node).is_some_and(Status::is_alive);
+                let reason = if down { "judged down" } else { &verdict.reason };
+                json!({ "node": node, "member": verdict.member && !down, "reason": reason, "age_ms": verdict.age_ms })
             });
             json!({
                 "seen_by": self.node,
@@ -95,7 +98,8 @@ impl Window<'_> {
         });
         json!({
             "node": node,
-            "alive": matches!(statuses.get(node), Some(Status::Alive { .. })),
+            "alive": statuses.get(node).is_some_and(Status::is_alive),
+            "status": statuses.get(node).unwrap_or(&Status::Unknown).word(),
             "age_ms": heard.age(self.now).as_millis(),
             "seen_by": self.node,
             "incarnation": record.stamp.incarnation,

@@ -23,12 +23,13 @@ pub trait StateMachine: Clone + Send + Sync + Default + Serialize + DeserializeO
     fn apply(&mut self, at: Epoch, command: Self::Command) -> Self::Outcome;
 }
 
-/// Who leads, and since which term. Reigns are totally ordered: the later one is the greater.
+/// Who leads, and since which term. Each term has one leader at most, so that the term alone tells reigns apart and orders
+/// them: the later one is the greater.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Default, Serialize, Deserialize)]
 pub struct Reign {
-    /// The term. Two reigns may share it.
+    /// The term.
     pub term: u64,
-    /// The leader, by which reigns of one term are ordered.
+    /// Its leader.
     pub leader: RaftId,
 }
 
@@ -148,9 +149,10 @@ pub(super) fn epoch_of(log_id: &LogId) -> Epoch {
     Epoch { term: log_id.leader_id.term, index: log_id.index }
 }
 
-/// The reign in which an entry was written.
-pub(super) fn reign_of(leader: &openraft::LeaderId<RaftId>) -> Reign {
-    Reign { term: leader.term, leader: leader.node_id }
+/// The reign that a vote is for.
+pub(super) fn reign_of(vote: &Vote) -> Option<Reign> {
+    let leader = vote.leader_id();
+    Some(Reign { term: leader.term, leader: leader.voted_for? })
 }
 
 #[cfg(test)]
@@ -169,7 +171,6 @@ mod tests {
     #[test]
     fn epochs_and_reigns_are_ordered_by_term_first() {
         assert!(Epoch { term: 1, index: 9 } < Epoch { term: 2, index: 1 });
-        assert!(Reign { term: 2, leader: RaftId(1) } < Reign { term: 2, leader: RaftId(2) });
         assert!(Reign { term: 2, leader: RaftId(2) } < Reign { term: 3, leader: RaftId(1) });
     }
 }

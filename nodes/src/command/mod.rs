@@ -1,6 +1,7 @@
 //! The commands, one a file: each has its flags, and `run`.
 
 pub mod cancel;
+pub mod chaos;
 pub mod check;
 pub mod dry_run;
 pub mod flags;

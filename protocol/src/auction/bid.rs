@@ -195,6 +195,13 @@ impl Default for Limits {
     }
 }
 
+impl Limits {
+    /// What must be left of the battery of a robot with this useful charge.
+    pub fn floor(&self, useful_charge: BatteryShare) -> BatteryShare {
+        if useful_charge > self.charge_min { useful_charge } else { self.charge_min }
+    }
+}
+
 /// Why a bid cannot be taken although it was made.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, thiserror::Error)]
 #[serde(rename_all = "snake_case")]
@@ -227,7 +234,7 @@ impl Bid {
         if let Some(limit) = limits.time.filter(|limit| self.time > *limit) {
             return Err(Unviable::TooSlow { time: self.time, limit });
         }
-        let floor = if self.useful_charge > limits.charge_min { self.useful_charge } else { limits.charge_min };
+        let floor = limits.floor(self.useful_charge);
         if self.remaining > floor.get() {
             Ok(())
         } else {
