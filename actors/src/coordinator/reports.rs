@@ -7,6 +7,7 @@ use consort_protocol::lease::{Ending, Epoch};
 use consort_protocol::ledger::{Command, Ledger, MissionEntry, MissionState, Outcome, Refused, RolePhase};
 use consort_protocol::message::{Report, ReportAnswer};
 use consort_protocol::mission::RoleKind;
+use consort_protocol::mutants::{self, Mutant};
 use ractor::ActorRef;
 use std::time::Duration;
 use tracing::{debug, info};
@@ -38,6 +39,11 @@ pub(super) async fn answer(
             Step::Answer(answer) => return renew_if_sure(&replica, answer, &report, leadership_age_max, &coordinator),
             Step::Commit(command) => command,
         };
+        if mutants::is(Mutant::UncommittedReport)
+            && let Command::Progress { .. } = command
+        {
+            return answer_at_once(replica, command, &report);
+        }
         match replica.propose(command, LIMIT).await {
             Ok(Outcome::Refused(Refused::Restarted { .. })) => {
                 info!(robot = %report.robot, mission = %report.mission, role = %report.role, "has started anew: released");
@@ -52,6 +58,22 @@ pub(super) async fn answer(
     }
     debug!(robot = %report.robot, mission = %report.mission, "the ledger moved on while a report was being answered");
     ReportAnswer::NotCoordinator { coordinator: None }
+}
+
+/// A mistake: it says that the ledger has what it was only just asked to take.
+fn answer_at_once(replica: Replica<Ledger>, command: Command, report: &Report) -> ReportAnswer {
+    let (steps, holders) = replica.read(|ledger| {
+        let entry = ledger.mission(&report.mission);
+        let plan = entry.and_then(|entry| entry.plan(&report.role));
+        (plan.map(|plan| plan.steps.len()), entry.map(MissionEntry::holdings).unwrap_or_default())
+    });
+    tokio::spawn(async move { replica.propose(command, LIMIT).await });
+    let epoch = report.epoch;
+    if steps == Some(report.ended.len()) {
+        ReportAnswer::Ended { epoch, reason: Ending::Over, current: Some(epoch) }
+    } else {
+        ReportAnswer::Renewed { epoch, ended: report.ended.clone(), holders }
+    }
 }
 
 fn unsure(problem: ProposeError) -> ReportAnswer {
@@ -101,6 +123,7 @@ fn next(entry: Option<&MissionEntry>, report: &Report) -> Step {
     let Some(role) = entry.roles.get(&report.role) else { return ended(Ending::Over) };
     if role.kind == RoleKind::Managed {
         match &role.holder {
+            Some(_) if mutants::is(Mutant::IgnoreEpoch) => {}
             Some(holder) if holder.epoch == report.epoch && holder.robot == report.robot => {
                 if role.phase == RolePhase::Ended {
                     return ended(Ending::Over);
