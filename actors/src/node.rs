@@ -14,8 +14,8 @@ use crate::events::Events;
 use crate::gossip::{self, Gossip, GossipHandle, SharedKnowledge};
 use crate::observe::SharedObserver;
 use crate::replica::{Applied, RaftId, Replica, ReplicaSettings, StartError};
-use crate::robot::{Robot, RobotSettings};
-use crate::store::Store;
+use crate::robot::{Patience, Robot, RobotSettings};
+use crate::store::{Notebook, Store};
 use crate::tasks::Tasks;
 use consort_protocol::auction::Limits;
 use consort_protocol::ensemble::Ensemble;
@@ -32,7 +32,7 @@ use ractor::{Actor, ActorProcessingErr, ActorRef, SpawnErr, SupervisionEvent};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use std::collections::{BTreeMap, BTreeSet};
-use std::sync::Arc;
+use std::sync::{Arc, OnceLock};
 use std::time::Duration;
 use tokio::task::JoinHandle;
 use tracing::{debug, error, info};
@@ -55,6 +55,9 @@ pub struct FleetSettings {
     pub terms: LeaseTerms,
     /// How long an auction waits for a member that does not answer.
     pub window: Duration,
+    /// After how long a held role none of whose steps ends, although it waits for nobody, is taken from its holder; zero for
+    /// never.
+    pub stall_after: Duration,
     /// Nodes that may vote and must have met before the first election. All nodes that are started together count: a node
     /// that has met so many founds the fleet's ledger, with those it has met.
     pub bootstrap_expect: usize,
@@ -132,6 +135,7 @@ pub struct NodeHandle {
     pub node: NodeId,
     root: ActorRef<NodeMessage>,
     ended: JoinHandle<()>,
+    cause: Arc<OnceLock<String>>,
     /// Its copy of the ledger, if it keeps one.
     pub replica: Option<Replica<Ledger>>,
     /// What it has heard.
@@ -145,9 +149,12 @@ impl NodeHandle {
     /// # Errors
     /// [`NodeError`]; nothing of the node runs then.
     pub async fn start(settings: NodeSettings, bus: SharedBus) -> Result<NodeHandle, NodeError> {
-        let (root, ended) = Actor::spawn(None, Root, settings.node.clone()).await?;
+        let cause = Arc::<OnceLock<String>>::default();
+        let (root, ended) = Actor::spawn(None, Root { cause: Arc::clone(&cause) }, settings.node.clone()).await?;
         match assemble(settings, bus, &root).await {
-            Ok((node, replica, knowledge, tasks)) => Ok(NodeHandle { node, root, ended, replica, knowledge, tasks }),
+            Ok((node, replica, knowledge, tasks)) => {
+                Ok(NodeHandle { node, root, ended, cause, replica, knowledge, tasks })
+            }
             Err(problem) => {
                 root.kill();
                 Err(problem)
@@ -185,17 +192,35 @@ impl NodeHandle {
         self.ended.is_finished()
     }
 
-    /// Waits until the node has ended by itself: an actor of it failed.
-    pub async fn ended(&mut self) {
+    /// Waits until the node has ended by itself, and says why: an actor of it failed, or its copy of the ledger did.
+    pub async fn ended(&mut self) -> String {
         // See above.
         let _ = (&mut self.ended).await;
+        self.cause.get().cloned().unwrap_or_else(|| "nobody said why".to_owned())
     }
 }
 
 /// Watches over a node's actors.
-struct Root;
+struct Root {
+    /// Why the node ended by itself, once it has.
+    cause: Arc<OnceLock<String>>,
+}
 
-enum NodeMessage {}
+enum NodeMessage {
+    /// The copy of the ledger can no longer be kept, and why.
+    LedgerFailed(String),
+}
+
+impl Root {
+    fn end(&self, myself: &ActorRef<NodeMessage>, cause: String) {
+        for child in myself.get_children() {
+            child.kill();
+        }
+        myself.stop(Some(cause.clone()));
+        // The first cause is the one that counts.
+        let _ = self.cause.set(cause);
+    }
+}
 
 #[ractor::async_trait]
 impl Actor for Root {
@@ -207,6 +232,18 @@ impl Actor for Root {
         Ok(node)
     }
 
+    async fn handle(
+        &self,
+        myself: ActorRef<NodeMessage>,
+        message: NodeMessage,
+        node: &mut NodeId,
+    ) -> Result<(), ActorProcessingErr> {
+        let NodeMessage::LedgerFailed(problem) = message;
+        error!(%node, %problem, "the copy of the ledger can no longer be kept: the node stops");
+        self.end(&myself, format!("its copy of the ledger can no longer be kept: {problem}"));
+        Ok(())
+    }
+
     async fn handle_supervisor_evt(
         &self,
         myself: ActorRef<NodeMessage>,
@@ -215,10 +252,7 @@ impl Actor for Root {
     ) -> Result<(), ActorProcessingErr> {
         if let SupervisionEvent::ActorFailed(who, problem) = event {
             error!(%node, actor = %who.get_id(), %problem, "an actor failed: the node stops");
-            for child in myself.get_children() {
-                child.kill();
-            }
-            myself.stop(Some(problem.to_string()));
+            self.end(&myself, format!("an actor of it failed, as the log says: {problem}"));
         }
         Ok(())
     }
@@ -283,9 +317,16 @@ async fn assemble(
             limits: fleet.limits,
             terms: fleet.terms,
             window: fleet.window,
+            stall_after: fleet.stall_after,
             beat: Duration::from_millis(200),
         };
         Actor::spawn_linked(None, Coordinator, coordinator, supervisor.clone()).await?;
+        let (watched, root) = (replica.clone(), root.clone());
+        tasks.spawn(async move {
+            let problem = watched.failed().await;
+            // A root that has gone needs not be told.
+            let _ = root.send_message(NodeMessage::LedgerFailed(problem));
+        });
         tasks.spawn(bootstrap(node.clone(), replica.clone(), shared.clone(), fleet.bootstrap_expect));
     }
 
@@ -320,6 +361,7 @@ async fn assemble(
             clock,
             events,
             gossip,
+            store.notebook,
             &supervisor,
             &mut tasks,
         )
@@ -339,6 +381,7 @@ async fn start_robot(
     clock: Clock,
     events: Events,
     gossip: GossipHandle,
+    notebook: Arc<dyn Notebook>,
     supervisor: &ractor::ActorCell,
     tasks: &mut Tasks,
 ) -> Result<(), NodeError> {
@@ -367,10 +410,14 @@ async fn start_robot(
         knowledge: gossip.shared().clone(),
         gossip,
         ensemble: Arc::clone(&fleet.ensemble),
+        limits: fleet.limits,
         terms: fleet.terms,
         estimator: part.estimator,
         library: part.library,
         body,
+        notebook,
+        patience: Patience::default(),
+        pause: Duration::from_millis(500),
         beat: Duration::from_millis(250),
         tick: Duration::from_millis(100),
     };

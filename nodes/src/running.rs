@@ -91,15 +91,12 @@ async fn until_told(
     info!(node = %name, "started");
 
     let signal = tokio::select! {
-        _ = terminate.recv() => Some("SIGTERM"),
-        _ = interrupt.recv() => Some("Ctrl-C"),
-        () = stdin_closed(until_stdin_closes) => Some("end of input"),
-        () = node.ended() => None,
+        _ = terminate.recv() => Ok("SIGTERM"),
+        _ = interrupt.recv() => Ok("Ctrl-C"),
+        () = stdin_closed(until_stdin_closes) => Ok("end of input"),
+        cause = node.ended() => Err(cause),
     };
-    let Some(signal) = signal else {
-        let what = format!("{name} stopped: an actor of it failed; the log says which, and why");
-        return Err(Failure::Unsuccessful(what));
-    };
+    let signal = signal.map_err(|cause| Failure::Unsuccessful(format!("{name} stopped: {cause}")))?;
     info!(node = %name, signal, "stops");
     let goodbye = async {
         node.stop().await;

@@ -32,11 +32,13 @@ pub enum Mutant {
     LostRelay,
     /// A role passes its waits without having heard anything.
     WaitSkipped,
+    /// A robot takes over an item, or lets another do so, before the ledger is known to hold what came before.
+    GuardSkipped,
 }
 
 impl Mutant {
     /// All of them.
-    pub const ALL: [Mutant; 11] = [
+    pub const ALL: [Mutant; 12] = [
         Mutant::SkipFsync,
         Mutant::DoubleVote,
         Mutant::DeafLeader,
@@ -48,6 +50,7 @@ impl Mutant {
         Mutant::RequestForgotten,
         Mutant::LostRelay,
         Mutant::WaitSkipped,
+        Mutant::GuardSkipped,
     ];
 
     /// Its name, as commands take it.
@@ -64,6 +67,7 @@ impl Mutant {
             Mutant::RequestForgotten => "request-forgotten",
             Mutant::LostRelay => "lost-relay",
             Mutant::WaitSkipped => "wait-skipped",
+            Mutant::GuardSkipped => "guard-skipped",
         }
     }
 }

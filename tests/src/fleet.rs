@@ -43,6 +43,8 @@ pub struct Fleet {
     /// What happened in the world, as far as it was looked at.
     pub(crate) journal: Vec<JournalEntry>,
     lives: u64,
+    /// What the latest life of each node left behind.
+    stores: BTreeMap<String, Store>,
     adjust: Adjust,
     /// Those who write down what nodes believe.
     followers: BTreeMap<String, AbortHandle>,
@@ -99,6 +101,7 @@ impl Fleet {
             limits: Limits::default(),
             terms: LeaseTerms::default(),
             window: Duration::from_millis(200),
+            stall_after: Duration::from_secs(15 * 60),
             bootstrap_expect: all.iter().filter(|member| !member.late).count() + stations.len(),
         };
         let client = network.bus(slug("client"));
@@ -114,6 +117,7 @@ impl Fleet {
             client,
             journal: vec![],
             lives: 0,
+            stores: BTreeMap::new(),
             adjust,
             followers: BTreeMap::new(),
         };
@@ -136,14 +140,21 @@ impl Fleet {
         self.start(settings).await;
     }
 
-    /// Starts the node of a station, for the first time or again.
+    /// Starts the node of a station, for the first time or again with an empty memory.
     pub async fn start_station(&mut self, name: &str) {
+        self.stores.remove(name);
         let settings = self.node(name, true, None);
         self.start(settings).await;
     }
 
-    /// Starts a robot's node, for the first time or again.
+    /// Starts a robot's node, for the first time or again with an empty memory.
     pub async fn start_robot(&mut self, name: &'static str) {
+        self.stores.remove(name);
+        self.restart(name).await;
+    }
+
+    /// Starts a robot's node again with what its former life had written down.
+    pub async fn restart(&mut self, name: &'static str) {
         let member = self.members.get(name).expect("a robot of this fleet").clone();
         let robot = self.world.with(|world| {
             let map = world.map();
@@ -159,7 +170,8 @@ impl Fleet {
             }
         });
         let settings = self.node(name, true, Some(robot));
-        self.start(settings).await;
+        let clock = settings.clock.drifting(member.clock_rate);
+        self.start(NodeSettings { clock, ..settings }).await;
     }
 
     fn node(&mut self, name: &str, may_vote: bool, robot: Option<RobotPart>) -> NodeSettings {
@@ -171,7 +183,7 @@ impl Fleet {
             node: slug(name),
             incarnation: self.lives,
             seed,
-            store: Store::in_memory(seed),
+            store: self.stores.entry(name.to_owned()).or_insert_with(|| Store::in_memory(seed)).clone(),
             clock: Clock::virtual_at(0),
             may_vote,
             stationary,
@@ -216,6 +228,26 @@ impl Fleet {
     /// Whether a node is a robot's.
     pub fn is_robot(&self, node: &NodeId) -> bool {
         self.members.contains_key(node.as_str())
+    }
+
+    /// A bus of somebody who is no node.
+    pub fn client(&self) -> &VirtualBus {
+        &self.client
+    }
+
+    /// The fleet's keys.
+    pub fn keys(&self) -> &Keys {
+        &self.keys
+    }
+
+    /// What a robot has written down.
+    pub async fn notebook(&self, name: &str) -> Option<Vec<u8>> {
+        self.stores[name].notebook.read().await.expect("a notebook in memory")
+    }
+
+    /// Puts something else there while the robot is not running.
+    pub async fn forge_notebook(&self, name: &str, page: Vec<u8>) {
+        self.stores[name].notebook.write(Some(page)).await.expect("a notebook in memory");
     }
 
     /// Ends a node as SIGKILL would.

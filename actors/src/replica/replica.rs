@@ -67,9 +67,14 @@ pub enum StartError {
     /// Our own mistake, or that of the configuration.
     #[error(transparent)]
     Settings(#[from] SettingsError),
-    /// The journal cannot be read, or is of another release.
-    #[error("the journal cannot be read: {0}")]
-    Journal(#[from] std::io::Error),
+    /// The journal cannot be read, is not whole, or is of another release.
+    #[error("the journal in {place} cannot be taken up: {problem}")]
+    Journal {
+        /// Where it is.
+        place: String,
+        /// What is wrong.
+        problem: std::io::Error,
+    },
     /// The bus is closed.
     #[error(transparent)]
     Bus(#[from] BusError),
@@ -248,7 +253,9 @@ impl<S: StateMachine> Replica<S> {
     ) -> Result<Self, StartError> {
         let config = settings.to_config()?;
         let id = RaftId::of(&settings.node, journal.identity());
-        let (log, machine) = store::open::<S>(journal, applied).await?;
+        let place = journal.place();
+        let opened = store::open::<S>(journal, applied).await;
+        let (log, machine) = opened.map_err(|problem| StartError::Journal { place, problem })?;
         let keys = Keys::new(&settings.fleet);
         let queries = bus.serve(&keys.any_raft(id.0)).await?;
         let heard = Arc::<Heard>::default();
@@ -531,6 +538,23 @@ impl<S: StateMachine> Replica<S> {
             (all_shunned || !shunned.contains(*name)) && matched >= latest.last_log_index
         });
         ready.map(|(id, _)| *id).min()
+    }
+
+    /// Waits until this replica has given up for good, and says why: its journal could not be read or written. After an
+    /// ordinary [`shutdown`](Replica::shutdown), it waits for ever.
+    pub async fn failed(&self) -> String {
+        let mut metrics = self.inner.raft.metrics();
+        loop {
+            match &metrics.borrow_and_update().running_state {
+                Ok(()) => {}
+                Err(Fatal::Stopped) => break,
+                Err(problem) => return problem.to_string(),
+            }
+            if metrics.changed().await.is_err() {
+                return "its task has died".to_owned();
+            }
+        }
+        std::future::pending().await
     }
 
     /// Stops taking part. The journal is at rest when it returns.

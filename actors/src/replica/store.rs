@@ -40,11 +40,16 @@ pub(super) async fn open<S: StateMachine>(
             .map(|(index, bytes)| Ok((*index, read_record(bytes)?)))
             .collect::<Result<_, std::io::Error>>()?,
     };
+    check_continuity(&log)?;
     let mut machine =
         Machine { state: S::default(), applied: None, membership: StoredMembership::default(), snapshot: None };
     if let Some(bytes) = snapshot {
         let kept: Kept = read_record(&bytes)?;
         machine.restore(read_record(&kept.state)?, kept);
+    }
+    if log.purged > machine.applied {
+        let (purged, held) = (shown(log.purged.as_ref()), shown(machine.applied.as_ref()));
+        return Err(unsound(format!("its log begins after {purged}, and its snapshot ends with {held}")));
     }
     let applied = watch::Sender::new(machine.applied.as_ref().map(epoch_of).unwrap_or_default());
     let log = LogStore { journal: Arc::clone(&journal), log: Arc::new(Mutex::new(log)) };
@@ -58,6 +63,28 @@ fn read_record<T: serde::de::DeserializeOwned>(bytes: &[u8]) -> std::io::Result<
 
 fn write_record<T: Serialize>(value: &T) -> std::io::Result<Vec<u8>> {
     codec::encode_record(value).map_err(|error| std::io::Error::new(std::io::ErrorKind::InvalidData, error.to_string()))
+}
+
+fn unsound(what: String) -> std::io::Error {
+    std::io::Error::new(std::io::ErrorKind::InvalidData, what)
+}
+
+fn shown(log_id: Option<&LogId>) -> String {
+    log_id.map_or_else(|| "nothing".to_owned(), |log_id| epoch_of(log_id).to_string())
+}
+
+/// Whether each entry stands where it says it does, right after the one before; the first, right after what was purged.
+fn check_continuity<S: StateMachine>(log: &Log<S>) -> std::io::Result<()> {
+    let mut last = log.purged;
+    for (index, entry) in &log.entries {
+        let expected = last.map_or(0, |last| last.index + 1);
+        if *index != expected || entry.log_id.index != expected || last >= Some(entry.log_id) {
+            let (found, last) = (epoch_of(&entry.log_id), shown(last.as_ref()));
+            return Err(unsound(format!("its log has entry {found} at place {index}, right after {last}")));
+        }
+        last = Some(entry.log_id);
+    }
+    Ok(())
 }
 
 /// The log as openraft reads it; the journal holds the same, durably.

@@ -97,6 +97,13 @@ pub(super) fn under(folder: &Path, path: &Path) -> PathBuf {
     joined.components().collect()
 }
 
+/// Makes a path, if there is one, relative to `folder`.
+pub(super) fn settle_path(path: &mut Option<PathBuf>, folder: &Path) {
+    if let Some(path) = path {
+        *path = under(folder, path);
+    }
+}
+
 /// The key and those allowed in its place, if serde's message tells of an unknown field.
 fn unknown_key(message: &str) -> Option<(String, Vec<String>)> {
     let rest = message.strip_prefix("unknown field ")?;
