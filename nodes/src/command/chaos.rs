@@ -209,9 +209,17 @@ fn score(args: &Args) -> Result<(), Failure> {
         rows.push(scoreboard::row(name, &kinds, args.runs, args.minutes, args.jobs(), || bar.inc(1)));
     }
     bar.finish_and_clear();
-    if args.json { json(&rows)? } else { output::line(markdown(&rows).trim_end())? }
+    if args.json {
+        json(&rows)?
+    } else {
+        output::line(markdown(&rows).trim_end())?
+    }
     let broken: Vec<_> = rows.iter().filter(|row| !row.violations.is_empty()).map(|row| row.fault).collect();
-    if broken.is_empty() { Ok(()) } else { Err(Failure::Unsuccessful(format!("something did not hold: {}", broken.join(", ")))) }
+    if broken.is_empty() {
+        Ok(())
+    } else {
+        Err(Failure::Unsuccessful(format!("something did not hold: {}", broken.join(", "))))
+    }
 }
 
 fn one(args: &Args, seed: u64) -> Result<(), Failure> {
@@ -363,7 +371,8 @@ fn broken(
 /// A run on a thread where its own panics are not printed.
 fn in_quiet(args: &Args, order: &Order, schedule: &Schedule) -> Outcome {
     let again = (order.clone(), schedule.clone());
-    let many = Many { seeds: order.seed..=order.seed, jobs: 1, order: &move |_| again.clone(), prepare: &|| args.err() };
+    let many =
+        Many { seeds: order.seed..=order.seed, jobs: 1, order: &move |_| again.clone(), prepare: &|| args.err() };
     let mut outcome = None;
     many.run(|told| outcome = Some(told.clone()));
     outcome.expect("a run has an outcome")
