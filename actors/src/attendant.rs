@@ -14,8 +14,8 @@ use consort_protocol::codec;
 use consort_protocol::event::Happening;
 use consort_protocol::ids::{MissionId, NodeId, RobotId, RoleId, TaskId};
 use consort_protocol::keys::{Key, Keys, PeopleCall};
-use consort_protocol::lease::Epoch;
-use consort_protocol::message::{Beacon, LivePlan, Report, ReportAnswer, Said, TaskFailure};
+use consort_protocol::lease::{Epoch, Holding};
+use consort_protocol::message::{Beacon, FailureKind, LivePlan, Report, ReportAnswer, Said, TaskFailure};
 use consort_protocol::mission::TaskSpec;
 use consort_protocol::plan::StepIndex;
 use consort_skills::actions::{ActionError, GoalId, PersonAsk};
@@ -192,6 +192,7 @@ impl AttendantState {
             self.put_down(&key);
         }
         for LivePlan { mission, plan, ended, holders } in plans {
+            let holders = Holding::robots(&holders);
             let key = (mission.clone(), plan.role.clone());
             if let Some(job) = self.jobs.get_mut(&key) {
                 if *job.sequencer.holders() != holders {
@@ -246,7 +247,8 @@ impl AttendantState {
             }
             Err(problem) => {
                 let cause = problem.to_string();
-                job.failure = Some(TaskFailure { task: task.clone(), cause: cause.clone() });
+                let (failed, kind) = (Some(task.clone()), FailureKind::Task);
+                job.failure = Some(TaskFailure { task: failed, cause: cause.clone(), kind });
                 self.settings.events.tell(Happening::TaskFailed { mission, role, task, cause });
             }
         }
@@ -299,6 +301,8 @@ impl AttendantState {
             epoch: Epoch::default(),
             ended: job.sequencer.ended().clone(),
             at: job.sequencer.at().cloned(),
+            place: None,
+            resumes: false,
             failure: job.failure.clone(),
         };
         let to_node = self.settings.keys.write(&Key::Report(beacon.node.clone()));

@@ -19,3 +19,4 @@ pub mod replica;
 pub mod robot;
 pub mod store;
 mod tasks;
+pub mod timing;

@@ -1,6 +1,6 @@
 //! The command line.
 
-use crate::command::{cancel, check, dry_run, fleet, missions, robot, station, submit, world};
+use crate::command::{cancel, check, dry_run, fleet, missions, recover, robot, station, submit, world};
 use crate::demo;
 use crate::exit::Failure;
 use crate::output;
@@ -57,6 +57,7 @@ enum Command {
     Fleet(fleet::Args),
     Check(check::Args),
     DryRun(dry_run::Args),
+    Recover(recover::Args),
 }
 
 /// Runs the program.
@@ -72,6 +73,7 @@ pub fn run() -> ExitCode {
         Command::Fleet(args) => fleet::run(args),
         Command::Check(args) => check::run(args),
         Command::DryRun(args) => dry_run::run(args),
+        Command::Recover(args) => recover::run(args),
     };
     match done {
         Ok(()) => ExitCode::SUCCESS,

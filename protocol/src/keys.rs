@@ -101,6 +101,8 @@ words! {
         Snapshot = "snapshot",
         /// Before it stands, a node asks whether anybody would vote for it.
         Canvass = "canvass",
+        /// A leader that leaves says who is to succeed it.
+        Succeed = "succeed",
     }
     /// A call between a robot's node and the host of its body.
     BodyCall {

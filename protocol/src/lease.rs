@@ -48,7 +48,23 @@ pub struct Award {
     /// What to do.
     pub plan: LocalPlan,
     /// Who holds the mission's managed roles.
-    pub holders: BTreeMap<RoleId, RobotId>,
+    pub holders: BTreeMap<RoleId, Holding>,
+}
+
+/// Who holds a role, and by which award: what is said in that role under an older one is not listened to.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Holding {
+    /// The robot.
+    pub robot: RobotId,
+    /// The award.
+    pub epoch: Epoch,
+}
+
+impl Holding {
+    /// The robots alone.
+    pub fn robots(holders: &BTreeMap<RoleId, Holding>) -> BTreeMap<RoleId, RobotId> {
+        holders.iter().map(|(role, holding)| (role.clone(), holding.robot.clone())).collect()
+    }
 }
 
 /// How long an award lasts without contact. Fleet-wide: all nodes must agree.
@@ -118,6 +134,10 @@ pub enum Ending {
     Over,
     /// Another award has replaced this one.
     Replaced,
+    /// The role was given up; another robot will take it over.
+    Released,
+    /// The mission waits for a person: something was left in a robot's hands.
+    Rescue,
 }
 
 /// Something for the holder to carry out, in the order given.
@@ -182,6 +202,8 @@ struct Held {
 enum Phase {
     /// Heard, not confirmed.
     Heard,
+    /// Known from a former life, not confirmed in this one. Kept until the coordinator has said something.
+    Recalled,
     Active,
     Suspended,
 }
@@ -190,6 +212,14 @@ impl Tenure {
     /// No award yet.
     pub fn new(robot: RobotId, terms: LeaseTerms) -> Self {
         Tenure { robot, terms, held: None, latest: BTreeMap::new() }
+    }
+
+    /// Takes up an award that a former life of the robot's node had written down. Nothing is done under it before the
+    /// coordinator has confirmed it; until it has answered, the award is neither forgotten nor exchanged for another role's.
+    pub fn restore(robot: RobotId, terms: LeaseTerms, award: Award) -> Self {
+        let latest = BTreeMap::from([((award.mission.clone(), award.role.clone()), award.epoch)]);
+        let held = Some(Held { award, phase: Phase::Recalled, until: NodeTime::ZERO });
+        Tenure { robot, terms, held, latest }
     }
 
     /// The award held or about to be, if any.
@@ -207,9 +237,9 @@ impl Tenure {
         self.held.as_ref().is_some_and(|held| held.phase == Phase::Suspended)
     }
 
-    /// When the lease ends; `None` without an award.
+    /// When the lease ends; `None` without an award, or with one of a former life that nobody has confirmed yet.
     pub fn until(&self) -> Option<NodeTime> {
-        self.held.as_ref().map(|held| held.until)
+        self.held.as_ref().filter(|held| held.phase != Phase::Recalled).map(|held| held.until)
     }
 
     /// Whether an award could be taken, and if not, why.
@@ -270,7 +300,7 @@ impl Tenure {
             return vec![]; // the answer took longer than the lease
         }
         match held.phase {
-            Phase::Heard => {
+            Phase::Heard | Phase::Recalled => {
                 held.phase = Phase::Active;
                 held.until = until;
                 vec![Action::Start(Box::new(held.award.clone()), ended)]
@@ -311,7 +341,7 @@ impl Tenure {
                 held.phase = Phase::Suspended;
                 vec![Action::Suspend]
             }
-            Phase::Suspended => vec![],
+            Phase::Suspended | Phase::Recalled => vec![],
         }
     }
 }
@@ -376,7 +406,7 @@ mod tests {
             role: role.clone(),
             robot: RobotId::new("ada").unwrap(),
             epoch: Epoch { term: 1, index },
-            plan: LocalPlan { role, steps: vec![] },
+            plan: LocalPlan::of(role, vec![]),
             holders: BTreeMap::new(),
         }
     }
@@ -445,6 +475,29 @@ mod tests {
         ada.handle(Event::Settled { epoch: Epoch { term: 1, index: 5 } }, at(2));
         assert_eq!(ada.handle(Event::Heard(Box::new(award(5))), at(3)), []);
         assert_eq!(ada.award(), None);
+    }
+
+    #[test]
+    fn an_award_of_a_former_life_waits_for_the_coordinators_word_however_long_that_takes() {
+        let recalled = || Tenure::restore(RobotId::new("ada").unwrap(), LeaseTerms::default(), award(5));
+        let mut ada = recalled();
+        assert_eq!(ada.handle(Event::Tick, at(60_000)), []);
+        assert!(!ada.may_act(at(0)) && ada.until().is_none());
+        assert_eq!(ada.award().map(|award| award.epoch), Some(Epoch { term: 1, index: 5 }));
+        let actions = ada.handle(renewed(5, 60_000), at(60_010));
+        assert_eq!(actions, [Action::Start(Box::new(award(5)), BTreeSet::new())]);
+        assert!(ada.may_act(at(60_010)));
+
+        let mut ada = recalled();
+        let revoked = Event::Revoked { epoch: Epoch { term: 1, index: 5 }, reason: Ending::Released };
+        assert_eq!(ada.handle(revoked, at(10)), [Action::Halt(Ending::Released)]);
+        assert_eq!(ada.award(), None);
+
+        let mut ada = recalled();
+        assert!(matches!(ada.consider(&award(4)), Err(Declined::Stale { .. })));
+        assert_eq!(ada.handle(Event::Heard(Box::new(award(5))), at(1)), [Action::Report]);
+        let actions = ada.handle(Event::Heard(Box::new(award(6))), at(2));
+        assert_eq!(actions, [Action::Halt(Ending::Replaced), Action::Report]);
     }
 
     #[test]

@@ -334,7 +334,7 @@ impl Reign {
     ) {
         let award = settings.replica.read(|ledger| {
             let entry = ledger.mission(&mission)?;
-            let (plan, holders) = (entry.plan(&role)?.clone(), entry.holders());
+            let (plan, holders) = (entry.plan(&role)?.clone(), entry.holdings());
             Some(Award { mission: mission.clone(), role: role.clone(), robot: robot.clone(), epoch, plan, holders })
         });
         let Some(award) = award else { return };
@@ -494,7 +494,7 @@ fn unmanaged(entry: &MissionEntry) -> Vec<LivePlan> {
     roles
         .filter_map(|(id, role)| {
             let (mission, plan) = (entry.id.clone(), entry.plan(id)?.clone());
-            Some(LivePlan { mission, plan, ended: role.ended.clone(), holders: entry.holders() })
+            Some(LivePlan { mission, plan, ended: role.ended.clone(), holders: entry.holdings() })
         })
         .collect()
 }

@@ -88,7 +88,9 @@ fn release(report: &Report, cause: String) -> Command {
 }
 
 fn next(entry: Option<&MissionEntry>, report: &Report) -> Step {
-    let ended = |reason| Step::Answer(ReportAnswer::Ended { epoch: report.epoch, reason });
+    let holder = entry.and_then(|entry| entry.roles.get(&report.role)?.holder.as_ref());
+    let current = holder.map(|holder| holder.epoch);
+    let ended = |reason| Step::Answer(ReportAnswer::Ended { epoch: report.epoch, reason, current });
     let Some(entry) = entry else { return ended(Ending::Over) };
     match &entry.state {
         MissionState::Pending | MissionState::Running => {}
@@ -116,13 +118,14 @@ fn next(entry: Option<&MissionEntry>, report: &Report) -> Step {
         }
     }
     if let Some(failure) = &report.failure {
-        let cause = format!("{} as {} could not do {}: {}", report.robot, report.role, failure.task, failure.cause);
+        let what = failure.task.as_ref().map_or("go on".to_owned(), |task| format!("do {task}"));
+        let cause = format!("{} as {} could not {what}: {}", report.robot, report.role, failure.cause);
         return Step::Commit(Command::Fail { mission: report.mission.clone(), cause });
     }
     if !report.ended.is_subset(&role.ended) {
         return Step::Commit(progress(&report.mission, report));
     }
-    Step::Answer(ReportAnswer::Renewed { epoch: report.epoch, ended: role.ended.clone(), holders: entry.holders() })
+    Step::Answer(ReportAnswer::Renewed { epoch: report.epoch, ended: role.ended.clone(), holders: entry.holdings() })
 }
 
 fn progress(mission: &MissionId, report: &Report) -> Command {

@@ -11,7 +11,8 @@
 //!   `election_min..election_max` asks the other voters whether they hear one, and whether its log is as long as
 //!   theirs. It stands for election only if a majority would have it.
 //! - *Refusal*: a voter grants no vote within `election_min` of its leader's last word (openraft's leader lease, set
-//!   to that). So a leader that a majority acknowledged more recently is the only one.
+//!   to that), unless that leader has resigned ([`super::succession`]). So a leader that a majority acknowledged more
+//!   recently is the only one.
 //! - *Muting* (etcd's check quorum): a leader that no majority acknowledges sends no appends, so that those who hear
 //!   it become free to elect another. It tries again now and then, in case they only were away.
 //! - *Beat*: openraft looks at its own heartbeat every 1.5 intervals only, so it is driven from here.
@@ -19,8 +20,6 @@
 use super::network::Switchboard;
 use super::settings::ReplicaSettings;
 use super::types::{LogId, Raft, RaftId, StateMachine};
-use futures::StreamExt as _;
-use futures::stream::FuturesUnordered;
 use openraft::ServerState;
 use rand::{RngExt as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;
@@ -60,6 +59,12 @@ impl Ear {
     /// A leader speaks.
     pub(super) fn note_leader(&self) {
         self.lock().leader = Instant::now();
+    }
+
+    /// The leader has resigned: nobody needs to wait for its word any more.
+    pub(super) fn note_leaderless(&self) {
+        let mut heard = self.lock();
+        heard.leader = heard.leader.checked_sub(Duration::from_secs(60)).unwrap_or(heard.leader);
     }
 
     /// A candidate was given this node's vote: it needs a few round trips to make itself heard.
@@ -120,28 +125,12 @@ async fn would_be_elected<S: StateMachine>(raft: &Raft<S>, board: &Switchboard, 
         return false;
     }
     let question = Canvass { last: raft.data_metrics().borrow().last_log };
-    let all: BTreeSet<RaftId> = voters.iter().flatten().copied().collect();
-    let mut asked: FuturesUnordered<_> = all
-        .into_iter()
-        .filter(|voter| *voter != board.me)
-        .map(|voter| {
-            let line = board.line(voter);
-            let question = &question;
-            async move { line.canvass(question, limit).await.then_some(voter) }
-        })
-        .collect();
     let mut willing = BTreeSet::from([board.me]);
-    let majority = |willing: &BTreeSet<RaftId>| {
-        // While voters are being changed, a majority of the old and of the new ones.
-        voters.iter().all(|half| half.intersection(willing).count() * 2 > half.len())
-    };
-    while !majority(&willing) {
-        match asked.next().await {
-            Some(answer) => willing.extend(answer),
-            None => return false,
-        }
-    }
-    true
+    let others: BTreeSet<RaftId> = voters.iter().flatten().copied().filter(|voter| *voter != board.me).collect();
+    let question = &question;
+    board
+        .until_majority(&voters, &mut willing, &others, |line| async move { line.canvass(question, limit).await })
+        .await
 }
 
 /// Has openraft send a heartbeat at the rate that the settings say.

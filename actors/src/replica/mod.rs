@@ -16,26 +16,31 @@
 //! - [`Leadership::is_me`] is true only on a node whose ledger holds everything committed before its reign, and which
 //!   a majority acknowledged not longer ago than [`ReplicaSettings::quorum_silence_max`]. It is a belief about the
 //!   recent past all the same: whatever acts outside the ledger carries the [`Reign`] or an [`Epoch`].
-//! - openraft orders leaders by term *and* raft id, so two leaders may follow one another **within one term**: a term
-//!   alone is no fencing token, a [`Reign`] and the [`Epoch`] of an applied entry are.
+//! - Each term has one leader at most (openraft's `single-term-leader`), so the term of a [`Reign`] orders whoever acts
+//!   outside the ledger, and the [`Epoch`] of an applied entry whatever was promised in it.
+//! - A leader that leaves by [`Replica::hand_over`] has a successor within a few round trips.
 //!
 //! Why not a lock, a lease or gossip: see Ongaro and Ousterhout, *In search of an understandable consensus algorithm*,
 //! 2014. When to stand for election is decided by `canvass`, not by openraft, which has neither pre-vote nor check
 //! quorum.
 
 mod canvass;
+mod gather;
 mod journal;
 mod network;
 #[expect(clippy::module_inception, reason = "a module's main type has a file of its own, as elsewhere")]
 mod replica;
 mod runtime;
+mod salvage;
 mod serve;
 mod settings;
 mod store;
+mod succession;
 mod types;
 
 pub use journal::{Journal, MemoryJournal, Recorded, StoreIdentity};
-pub use replica::{BootstrapError, Leadership, MemberError, ProposeError, Replica, StartError};
+pub use replica::{BootstrapError, HandOverError, Leadership, MemberError, ProposeError, Replica, StartError};
 pub use runtime::{SeededRuntime, seed_elections};
+pub use salvage::{Holdings, holdings, sole_voter};
 pub use settings::{ReplicaSettings, SettingsError};
 pub use types::{Epoch, Peer, RaftId, Reign, StateMachine};

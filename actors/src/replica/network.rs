@@ -1,10 +1,13 @@
 //! Raft's questions to other voters, as queries on the bus.
 
 use super::canvass::Canvass;
+use super::succession::Succession;
 use super::types::{Peer, RaftId, StateMachine, Types};
 use crate::bus::SharedBus;
 use consort_protocol::codec::{self, CodecError};
 use consort_protocol::keys::{Key, Keys, RaftCall};
+use futures::StreamExt as _;
+use futures::stream::FuturesUnordered;
 use openraft::error::{
     InstallSnapshotError, NetworkError, PayloadTooLarge, RPCError, RaftError, RemoteError, SnapshotMismatch, Timeout,
     Unreachable,
@@ -17,7 +20,8 @@ use openraft::raft::{
 use openraft::{AnyError, RaftNetwork, RaftNetworkFactory};
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
+use std::future::Future;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
@@ -69,6 +73,31 @@ impl Switchboard {
     pub(super) fn line(&self, target: RaftId) -> Line {
         Line { board: self.clone(), target }
     }
+
+    /// Asks `others` all at once, adds those that say yes to `willing`, and ends as soon as these are a majority of each
+    /// of `halves`: while voters are being changed, of the old and of the new ones. Says whether they are.
+    pub(super) async fn until_majority<F: Future<Output = bool>>(
+        &self,
+        halves: &[BTreeSet<RaftId>],
+        willing: &mut BTreeSet<RaftId>,
+        others: &BTreeSet<RaftId>,
+        ask: impl Fn(Line) -> F,
+    ) -> bool {
+        let majority =
+            |willing: &BTreeSet<RaftId>| halves.iter().all(|half| half.intersection(willing).count() * 2 > half.len());
+        let asked = others.iter().map(|voter| {
+            let answer = ask(self.line(*voter));
+            async move { answer.await.then_some(*voter) }
+        });
+        let mut asked: FuturesUnordered<_> = asked.collect();
+        while !majority(willing) {
+            match asked.next().await {
+                Some(answer) => willing.extend(answer),
+                None => return false,
+            }
+        }
+        true
+    }
 }
 
 impl<S: StateMachine> RaftNetworkFactory<Types<S>> for Switchboard {
@@ -107,6 +136,12 @@ impl Line {
     pub(super) async fn canvass(&self, question: &Canvass, limit: Duration) -> bool {
         let Ok(question) = codec::encode(question) else { return false };
         matches!(self.ask(RaftCall::Canvass, question, limit).await, Ok(Answer::Done(true)))
+    }
+
+    /// Tells `target` who succeeds this node, and whether it obeyed; no answer is a no.
+    pub(super) async fn succeed(&self, word: &Succession, limit: Duration) -> bool {
+        let Ok(question) = codec::encode(word) else { return false };
+        matches!(self.ask(RaftCall::Succeed, question, limit).await, Ok(Answer::Done(true)))
     }
 
     async fn ask<A: DeserializeOwned>(

@@ -1,12 +1,14 @@
 //! A node's share in the replicated ledger.
 
 use super::canvass::{self, Ear};
+use super::gather::{Gatherer, Proposal};
 use super::journal::Journal;
 use super::network::{Heard, Switchboard};
 use super::runtime::seed_elections;
 use super::serve::Service;
 use super::settings::{ReplicaSettings, SettingsError};
 use super::store::{self, MachineStore};
+use super::succession::{self, Resigned, Succession};
 use super::types::{Epoch, Peer, Raft, RaftId, Reign, StateMachine, epoch_of, reign_of};
 use crate::bus::{BusError, SharedBus};
 use consort_protocol::codec::{self, CodecError};
@@ -21,15 +23,18 @@ use std::future::Future;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::Duration;
-use tokio::sync::watch;
+use tokio::sync::{mpsc, oneshot, watch};
 use tokio::task::JoinHandle;
 use tokio::time::{Instant, timeout};
 use tracing::info;
 
 type Metrics = openraft::RaftMetrics<RaftId, Peer>;
 
-/// Bytes of a message that are left for its frame when it carries one command.
+/// Bytes of a message that are left for its frame when it carries one entry of commands.
 const FRAME_OVERHEAD: usize = 1024;
+
+/// Bytes that the commands of one entry may have together.
+const COMMANDS_MAX: usize = codec::LIMIT - FRAME_OVERHEAD;
 
 /// Who leads, as this node believes. A watch shows the latest belief; a reign that came and went in between is seen
 /// by the next one's being greater.
@@ -51,6 +56,12 @@ pub struct Leadership {
     pub voters: BTreeMap<RaftId, NodeId>,
     /// Who is replicated to without a vote.
     pub observers: BTreeMap<RaftId, NodeId>,
+}
+
+impl Leadership {
+    fn without_reign(self) -> Leadership {
+        Leadership { reign: None, leader: None, is_me: false, cut_off: false, ..self }
+    }
 }
 
 /// Why a node could not take part. Nothing runs.
@@ -147,6 +158,34 @@ pub enum MemberError {
     NobodyLeft,
 }
 
+/// Why a leader goes without a successor.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+pub enum HandOverError {
+    /// Ordinary: there is nothing to hand over.
+    #[error("this node does not lead")]
+    NotLeader,
+    /// When this node goes, so does the ledger, until it comes back.
+    #[error("this node is the only voter: nobody can take over")]
+    Alone,
+    /// This node leads on. Ordinary where the others are dead already, or too far behind.
+    #[error("none of the other {others} voters had the whole ledger within {limit:?}")]
+    NobodyReady {
+        /// How many there are.
+        others: usize,
+        /// How long was waited for one.
+        limit: Duration,
+    },
+    /// This node no longer leads; the others elect one of them when their patience ends.
+    #[error("{successor} was to take over and does not answer")]
+    Unheard {
+        /// Who should have.
+        successor: NodeId,
+    },
+    /// The replica has stopped.
+    #[error("the replica has stopped")]
+    Closed,
+}
+
 /// A node's share in the replicated ledger. Clones are the same share; when the last is dropped, the node falls
 /// silent, as in a crash.
 pub struct Replica<S: StateMachine> {
@@ -164,10 +203,13 @@ struct Inner<S: StateMachine> {
     settings: ReplicaSettings,
     raft: Raft<S>,
     machine: MachineStore<S>,
-    leadership: watch::Receiver<Leadership>,
+    leadership: watch::Sender<Leadership>,
     acked_at: watch::Receiver<Option<Instant>>,
-    heard: Arc<Heard>,
+    resigned: Arc<Resigned>,
+    board: Switchboard,
     refused: Arc<AtomicU64>,
+    proposals: mpsc::UnboundedSender<Proposal<S>>,
+    _gathering: Task,
     _serving: Task,
     _watching: Task,
     _canvassing: Task,
@@ -205,6 +247,7 @@ impl<S: StateMachine> Replica<S> {
         let place = journal.place();
         let opened = store::open::<S>(journal).await;
         let (log, machine) = opened.map_err(|problem| StartError::Journal { place, problem })?;
+        let appended = log.appended();
         let keys = Keys::new(&settings.fleet);
         let queries = bus.serve(&keys.any_raft(id.0)).await?;
         let heard = Arc::<Heard>::default();
@@ -213,7 +256,7 @@ impl<S: StateMachine> Replica<S> {
             bus,
             keys: keys.clone(),
             me: id,
-            heard: Arc::clone(&heard),
+            heard,
             pause: settings.heartbeat,
             muted: Arc::clone(&muted),
         };
@@ -222,32 +265,38 @@ impl<S: StateMachine> Replica<S> {
         seed_elections(seed);
         let raft = Raft::<S>::new(id, config, board.clone(), log, machine.clone()).await?;
 
-        let (tell_leadership, leadership) = watch::channel(Leadership::default());
+        let leadership = watch::Sender::new(Leadership::default());
+        let resigned = Arc::<Resigned>::default();
         let (tell_acked, acked_at) = watch::channel(None);
         let watcher = Watcher {
             silence_max: settings.quorum_silence_max,
             election_max: settings.election_max,
-            leadership: tell_leadership,
+            leadership: leadership.clone(),
+            resigned: Arc::clone(&resigned),
             acked: tell_acked,
             muted,
             elected: None,
         };
         let watching = Task::spawn(watcher.run(raft.metrics()));
         let ear = Arc::new(Ear::new());
-        let canvass = canvass::canvass(raft.clone(), board, Arc::clone(&ear), settings.clone(), seed);
+        let canvass = canvass::canvass(raft.clone(), board.clone(), Arc::clone(&ear), settings.clone(), seed);
         let canvassing = Task::spawn(canvass);
         let beating = Task::spawn(canvass::beat(raft.clone(), settings.heartbeat));
         let refused = Arc::<AtomicU64>::default();
         let service = Service {
+            me: id,
             raft: raft.clone(),
             ear,
-            leadership: leadership.clone(),
+            leadership: leadership.subscribe(),
             election_min: settings.election_min,
             heartbeat: settings.heartbeat,
             refused: Arc::clone(&refused),
             keys,
         };
         let serving = Task::spawn(service.run(queries));
+        let (proposals, proposed) = mpsc::unbounded_channel();
+        let gatherer = Gatherer { raft: raft.clone(), proposals: proposed, appended, size_max: COMMANDS_MAX };
+        let gathering = Task::spawn(gatherer.run());
         info!(node = %settings.node, raft = %id, "takes part in the ledger");
         let inner = Inner {
             id,
@@ -256,8 +305,11 @@ impl<S: StateMachine> Replica<S> {
             machine,
             leadership,
             acked_at,
-            heard,
+            resigned,
+            board,
             refused,
+            proposals,
+            _gathering: gathering,
             _serving: serving,
             _watching: watching,
             _canvassing: canvassing,
@@ -291,18 +343,22 @@ impl<S: StateMachine> Replica<S> {
     /// # Errors
     /// [`ProposeError`]: after [`ProposeError::TimedOut`] **the outcome is unknown**.
     pub async fn propose(&self, command: S::Command, limit: Duration) -> Result<S::Outcome, ProposeError> {
-        check_size(&command)?;
+        let size = check_size(&command)?;
         self.refuse_when_cut_off()?;
-        match timeout(limit, self.inner.raft.client_write(command)).await {
+        self.refuse_when_resigned()?;
+        let (answer, heard) = oneshot::channel();
+        let proposed = self.inner.proposals.send(Proposal { command, size, answer });
+        proposed.map_err(|_| ProposeError::Closed)?;
+        match timeout(limit, heard).await {
             Err(_) => Err(ProposeError::TimedOut { limit }),
-            Ok(Err(error)) => Err(write_error(error).into_propose()),
-            Ok(Ok(written)) => Ok(written.data.expect("a command's entry has an outcome")),
+            Ok(Err(_)) => Err(ProposeError::Closed),
+            Ok(Ok(outcome)) => outcome,
         }
     }
 
     /// Who leads, now and whenever that changes.
     pub fn leadership(&self) -> watch::Receiver<Leadership> {
-        self.inner.leadership.clone()
+        self.inner.leadership.subscribe()
     }
 
     /// The place of the last entry applied on this node, now and whenever it grows.
@@ -343,7 +399,8 @@ impl<S: StateMachine> Replica<S> {
     /// after *receiving* the message. It is read from the metrics, rounded so as to seem older (by 1 ms at most).
     /// Idle, it swings between one round trip and a heartbeat plus one round trip.
     pub fn quorum_age(&self) -> Option<Duration> {
-        self.inner.acked_at.borrow().map(|at| at.elapsed())
+        let resigned = self.inner.resigned.covers(self.inner.leadership.borrow().term);
+        self.inner.acked_at.borrow().filter(|_| !resigned).map(|at| at.elapsed())
     }
 
     /// How long ago the last message was sent that each other voter and observer has answered. Only a leader asks
@@ -351,7 +408,7 @@ impl<S: StateMachine> Replica<S> {
     pub fn heard(&self) -> BTreeMap<RaftId, Option<Duration>> {
         let leadership = self.inner.leadership.borrow();
         let others = leadership.voters.keys().chain(leadership.observers.keys()).filter(|id| **id != self.inner.id);
-        others.map(|id| (*id, self.inner.heard.last(*id).map(|at| at.elapsed()))).collect()
+        others.map(|id| (*id, self.inner.board.heard.last(*id).map(|at| at.elapsed()))).collect()
     }
 
     /// Questions of other nodes that could not be read or answered, counted since the start.
@@ -419,6 +476,87 @@ impl<S: StateMachine> Replica<S> {
         std::future::pending().await
     }
 
+    /// Gives the lead to another voter, which has all that this one has and is elected within a few round trips; to none of
+    /// `shunned` unless there is nobody else. From the call on this node refuses proposals and no longer counts itself
+    /// leader; it goes on voting and following. Waits `limit` at most for a voter that has everything.
+    ///
+    /// # Errors
+    /// [`HandOverError`] says whether this node still leads.
+    pub async fn hand_over(&self, shunned: &BTreeSet<NodeId>, limit: Duration) -> Result<NodeId, HandOverError> {
+        let inner = &*self.inner;
+        let mut metrics = inner.raft.metrics();
+        let (vote, leads) = {
+            let now = metrics.borrow_and_update();
+            (now.vote, now.state == ServerState::Leader)
+        };
+        if !leads {
+            return Err(HandOverError::NotLeader);
+        }
+        let term = vote.leader_id().term;
+        let others = inner.leadership.borrow().voters.keys().filter(|id| **id != inner.id).count();
+        if others == 0 {
+            return Err(HandOverError::Alone);
+        }
+        inner.resigned.resign(term);
+        inner.leadership.send_modify(|now| {
+            if now.term == term {
+                *now = now.clone().without_reign();
+            }
+        });
+        let asked_at = Instant::now();
+        let found = async {
+            loop {
+                let latest = metrics.borrow_and_update().clone();
+                if latest.vote != vote {
+                    return Err(HandOverError::NotLeader);
+                }
+                let shunned = if asked_at.elapsed() < limit / 2 { shunned } else { &BTreeSet::new() };
+                if let Some(successor) = self.best_successor(&latest, shunned) {
+                    return Ok((successor, latest));
+                }
+                metrics.changed().await.map_err(|_| HandOverError::Closed)?;
+            }
+        };
+        let nobody = Err(HandOverError::NobodyReady { others, limit });
+        let (successor, latest) = match timeout(limit, found).await.unwrap_or(nobody) {
+            Ok(found) => found,
+            Err(problem) => {
+                inner.resigned.take_back();
+                return Err(problem);
+            }
+        };
+        let membership = latest.membership_config.membership();
+        let name = membership.get_node(&successor).map(|peer| peer.name.clone());
+        let name = name.ok_or(HandOverError::Closed)?;
+        let word = Succession { ends: vote, successor };
+        if !succession::release(&inner.raft, &word).await {
+            return Err(HandOverError::Closed);
+        }
+        info!(node = %inner.settings.node, term, successor = %name, "hands over");
+        match succession::proclaim(&inner.board, membership.get_joint_config(), &word, inner.settings.heartbeat).await {
+            true => Ok(name),
+            false => Err(HandOverError::Unheard { successor: name }),
+        }
+    }
+
+    /// Of the voters that have answered of late, without the shunned unless there is nobody else, one that has the whole
+    /// log: that of the lowest number.
+    fn best_successor(&self, latest: &Metrics, shunned: &BTreeSet<NodeId>) -> Option<RaftId> {
+        let replication = latest.replication.as_ref()?;
+        let leadership = self.inner.leadership.borrow().clone();
+        let near = |id: &RaftId| {
+            let heard = self.inner.board.heard.last(*id);
+            *id != self.inner.id && heard.is_some_and(|at| at.elapsed() <= self.inner.settings.heartbeat * 2)
+        };
+        let near: Vec<_> = leadership.voters.iter().filter(|(id, _)| near(id)).collect();
+        let all_shunned = near.iter().all(|(_, name)| shunned.contains(*name));
+        let ready = near.into_iter().filter(|(id, name)| {
+            let matched = replication.get(*id).copied().flatten().map(|at| at.index);
+            (all_shunned || !shunned.contains(*name)) && matched >= latest.last_log_index
+        });
+        ready.map(|(id, _)| *id).min()
+    }
+
     /// Stops taking part. The journal is at rest when it returns.
     pub async fn shutdown(&self) {
         // The only error openraft could give is that its task is gone already.
@@ -432,6 +570,7 @@ impl<S: StateMachine> Replica<S> {
         limit: Duration,
     ) -> Result<(), MemberError> {
         self.refuse_when_cut_off()?;
+        self.refuse_when_resigned()?;
         match timeout(limit, self.inner.raft.change_membership(change, retain)).await {
             Err(_) => Err(ProposeError::TimedOut { limit }.into()),
             Ok(Err(error)) => Err(write_error(error)),
@@ -444,10 +583,18 @@ impl<S: StateMachine> Replica<S> {
         if cut_off { Err(self.no_quorum()) } else { Ok(()) }
     }
 
+    fn refuse_when_resigned(&self) -> Result<(), ProposeError> {
+        let leadership = self.inner.leadership.borrow();
+        if self.inner.resigned.covers(leadership.term) {
+            return Err(ProposeError::NotLeader { leader: leadership.leader.clone() });
+        }
+        Ok(())
+    }
+
     fn no_quorum(&self) -> ProposeError {
         let leadership = self.inner.leadership.borrow();
         let near = |id: &&RaftId| {
-            let heard = self.inner.heard.last(**id);
+            let heard = self.inner.board.heard.last(**id);
             **id == self.inner.id || heard.is_some_and(|at| at.elapsed() <= self.inner.settings.heartbeat * 2)
         };
         let reachable = leadership.voters.keys().filter(near).count();
@@ -455,12 +602,12 @@ impl<S: StateMachine> Replica<S> {
     }
 }
 
-fn check_size<C: serde::Serialize>(command: &C) -> Result<(), ProposeError> {
-    const MAX: usize = codec::LIMIT - FRAME_OVERHEAD;
+/// The command's encoded size in bytes.
+fn check_size<C: serde::Serialize>(command: &C) -> Result<usize, ProposeError> {
     match codec::encode(command) {
-        Ok(bytes) if bytes.len() <= MAX => Ok(()),
-        Ok(bytes) => Err(ProposeError::TooLarge { size: bytes.len(), max: MAX }),
-        Err(CodecError::TooLarge { size, .. }) => Err(ProposeError::TooLarge { size, max: MAX }),
+        Ok(bytes) if bytes.len() <= COMMANDS_MAX => Ok(bytes.len()),
+        Ok(bytes) => Err(ProposeError::TooLarge { size: bytes.len(), max: COMMANDS_MAX }),
+        Err(CodecError::TooLarge { size, .. }) => Err(ProposeError::TooLarge { size, max: COMMANDS_MAX }),
         Err(error) => Err(ProposeError::Unencodable(error.to_string())),
     }
 }
@@ -481,9 +628,10 @@ fn write_error(error: RaftError<RaftId, ClientWriteError<RaftId, Peer>>) -> Memb
     }
 }
 
-impl MemberError {
-    fn into_propose(self) -> ProposeError {
-        match self {
+impl ProposeError {
+    /// Why an entry of commands was not committed.
+    pub(super) fn from_write(error: ClientWriteError<RaftId, Peer>) -> ProposeError {
+        match write_error(RaftError::APIError(error)) {
             MemberError::Propose(error) => error,
             MemberError::InProgress | MemberError::NotObserver(_) | MemberError::NobodyLeft => {
                 unreachable!("openraft answers so to a change of membership only")
@@ -497,6 +645,7 @@ struct Watcher {
     silence_max: Duration,
     election_max: Duration,
     leadership: watch::Sender<Leadership>,
+    resigned: Arc<Resigned>,
     acked: watch::Sender<Option<Instant>>,
     muted: Arc<AtomicBool>,
     /// The reign in which this node was elected, if it leads, and since when it knows.
@@ -525,7 +674,7 @@ impl Watcher {
 
     /// Since when this node leads, if it does.
     fn note_election(&mut self, latest: &Metrics) -> Option<Instant> {
-        let reign = (latest.state == ServerState::Leader).then(|| reign_of(latest.vote.leader_id()));
+        let reign = reign_of(&latest.vote).filter(|_| latest.state == ServerState::Leader);
         if self.elected.map(|(reign, _)| reign) != reign {
             self.elected = reign.map(|reign| (reign, Instant::now()));
         }
@@ -569,8 +718,12 @@ impl Watcher {
     }
 
     fn tell(&self, metrics: &Metrics, quorum: Quorum) {
-        let next = believe(metrics, quorum);
+        let mut next = believe(metrics, quorum);
         self.leadership.send_if_modified(|now| {
+            // Asked here, under the watch's lock: whoever resigns does so first and then takes that lock.
+            if self.resigned.covers(next.term) {
+                next = std::mem::take(&mut next).without_reign();
+            }
             let changed = *now != next;
             if changed {
                 *now = next;
@@ -592,10 +745,10 @@ enum Quorum {
 /// What a node believes, given openraft's metrics and what is known of its majority.
 fn believe(metrics: &Metrics, quorum: Quorum) -> Leadership {
     let running = metrics.running_state.is_ok() && metrics.state != ServerState::Shutdown;
-    let reign = metrics.vote.is_committed().then(|| reign_of(metrics.vote.leader_id())).filter(|_| running);
+    let reign = reign_of(&metrics.vote).filter(|_| running && metrics.vote.is_committed());
     let elected = running && metrics.state == ServerState::Leader;
     // The first entry of a reign is openraft's blank one: once it is applied, so is all that was committed before.
-    let caught_up = reign.is_some() && metrics.last_applied.map(|at| reign_of(&at.leader_id)) == reign;
+    let caught_up = reign.is_some() && metrics.last_applied.map(|at| at.leader_id.term) == reign.map(|now| now.term);
     let cut_off = elected && quorum == Quorum::Silent;
     let reign = reign.filter(|_| !cut_off);
     let membership = metrics.membership_config.membership();

@@ -3,7 +3,8 @@
 use super::canvass::{Canvass, Ear};
 use super::network::Answer;
 use super::replica::Leadership;
-use super::types::{Raft, StateMachine, Types, Vote};
+use super::succession::{self, Succession};
+use super::types::{Raft, RaftId, StateMachine, Types, Vote};
 use crate::bus::{BusError, Encoding, Query, Stream};
 use consort_protocol::codec;
 use consort_protocol::keys::{Key, Keys, RaftCall};
@@ -25,6 +26,7 @@ const IN_HAND_MAX: usize = 256;
 
 /// What is needed to answer.
 pub(super) struct Service<S: StateMachine> {
+    pub(super) me: RaftId,
     pub(super) raft: Raft<S>,
     pub(super) ear: Arc<Ear>,
     pub(super) leadership: watch::Receiver<Leadership>,
@@ -57,6 +59,7 @@ impl<S: StateMachine> Service<S> {
             Some(Key::Raft(_, RaftCall::Append)) => self.append(&query).await,
             Some(Key::Raft(_, RaftCall::Snapshot)) => self.snapshot(&query).await,
             Some(Key::Raft(_, RaftCall::Canvass)) => self.canvass(&query),
+            Some(Key::Raft(_, RaftCall::Succeed)) => self.succeed(&query).await,
             _ => Err("no such question".to_owned()),
         };
         let sent = match outcome {
@@ -98,9 +101,28 @@ impl<S: StateMachine> Service<S> {
     /// Notes that the leader speaks, unless its reign is over. This comes before openraft is told, so that whoever has
     /// just looked and is about to stand is told of first, and the leader gets no acknowledgement that would mislead it.
     fn note_leader(&self, vote: &Vote) {
-        if *vote >= self.raft.server_metrics().borrow().vote {
+        let known = self.raft.server_metrics().borrow().vote;
+        // A leader's vote is committed: it prevails over candidates of its own term, and over all earlier ones.
+        if (vote.leader_id().term, vote.is_committed()) >= (known.leader_id().term, known.is_committed()) {
             self.ear.note_leader();
         }
+    }
+
+    async fn succeed(&self, query: &Query) -> Result<Vec<u8>, String> {
+        let word: Succession = read(query)?;
+        let current = self.raft.server_metrics().borrow().vote == word.ends;
+        let obeyed = if word.successor != self.me {
+            self.ear.note_vote();
+            succession::release(&self.raft, &word).await
+        } else if current {
+            self.ear.note_leaderless();
+            self.raft.trigger().elect().await.map_err(in_words)?;
+            true
+        } else {
+            // Said twice, or too late: the election is under way or over.
+            true
+        };
+        written(&Answer::Done(obeyed))
     }
 
     fn canvass(&self, query: &Query) -> Result<Vec<u8>, String> {

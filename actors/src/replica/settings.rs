@@ -1,5 +1,6 @@
 //! How a replica is set up.
 
+use crate::timing::Timing;
 use consort_protocol::ids::{FleetId, NodeId};
 use openraft::{Config, SnapshotPolicy};
 use std::sync::Arc;
@@ -13,14 +14,12 @@ pub struct ReplicaSettings {
     /// This node.
     pub node: NodeId,
     /// How often a leader says that it is there; also the limit of each of its messages, so it exceeds a round trip.
-    /// Lower finds a dead leader sooner and costs messages. Default: openraft's.
+    /// Lower finds a dead leader sooner and costs messages. This and the next two: see [`crate::timing`].
     pub heartbeat: Duration,
     /// The shortest time without a leader after which a node stands for election, and the time for which a voter
     /// refuses every candidate after its leader's last word. At least three heartbeats, so that two may be lost.
-    /// Default: that of the Raft paper.
     pub election_min: Duration,
-    /// The longest; it is drawn anew for each wait. The wider the range, the rarer do two candidates meet. Default:
-    /// that of the Raft paper.
+    /// The longest; it is drawn anew for each wait. The wider the range, the rarer do two candidates meet.
     pub election_max: Duration,
     /// A leader that no majority has acknowledged for so long no longer counts itself leader. At most `election_min`:
     /// until then no other can have been elected. Default: that, less 1/15 for clocks that run unevenly.
@@ -32,18 +31,27 @@ pub struct ReplicaSettings {
 }
 
 impl ReplicaSettings {
-    /// The defaults, for `node` of `fleet`.
+    /// The defaults, for `node` of `fleet`, with the times of [`Timing::Lan`].
     pub fn new(fleet: FleetId, node: NodeId) -> Self {
-        ReplicaSettings {
+        let times = Timing::Lan.times();
+        let settings = ReplicaSettings {
             fleet,
             node,
-            heartbeat: Duration::from_millis(50),
-            election_min: Duration::from_millis(150),
-            election_max: Duration::from_millis(300),
-            quorum_silence_max: Duration::from_millis(140),
+            heartbeat: times.heartbeat,
+            election_min: times.election_min,
+            election_max: times.election_max,
+            quorum_silence_max: times.election_min,
             snapshot_every: 5000,
             log_kept: 1000,
-        }
+        };
+        settings.with_timing(Timing::Lan)
+    }
+
+    /// The same with the times of a preset.
+    #[must_use]
+    pub fn with_timing(self, timing: Timing) -> Self {
+        let times = timing.times();
+        self.with_times(times.heartbeat, times.election_min, times.election_max)
     }
 
     /// The same with other times; the bound on a leader's silence follows `election_min`.

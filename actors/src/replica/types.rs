@@ -20,15 +20,29 @@ pub trait StateMachine: Clone + Send + Sync + Default + Serialize + DeserializeO
     type Outcome: Serialize + DeserializeOwned + Clone + Debug + Send + Sync + 'static;
 
     /// Carries out `command`, which stands in the log at `at`. Neither clock nor chance may be asked.
+    ///
+    /// Several commands may stand at one place, in order, of which one [grants an epoch](StateMachine::grants_epoch) at
+    /// most.
     fn apply(&mut self, at: Epoch, command: Self::Command) -> Self::Outcome;
+
+    /// Whether what `command` does is told apart from all else by its place in the log. Without an answer, every command's
+    /// is, and each gets an entry of its own: slower with many clients, and always right.
+    fn grants_epoch(_command: &Self::Command) -> bool {
+        true
+    }
 }
 
-/// Who leads, and since which term. Reigns are totally ordered: the later one is the greater.
+/// What one entry of the log asks for, in order.
+#[derive(Debug, Clone, Serialize, Deserialize)]
+pub(super) struct Batch<C>(pub(super) Vec<C>);
+
+/// Who leads, and since which term. Each term has one leader at most, so that the term alone tells reigns apart and orders
+/// them: the later one is the greater.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Default, Serialize, Deserialize)]
 pub struct Reign {
-    /// The term. Two reigns may share it.
+    /// The term.
     pub term: u64,
-    /// The leader, by which reigns of one term are ordered.
+    /// Its leader.
     pub leader: RaftId,
 }
 
@@ -90,9 +104,9 @@ impl Default for Peer {
 pub(super) struct Types<S>(PhantomData<fn() -> S>);
 
 impl<S: StateMachine> RaftTypeConfig for Types<S> {
-    type D = S::Command;
+    type D = Batch<S::Command>;
     /// `None` for the entries that are Raft's own.
-    type R = Option<S::Outcome>;
+    type R = Option<Vec<S::Outcome>>;
     type NodeId = RaftId;
     type Node = Peer;
     type Entry = openraft::Entry<Self>;
@@ -148,9 +162,10 @@ pub(super) fn epoch_of(log_id: &LogId) -> Epoch {
     Epoch { term: log_id.leader_id.term, index: log_id.index }
 }
 
-/// The reign in which an entry was written.
-pub(super) fn reign_of(leader: &openraft::LeaderId<RaftId>) -> Reign {
-    Reign { term: leader.term, leader: leader.node_id }
+/// The reign that a vote is for.
+pub(super) fn reign_of(vote: &Vote) -> Option<Reign> {
+    let leader = vote.leader_id();
+    Some(Reign { term: leader.term, leader: leader.voted_for? })
 }
 
 #[cfg(test)]
@@ -169,7 +184,6 @@ mod tests {
     #[test]
     fn epochs_and_reigns_are_ordered_by_term_first() {
         assert!(Epoch { term: 1, index: 9 } < Epoch { term: 2, index: 1 });
-        assert!(Reign { term: 2, leader: RaftId(1) } < Reign { term: 2, leader: RaftId(2) });
         assert!(Reign { term: 2, leader: RaftId(2) } < Reign { term: 3, leader: RaftId(1) });
     }
 }

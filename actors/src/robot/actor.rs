@@ -19,10 +19,12 @@ use consort_protocol::event::Happening;
 use consort_protocol::ids::{MissionId, NodeId, RobotId, RoleId, TaskId};
 use consort_protocol::keys::{Key, Keys};
 use consort_protocol::knowledge::{Availability, Worker};
-use consort_protocol::lease::{Action, Award, Ending, Epoch, Event, LeaseTerms, Tenure};
-use consort_protocol::message::{AwardAnswer, AwardNotice, Beacon, Report, ReportAnswer, Said, TaskFailure};
+use consort_protocol::lease::{Action, Award, Ending, Epoch, Event, Holding, LeaseTerms, Tenure};
+use consort_protocol::message::{
+    AwardAnswer, AwardNotice, Beacon, FailureKind, Report, ReportAnswer, Said, TaskFailure,
+};
 use consort_protocol::mission::TaskSpec;
-use consort_protocol::plan::StepIndex;
+use consort_protocol::plan::{ProgressError, StepIndex};
 use consort_protocol::units::NodeTime;
 use consort_skills::actions::RobotActions;
 use consort_skills::descriptor::Estimator;
@@ -325,15 +327,17 @@ impl RobotState {
         let actions = match answer {
             Some(ReportAnswer::Renewed { epoch, ended, holders }) => {
                 if let Some(job) = self.job.as_mut().filter(|job| job.epoch == epoch) {
-                    job.sequencer.set_holders(holders);
+                    job.sequencer.set_holders(Holding::robots(&holders));
                 }
                 self.tenure.handle(Event::Renewed { epoch, sent, ended }, now)
             }
-            Some(ReportAnswer::Ended { epoch, reason: Ending::Over }) => {
+            Some(ReportAnswer::Ended { epoch, reason: Ending::Over, .. }) => {
                 self.put_down(epoch, Ending::Over);
                 self.tenure.handle(Event::Settled { epoch }, now)
             }
-            Some(ReportAnswer::Ended { epoch, reason }) => self.tenure.handle(Event::Revoked { epoch, reason }, now),
+            Some(ReportAnswer::Ended { epoch, reason, .. }) => {
+                self.tenure.handle(Event::Revoked { epoch, reason }, now)
+            }
             Some(ReportAnswer::NotCoordinator { coordinator }) => {
                 debug!(robot = %self.settings.robot, ?coordinator, "reported to one who does not coordinate");
                 vec![]
@@ -368,7 +372,8 @@ impl RobotState {
             }
             SkillOutcome::Failed(cause) => {
                 warn!(robot = %self.settings.robot, %mission, %task, cause, "task failed");
-                job.failure = Some(TaskFailure { task: task.clone(), cause: cause.clone() });
+                let (failed, kind) = (Some(task.clone()), FailureKind::Task);
+                job.failure = Some(TaskFailure { task: failed, cause: cause.clone(), kind });
                 self.settings.events.tell(Happening::TaskFailed { mission, role, task, cause });
             }
         }
@@ -415,11 +420,13 @@ impl RobotState {
         ended: &BTreeSet<StepIndex>,
     ) -> Result<(), BusError> {
         let Award { mission, role, epoch, plan, holders, .. } = award;
+        let holders = Holding::robots(&holders);
         info!(robot = %self.settings.robot, %mission, %role, %epoch, "begins");
         let first = plan.tasks().next().map(|(task, _)| task.clone());
         let taken_up = Sequencer::new(plan.clone(), ended, holders.clone());
-        let failure =
-            taken_up.as_ref().err().and_then(|problem| Some(TaskFailure { task: first?, cause: problem.to_string() }));
+        let plan_failure =
+            |problem: &ProgressError| TaskFailure { task: first, cause: problem.to_string(), kind: FailureKind::Plan };
+        let failure = taken_up.as_ref().err().map(plan_failure);
         let Ok(sequencer) = taken_up.or_else(|_| Sequencer::new(plan, &BTreeSet::new(), holders)) else {
             return Ok(());
         };
@@ -521,7 +528,8 @@ impl RobotState {
                 job.runner = Some((run, step, runner));
             }
             Err(problem) => {
-                job.failure = Some(TaskFailure { task: task.clone(), cause: problem.to_string() });
+                let (task, kind) = (Some(task.clone()), FailureKind::Task);
+                job.failure = Some(TaskFailure { task, cause: problem.to_string(), kind });
                 self.report(myself);
             }
         }
@@ -544,6 +552,8 @@ impl RobotState {
             epoch: award.epoch,
             ended: job.map(|job| job.sequencer.ended().clone()).unwrap_or_default(),
             at: job.and_then(|job| job.sequencer.at().cloned()),
+            place: Some(self.worker.place.clone()),
+            resumes: false,
             failure: job.and_then(|job| job.failure.clone()),
         };
         let key = self.settings.keys.write(&Key::Report(beacon.node.clone()));

@@ -159,14 +159,12 @@ mod tests {
         let role = |name: &str| RoleId::new(name).unwrap();
         let robot = |name: &str| RobotId::new(name).unwrap();
         let spec = TaskSpec {
-            task_type: "approach_robot".parse().unwrap(),
             parameters: BTreeMap::from([("robot_role".to_owned(), "arm".to_owned())]),
-            reaches: BTreeMap::new(),
-            roles: vec![role("r1")],
+            ..TaskSpec::of("approach_robot".parse().unwrap(), vec![role("r1")])
         };
         let id: TaskId = "meet".parse().unwrap();
         let step = Step { action: StepAction::Task { id: id.clone(), spec: spec.clone() }, after: vec![] };
-        let plan = LocalPlan { role: role("r1"), steps: vec![step] };
+        let plan = LocalPlan::of(role("r1"), vec![step]);
         let alone = BTreeMap::from([(role("r1"), robot("ada"))]);
         let both = BTreeMap::from([(role("r1"), robot("ada")), (role("arm"), robot("bob"))]);
 

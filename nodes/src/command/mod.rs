@@ -6,6 +6,7 @@ pub mod dry_run;
 pub mod flags;
 pub mod fleet;
 pub mod missions;
+pub mod recover;
 pub mod robot;
 pub mod station;
 pub mod submit;

@@ -116,7 +116,7 @@ mod tests {
         CallForBids {
             auction: AuctionId { mission: MissionId::new("m-1").unwrap(), term: 3, round: 1 },
             ensemble: EnsembleId::new("all").unwrap(),
-            roles: BTreeMap::from([(role(), LocalPlan { role: role(), steps: vec![] })]),
+            roles: BTreeMap::from([(role(), LocalPlan::of(role(), vec![]))]),
         }
     }
 

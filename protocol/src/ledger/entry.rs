@@ -2,7 +2,7 @@
 
 use crate::auction::AuctionRecord;
 use crate::ids::{MissionId, RequestId, RobotId, RoleId};
-use crate::lease::Epoch;
+use crate::lease::{Epoch, Holding};
 use crate::mission::{Mission, RoleKind};
 use crate::plan::{Division, LocalPlan, StepAction, StepIndex};
 use serde::{Deserialize, Serialize};
@@ -135,6 +135,13 @@ impl MissionEntry {
     pub fn holders(&self) -> BTreeMap<RoleId, RobotId> {
         let holder = |(id, role): (&RoleId, &RoleEntry)| Some((id.clone(), role.holder.as_ref()?.robot.clone()));
         self.roles.iter().filter_map(holder).collect()
+    }
+
+    /// The same with the awards.
+    pub fn holdings(&self) -> BTreeMap<RoleId, Holding> {
+        let holding = |holder: &Holder| Holding { robot: holder.robot.clone(), epoch: holder.epoch };
+        let held = self.roles.iter().filter_map(|(id, role)| Some((id.clone(), holding(role.holder.as_ref()?))));
+        held.collect()
     }
 
     /// A role's local plan.

@@ -17,6 +17,16 @@
 //!     - { task: meet, type: wait, roles: [r1, nurse], parameters: { seconds: "5" } }   # two roles: a joint task
 //! ```
 //!
+//! An elementary task may say more:
+//!
+//! - `acquires: { sample: r1 }`: once it has ended, `r1` has the sample; `releases: [sample]`: nobody of the mission has.
+//!   Tasks that touch one item must be in a definite order. The ledger knows from this what a lost robot carries.
+//! - `attempts: 3`: how often its skill is tried before the task has failed; 1 to 10, 2 if nothing is said.
+//!
+//! An abstract task may have `alternatives`: other methods, each `{ method: sequential, tasks: [ elementary tasks ] }`,
+//! tried in the order of the file when a task of its own method has failed for good. They are *local*: all tasks of the
+//! method and of its alternatives are done by one managed role alone, and none touches an item.
+//!
 //! A parameter's `kind` is `place`, `seconds` or `text`; without a `default` a request must give it. `${name}` stands
 //! for its value, within the values of `parameters` and `reaches` only; `$$` stands for a dollar sign. What was put
 //! in is never searched again, so a value cannot smuggle in another.
@@ -26,10 +36,12 @@
 //! gigabytes.
 
 use super::domain::{Domain, ValueKind};
-use super::model::{Body, Method, Mission, Order, Role, RoleKind, TaskIndex, TaskNode, TaskSpec};
+use super::model::{
+    ATTEMPTS, Body, Method, Mission, Order, OtherMethod, Role, RoleKind, TaskIndex, TaskNode, TaskSpec,
+};
 use super::problem::{Allowed, Fault, MissionErrors, Problem};
 use super::validate::TASKS_MAX;
-use crate::ids::{NameError, RoleId, TaskId, TaskType};
+use crate::ids::{ItemId, NameError, RoleId, TaskId, TaskType};
 use serde::de::{Deserializer, Error as _, MapAccess, Visitor};
 use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, BTreeSet};
@@ -173,6 +185,29 @@ struct TaskFile {
     parameters: BTreeMap<String, String>,
     #[serde(default, deserialize_with = "each_key_once")]
     reaches: BTreeMap<String, String>,
+    #[serde(default, deserialize_with = "each_key_once")]
+    acquires: BTreeMap<String, String>,
+    #[serde(default)]
+    releases: Vec<String>,
+    #[serde(default)]
+    attempts: Option<u8>,
+    #[serde(default)]
+    alternatives: Vec<MethodFile>,
+}
+
+#[derive(Debug, Clone, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct MethodFile {
+    method: Order,
+    tasks: Vec<TaskFile>,
+}
+
+impl TaskFile {
+    /// Whether it says what only an elementary task does.
+    fn has_entries(&self) -> bool {
+        let maps = [&self.parameters, &self.reaches, &self.acquires];
+        maps.iter().any(|map| !map.is_empty()) || !self.releases.is_empty() || self.attempts.is_some()
+    }
 }
 
 /// A map in which a key that stands twice is an error; JSON readers otherwise keep the last and say nothing.
@@ -363,13 +398,21 @@ impl<'a> Building<'a> {
     }
 
     fn body(&mut self, node: &'a TaskFile, path: &str) -> Body {
-        let has_entries = !node.parameters.is_empty() || !node.reaches.is_empty();
         let problem = match (&node.method, &node.tasks, &node.task_type, &node.roles) {
-            (Some(order), Some(_), None, None) if !has_entries => {
-                return Body::Abstract(Method { order: *order, children: vec![] });
+            (Some(order), Some(_), None, None) if !node.has_entries() => {
+                let alternatives = self.alternatives(node, path);
+                return Body::Abstract(Method { order: *order, children: vec![], alternatives });
             }
-            (None, None, Some(task_type), Some(roles)) => return self.elementary(node, task_type, roles, path),
-            (Some(_), Some(_), None, None) => "is abstract and has `parameters` or `reaches`",
+            (None, None, Some(task_type), Some(roles)) if node.alternatives.is_empty() => {
+                return match self.elementary(node, task_type, roles, path) {
+                    Some(spec) => Body::Elementary(spec),
+                    None => Body::Abstract(Method::of(Order::Sequential, vec![])),
+                };
+            }
+            (None, None, Some(_), Some(_)) => "is elementary and has `alternatives`",
+            (Some(_), Some(_), None, None) => {
+                "is abstract and has `parameters`, `reaches`, `acquires`, `releases` or `attempts`"
+            }
             (Some(_), Some(_), ..) => "has `method` as well as `type` or `roles`",
             (Some(_), None, ..) => "has `method` but no `tasks`",
             (None, Some(_), ..) => "has `tasks` but no `method` (sequential or unordered)",
@@ -378,18 +421,51 @@ impl<'a> Building<'a> {
             (None, None, None, None) => "has neither",
         };
         self.problem(path, Fault::Shape { problem: problem.to_owned() });
-        Body::Abstract(Method { order: Order::Sequential, children: vec![] })
+        Body::Abstract(Method::of(Order::Sequential, vec![]))
     }
 
-    fn elementary(&mut self, node: &'a TaskFile, task_type: &str, roles: &[String], path: &str) -> Body {
+    fn alternatives(&mut self, node: &'a TaskFile, path: &str) -> Vec<OtherMethod> {
+        let mut alternatives = Vec::new();
+        for (number, method) in (1..).zip(&node.alternatives) {
+            let path = format!("{path}/alternative {number}");
+            if method.method != Order::Sequential {
+                let problem = "is an alternative, and the tasks of an alternative are `sequential`".to_owned();
+                self.problem(&path, Fault::Shape { problem });
+            }
+            let mut tasks = Vec::new();
+            for task in &method.tasks {
+                let path = format!("{path}/{}", task.task);
+                let id = self.name(&path, TaskId::new(&*task.task));
+                let spec = match self.body(task, &path) {
+                    Body::Elementary(spec) => Some(spec),
+                    Body::Abstract(_) => {
+                        if task.task_type.is_none() {
+                            let problem = "stands in an alternative, where all tasks are elementary".to_owned();
+                            self.problem(&path, Fault::Shape { problem });
+                        }
+                        None
+                    }
+                };
+                tasks.extend(id.zip(spec));
+            }
+            alternatives.push(OtherMethod { tasks });
+        }
+        alternatives
+    }
+
+    fn elementary(&mut self, node: &'a TaskFile, task_type: &str, roles: &[String], path: &str) -> Option<TaskSpec> {
         let task_type = self.name(path, TaskType::new(task_type));
         let roles = roles.iter().filter_map(|role| self.name(path, RoleId::new(&**role))).collect();
         let parameters = self.entries(&node.parameters, path);
         let reaches = self.entries(&node.reaches, path);
-        match task_type {
-            Some(task_type) => Body::Elementary(TaskSpec { task_type, roles, parameters, reaches }),
-            None => Body::Abstract(Method { order: Order::Sequential, children: vec![] }),
+        let mut acquires = BTreeMap::new();
+        for (item, role) in &node.acquires {
+            let item = self.name(path, ItemId::new(&**item));
+            acquires.extend(item.zip(self.name(path, RoleId::new(&**role))));
         }
+        let releases = node.releases.iter().filter_map(|item| self.name(path, ItemId::new(&**item))).collect();
+        let attempts = node.attempts.unwrap_or(ATTEMPTS);
+        Some(TaskSpec { parameters, reaches, acquires, releases, attempts, ..TaskSpec::of(task_type?, roles) })
     }
 
     fn entries(&mut self, entries: &'a BTreeMap<String, String>, path: &str) -> BTreeMap<String, String> {
@@ -477,7 +553,7 @@ root:
         assert_eq!(specs[1].parameters["seconds"], "4");
         assert_eq!(specs[2].parameters["seconds"], "2.50");
         let Body::Abstract(method) = &mission.tasks[2].body else { panic!("meet is abstract") };
-        assert_eq!(method, &Method { order: Order::Unordered, children: vec![3, 4] });
+        assert_eq!(method, &Method::of(Order::Unordered, vec![3, 4]));
     }
 
     #[test]

@@ -165,12 +165,7 @@ impl Estimator {
         signal: &'s Signal,
         context: &Context,
     ) -> (&'s TaskId, Result<super::Estimate, EstimateError>, TaskType, String) {
-        let spec = TaskSpec {
-            task_type: skill.clone(),
-            roles: vec![signal.from.clone()],
-            parameters: BTreeMap::new(),
-            reaches: BTreeMap::new(),
-        };
+        let spec = TaskSpec::of(skill.clone(), vec![signal.from.clone()]);
         (&signal.task, self.estimate(&spec, context), skill.clone(), signal.to_string())
     }
 }

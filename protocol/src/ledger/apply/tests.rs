@@ -15,15 +15,10 @@ fn robot(name: &str) -> RobotId {
 /// `lab_arm` does one task, after which it tells `r1`, who waits for it.
 fn submission(request: &str) -> Box<Submission> {
     let task = TaskId::new("pick_up_sample").unwrap();
-    let spec = TaskSpec {
-        task_type: TaskType::new("pick_up").unwrap(),
-        roles: vec![role("lab_arm")],
-        parameters: BTreeMap::new(),
-        reaches: BTreeMap::new(),
-    };
+    let spec = TaskSpec::of(TaskType::new("pick_up").unwrap(), vec![role("lab_arm")]);
     let signal = Signal { kind: SignalKind::Done, task: task.clone(), from: role("lab_arm"), to: role("r1") };
     let managed = Role { kind: RoleKind::Managed };
-    let method = Method { order: Order::Sequential, children: vec![1] };
+    let method = Method::of(Order::Sequential, vec![1]);
     let mission = Mission {
         name: TaskId::new("unload").unwrap(),
         roles: BTreeMap::from([(role("lab_arm"), managed.clone()), (role("r1"), managed)]),
@@ -37,7 +32,7 @@ fn submission(request: &str) -> Box<Submission> {
         Step { action: StepAction::Send(signal.clone()), after: vec![0] },
     ];
     let cart = vec![Step { action: StepAction::Wait(signal), after: vec![] }];
-    let plan = |name: &str, steps| (role(name), LocalPlan { role: role(name), steps });
+    let plan = |name: &str, steps| (role(name), LocalPlan::of(role(name), steps));
     Box::new(Submission {
         request: RequestId::new(request).unwrap(),
         mission,

@@ -1,187 +1,13 @@
-//! A replicated ledger on the virtual bus: elections, crashes, partitions, restarts.
+//! Elections, crashes, partitions, restarts: one ledger, whatever happens.
 
-use consort_actors::bus::virtual_bus::{LinkModel, VirtualNetwork};
-use consort_actors::bus::{Bus as _, SharedBus};
-use consort_actors::replica::{
-    BootstrapError, Epoch, Journal, Leadership, MemberError, MemoryJournal, ProposeError, RaftId, Reign, Replica,
-    ReplicaSettings, StateMachine,
-};
-use consort_protocol::ids::{FleetId, NodeId};
-use serde::{Deserialize, Serialize};
+use crate::support::{Ask, Fleet, SOON, node, on_virtual_time, usual, with_short_logs};
+use consort_actors::bus::Bus as _;
+use consort_actors::bus::virtual_bus::LinkModel;
+use consort_actors::replica::{BootstrapError, Journal as _, Leadership, MemberError, ProposeError, Reign, Replica};
+use consort_protocol::ids::NodeId;
 use std::collections::{BTreeMap, BTreeSet};
-use std::future::Future;
-use std::sync::Arc;
 use std::time::Duration;
 use tokio::time::Instant;
-
-const SOON: Duration = Duration::from_secs(5);
-const NAMES: [&str; 7] = ["ada", "bob", "cyd", "dan", "eve", "fay", "gus"];
-
-/// A list of numbers, each with the place at which it was written.
-#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
-struct Tally {
-    written: Vec<(Epoch, u64)>,
-    ballast: Vec<u8>,
-}
-
-#[derive(Debug, Clone, Serialize, Deserialize)]
-enum Ask {
-    Note(u64),
-    Grow(usize),
-}
-
-impl StateMachine for Tally {
-    type Command = Ask;
-    type Outcome = Epoch;
-
-    fn apply(&mut self, at: Epoch, command: Ask) -> Epoch {
-        match command {
-            Ask::Note(number) => self.written.push((at, number)),
-            Ask::Grow(bytes) => self.ballast.resize(bytes, 7),
-        }
-        at
-    }
-}
-
-impl Tally {
-    fn numbers(&self) -> Vec<u64> {
-        self.written.iter().map(|(_, number)| *number).collect()
-    }
-}
-
-fn node(name: &str) -> NodeId {
-    NodeId::new(name).expect("a slug")
-}
-
-/// Runs a story on virtual time.
-fn on_virtual_time<T>(story: impl Future<Output = T>) -> T {
-    tokio::runtime::Builder::new_current_thread()
-        .enable_time()
-        .start_paused(true)
-        .build()
-        .expect("runtime")
-        .block_on(story)
-}
-
-struct Fleet {
-    seed: u64,
-    network: VirtualNetwork,
-    settings: fn(NodeId) -> ReplicaSettings,
-    live: BTreeMap<NodeId, Replica<Tally>>,
-    disks: BTreeMap<NodeId, MemoryJournal>,
-    began: Instant,
-    starts: u64,
-}
-
-fn usual(node: NodeId) -> ReplicaSettings {
-    ReplicaSettings::new(FleetId::new("ward").expect("a slug"), node)
-}
-
-fn with_short_logs(node: NodeId) -> ReplicaSettings {
-    ReplicaSettings { snapshot_every: 20, log_kept: 5, ..usual(node) }
-}
-
-impl Fleet {
-    /// `size` nodes that have met and founded a fleet; no leader yet.
-    async fn founded(seed: u64, size: usize, settings: fn(NodeId) -> ReplicaSettings) -> Fleet {
-        let mut fleet = Fleet {
-            seed,
-            network: VirtualNetwork::new(seed, LinkModel::LAN),
-            settings,
-            live: BTreeMap::new(),
-            disks: BTreeMap::new(),
-            began: Instant::now(),
-            starts: 0,
-        };
-        for name in &NAMES[..size] {
-            fleet.start_empty(name).await;
-        }
-        let members: BTreeMap<_, _> = fleet.live.iter().map(|(name, replica)| (replica.id(), name.clone())).collect();
-        fleet.on("ada").bootstrap(members).await.expect("a first founding");
-        fleet
-    }
-
-    /// Starts a node with a store of its own that nobody has written to.
-    async fn start_empty(&mut self, name: &str) -> RaftId {
-        self.starts += 1;
-        let seed = self.seed.wrapping_mul(1000) + self.starts;
-        self.disks.insert(node(name), MemoryJournal::new(seed));
-        self.start(name).await
-    }
-
-    /// Starts a node with the store it had.
-    async fn start(&mut self, name: &str) -> RaftId {
-        self.starts += 1;
-        let seed = self.seed.wrapping_mul(1000) + self.starts;
-        let disk: Arc<dyn Journal> = Arc::new(self.disks[&node(name)].clone());
-        let bus: SharedBus = Arc::new(self.network.bus(node(name)));
-        let replica = Replica::start((self.settings)(node(name)), bus, disk, seed).await.expect("a start");
-        let id = replica.id();
-        self.live.insert(node(name), replica);
-        id
-    }
-
-    /// Ends a node as a power cut does.
-    fn kill(&mut self, name: &NodeId) {
-        self.network.crash(name);
-        self.live.remove(name).expect("a live node");
-    }
-
-    fn on(&self, name: &str) -> &Replica<Tally> {
-        &self.live[&node(name)]
-    }
-
-    fn believed(&self, name: &NodeId) -> Leadership {
-        self.live[name].leadership().borrow().clone()
-    }
-
-    /// Who count themselves leader at this moment.
-    fn leaders(&self) -> Vec<NodeId> {
-        self.live.keys().filter(|name| self.believed(name).is_me).cloned().collect()
-    }
-
-    /// Waits until `done`, looking every virtual millisecond.
-    async fn until(&self, what: &str, mut done: impl FnMut(&Fleet) -> bool) {
-        let began = Instant::now();
-        while !done(self) {
-            assert!(began.elapsed() < Duration::from_secs(20), "waited in vain until {what}, seed {}", self.seed);
-            tokio::time::sleep(Duration::from_millis(1)).await;
-        }
-    }
-
-    async fn leader(&self) -> NodeId {
-        self.until("there is one leader", |fleet| fleet.leaders().len() == 1).await;
-        self.leaders().remove(0)
-    }
-
-    /// Writes a number through whoever leads, as often as it takes; tells where it stands.
-    async fn note(&self, number: u64) -> Epoch {
-        loop {
-            let leader = self.leader().await;
-            if let Ok(at) = self.live[&leader].propose(Ask::Note(number), Duration::from_millis(500)).await {
-                return at;
-            }
-            tokio::time::sleep(Duration::from_millis(1)).await;
-        }
-    }
-
-    async fn until_all_hold(&self, count: usize) {
-        self.until("all have applied everything", |fleet| {
-            fleet.live.values().all(|replica| replica.read(|tally| tally.written.len()) >= count)
-        })
-        .await;
-    }
-
-    /// What all nodes hold, which must be one and the same.
-    fn common(&self) -> Tally {
-        let mut all = self.live.values().map(|replica| replica.read(Tally::clone));
-        let first = all.next().expect("a live node");
-        for other in all {
-            assert_eq!(first, other, "seed {}", self.seed);
-        }
-        first
-    }
-}
 
 #[test]
 fn three_and_five_nodes_elect_one_leader_and_apply_all_writes_in_one_order() {
@@ -300,7 +126,7 @@ fn a_leader_in_the_minority_knows_it_and_refuses_while_the_majority_goes_on() {
             let mut believed = fleet.live[&old].leadership();
             believed.wait_for(|now| !now.is_me).await.expect("a replica");
             let doubted_after = cut_at.elapsed();
-            assert!(doubted_after <= Duration::from_millis(141), "{doubted_after:?}, seed {seed}");
+            assert!(doubted_after <= Duration::from_millis(281), "{doubted_after:?}, seed {seed}");
             assert!(fleet.leaders().is_empty(), "another led at the same time, seed {seed}");
             let now = fleet.believed(&old);
             assert!(now.cut_off && now.reign.is_none() && now.leader.is_none());
@@ -483,12 +309,12 @@ fn what_cannot_be_read_is_refused_and_counted_and_what_is_too_large_is_not_propo
         fleet.note(1).await;
         let target = fleet.on("bob").id();
         let stranger = fleet.network.bus(node("zed"));
-        for verb in ["vote", "append", "snapshot", "canvass", "dance"] {
+        for verb in ["vote", "append", "snapshot", "canvass", "succeed", "dance"] {
             let key = format!("consort/ward/wire/raft/{target}/{verb}");
             let mut replies = stranger.query(&key, vec![1, 255, 255].into(), SOON).await.expect("a query");
             assert!(replies.recv().await.is_some_and(|reply| reply.payload.is_err()), "{verb}");
         }
-        assert_eq!(fleet.on("bob").refused(), 5);
+        assert_eq!(fleet.on("bob").refused(), 6);
         fleet.note(2).await;
         fleet.until_all_hold(2).await;
     });
@@ -532,47 +358,6 @@ fn founding_twice_changes_nothing() {
         assert_eq!(again, Err(BootstrapError::Already));
         assert_eq!(fleet.common().numbers(), [1]);
     });
-}
-
-/// How long from the leader's end to the first commit by the next, in virtual milliseconds.
-fn takeover(seed: u64, settings: fn(NodeId) -> ReplicaSettings) -> u128 {
-    on_virtual_time(async {
-        let mut fleet = Fleet::founded(seed, 5, settings).await;
-        fleet.note(1).await;
-        // At any point of the heartbeat.
-        tokio::time::sleep(Duration::from_millis(500) + Duration::from_micros(seed * 7919 % 75_000)).await;
-        let leader = fleet.leader().await;
-        let killed_at = Instant::now();
-        fleet.kill(&leader);
-        fleet.note(2).await;
-        killed_at.elapsed().as_millis()
-    })
-}
-
-fn with_quick_elections(node: NodeId) -> ReplicaSettings {
-    let ms = Duration::from_millis;
-    usual(node).with_times(ms(20), ms(60), ms(120))
-}
-
-fn with_brisk_elections(node: NodeId) -> ReplicaSettings {
-    let ms = Duration::from_millis;
-    usual(node).with_times(ms(30), ms(100), ms(200))
-}
-
-#[test]
-#[expect(clippy::print_stderr, reason = "the figures are what the test is for")]
-fn a_takeover_takes_less_than_a_second() {
-    for (what, settings, seeds, p99_max) in [
-        ("20 / 60-120 ms", with_quick_elections as fn(NodeId) -> ReplicaSettings, 50, 200),
-        ("30 / 100-200 ms", with_brisk_elections, 50, 300),
-        ("50 / 150-300 ms", usual, 200, 400),
-    ] {
-        let mut times: Vec<_> = (0..seeds).map(|seed| takeover(seed, settings)).collect();
-        times.sort_unstable();
-        let (p50, p99) = (times[times.len() / 2], times[times.len() * 99 / 100]);
-        eprintln!("takeover, {what}, {seeds} seeds: p50 {p50} ms, p99 {p99} ms");
-        assert!(p99 <= p99_max, "{times:?}");
-    }
 }
 
 #[test]

@@ -1,0 +1,99 @@
+//! How a leader hands its office over before it goes, within a few round trips instead of an election's patience.
+//!
+//! ```text
+//!  leaver                              successor                      other voters
+//!    │ no longer leads; refuses proposals  │                               │
+//!    │ waits until a live voter has all    │                               │
+//!    │ releases its own openraft           │                               │
+//!    ├── succeed ──────────────────────────┼──────────────────────────────►│ release: no longer bound to the leaver
+//!    ◄─────────────────────────────────────┼────────────── a majority ─────┤
+//!    ├── succeed ─────────────────────────►│ stands at once                │
+//!    │◄──────────────── vote ──────────────┼─────────────── vote ─────────►│
+//! ```
+//!
+//! openraft 0.9 knows no such thing, and its voters refuse every candidate for `election_min` after their leader's last
+//! word. What frees them is an uncommitted vote for the successor in the next term: their leader's word then no longer is
+//! their latest vote. It reaches openraft as an append whose vote is that one and whose entry to follow nobody has, so that
+//! it changes nothing but the vote. To Raft it is a vote for the successor given before it was asked for; the successor still needs
+//! the answers of a majority, and each compares logs again before it gives one. So a succession that is lost half-way, late
+//! or repeated costs time only: it names the reign that it ends, and voters that have moved on ignore it.
+//!
+//! Why there are never two: the leaver stops counting itself leader before the first message goes out, and takes the vote
+//! itself, so that its own openraft follows.
+
+use super::network::Switchboard;
+use super::types::{Raft, RaftId, StateMachine, Vote};
+use openraft::raft::AppendEntriesRequest;
+use openraft::{CommittedLeaderId, LogId};
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeSet;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::time::Duration;
+
+/// A leader's last word to a voter.
+#[derive(Debug, Clone, Serialize, Deserialize)]
+pub(super) struct Succession {
+    /// The reign that ends.
+    pub(super) ends: Vote,
+    /// Who is to stand.
+    pub(super) successor: RaftId,
+}
+
+/// The term in which this node led and gave it up; 0 for none.
+#[derive(Debug, Default)]
+pub(super) struct Resigned(AtomicU64);
+
+impl Resigned {
+    /// This node no longer leads in `term`, whatever openraft says.
+    pub(super) fn resign(&self, term: u64) {
+        self.0.store(term, Ordering::SeqCst);
+    }
+
+    /// Nobody could be found to take over: it goes on.
+    pub(super) fn take_back(&self) {
+        self.0.store(0, Ordering::SeqCst);
+    }
+
+    /// Whether this node has given up the reign of `term`.
+    pub(super) fn covers(&self, term: u64) -> bool {
+        let resigned = self.0.load(Ordering::SeqCst);
+        resigned != 0 && resigned == term
+    }
+}
+
+/// Makes this node's openraft vote for the successor in the next term, if the reign that ends is still its latest vote.
+/// Says whether it is free to vote for the successor now.
+pub(super) async fn release<S: StateMachine>(raft: &Raft<S>, word: &Succession) -> bool {
+    let vote = raft.server_metrics().borrow().vote;
+    if vote != word.ends {
+        // It is free already if it has moved on to a later term, and was never bound if it has not heard of this one.
+        return vote.leader_id().term > word.ends.leader_id().term;
+    }
+    let nowhere = LogId::new(CommittedLeaderId::new(word.ends.leader_id().term, RaftId::default()), u64::MAX / 2);
+    let request = AppendEntriesRequest {
+        vote: Vote::new(word.ends.leader_id().term + 1, word.successor),
+        prev_log_id: Some(nowhere),
+        entries: vec![],
+        leader_commit: None,
+    };
+    raft.append_entries(request).await.is_ok()
+}
+
+/// Tells all voters who succeeds, the successor last: then it can be elected at once.
+pub(super) async fn proclaim(
+    board: &Switchboard,
+    halves: &[BTreeSet<RaftId>],
+    word: &Succession,
+    limit: Duration,
+) -> bool {
+    let mut free = BTreeSet::from([board.me, word.successor]);
+    let others: BTreeSet<RaftId> = halves.iter().flatten().copied().filter(|voter| !free.contains(voter)).collect();
+    board.until_majority(halves, &mut free, &others, |line| async move { line.succeed(word, limit).await }).await;
+    // Whether or not a majority is free: those that are not will be when their patience ends.
+    for _ in 0..3 {
+        if board.line(word.successor).succeed(word, limit).await {
+            return true;
+        }
+    }
+    false
+}

@@ -1,0 +1,102 @@
+//! How fast a fleet notices and reacts: two sets of times that belong together.
+//!
+//! | | `lan` | `wifi` | what it decides |
+//! |---|---|---|---|
+//! | heartbeat | 100 ms | 250 ms | how often a leader speaks; also the limit of each of its messages |
+//! | election | 300–600 ms | 1500–3000 ms | after which silence a node stands for election |
+//! | silence bound | 280 ms | 1400 ms | after which silence of the majority a leader doubts itself |
+//! | beacon | 250 ms | 500 ms | how often the coordinator tells robots that it is there |
+//! | auction window | 200 ms | 800 ms | how long an auction waits for a member that does not answer |
+//! | gossip beat, round | 2 s, 1 s | 2 s, 1 s | how often knowledge is repeated and compared |
+//! | probe, its round trip | 500, 150 ms | 1000, 400 ms | how failures are detected |
+//! | suspicion | 2 s | 4 s | how long a suspect has to say that it is alive |
+//! | dead after | 10 s | 20 s | how long a voter must be gone until the autopilot replaces it |
+//! | link lease | 2 s | 5 s | how long Zenoh counts a silent neighbour as linked |
+//!
+//! **`lan`** is for wired machines with round trips of some milliseconds. Three heartbeats fit into the shortest
+//! election, so two may be lost or late; the bound on silence leaves a leader 180 ms in which its machine may do
+//! something else before it doubts itself. Shorter elections find a dead leader sooner (150–300 ms: median 176 ms) and
+//! doubt a healthy one on a busy machine, which was observed with two cores and seven nodes.
+//!
+//! **`wifi`** is for links that lose one message in ten and stall for a second when a robot roams. A voter takes its leader for
+//! lost only after six heartbeats in a row were lost.
+
+use serde::{Deserialize, Serialize};
+use std::time::Duration;
+
+/// A set of times. All nodes of a fleet use the same.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Timing {
+    /// Wired machines: the default.
+    #[default]
+    Lan,
+    /// Links that lose messages and stall.
+    Wifi,
+}
+
+/// The times of a [`Timing`]; the module's table gives them with their reasons.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Times {
+    /// How often a leader speaks.
+    pub heartbeat: Duration,
+    /// The shortest silence after which a node stands for election.
+    pub election_min: Duration,
+    /// The longest.
+    pub election_max: Duration,
+    /// How often the coordinator publishes its beacon.
+    pub beacon: Duration,
+    /// How long an auction waits for a member that does not answer.
+    pub window: Duration,
+    /// How often a node repeats its record.
+    pub gossip_beat: Duration,
+    /// How often two nodes compare what they know.
+    pub gossip_round: Duration,
+    /// How often a random member is probed.
+    pub probe_period: Duration,
+    /// How long a probed member may take to answer.
+    pub probe_rtt: Duration,
+    /// How long a suspect has to say that it is alive.
+    pub suspicion: Duration,
+    /// How long a voter must be gone until it is replaced.
+    pub dead_after: Duration,
+    /// How long a silent neighbour counts as linked.
+    pub link_lease: Duration,
+}
+
+impl Timing {
+    /// Its times.
+    pub fn times(self) -> Times {
+        let ms = Duration::from_millis;
+        match self {
+            Timing::Lan => Times {
+                heartbeat: ms(100),
+                election_min: ms(300),
+                election_max: ms(600),
+                beacon: ms(250),
+                window: ms(200),
+                gossip_beat: ms(2000),
+                gossip_round: ms(1000),
+                probe_period: ms(500),
+                probe_rtt: ms(150),
+                suspicion: ms(2000),
+                dead_after: ms(10_000),
+                link_lease: ms(2000),
+            },
+            Timing::Wifi => Times {
+                heartbeat: ms(250),
+                election_min: ms(1500),
+                election_max: ms(3000),
+                beacon: ms(500),
+                window: ms(800),
+                gossip_beat: ms(2000),
+                gossip_round: ms(1000),
+                probe_period: ms(1000),
+                probe_rtt: ms(400),
+                suspicion: ms(4000),
+                dead_after: ms(20_000),
+                link_lease: ms(5000),
+            },
+        }
+    }
+}

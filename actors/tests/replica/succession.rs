@@ -1,0 +1,186 @@
+//! A leader that leaves hands over; and at no moment are there two.
+
+use crate::support::{Ask, Fleet, SOON, on_virtual_time, usual};
+use crate::takeover::{LOSSY, on_wifi, ranks};
+use consort_actors::replica::{HandOverError, ProposeError, Replica, ReplicaSettings};
+use consort_protocol::ids::NodeId;
+use rand::{RngExt as _, SeedableRng as _};
+use rand_chacha::ChaCha8Rng;
+use std::collections::BTreeSet;
+use std::time::Duration;
+use tokio::time::Instant;
+
+const LIMIT: Duration = Duration::from_millis(300);
+
+/// How long from the leader's decision to leave to the first commit by the next, in virtual milliseconds.
+fn leave(seed: u64, settings: fn(NodeId) -> ReplicaSettings) -> u128 {
+    on_virtual_time(async {
+        let fleet = Fleet::founded(seed, 5, settings).await;
+        for number in 0..5 {
+            fleet.note(number).await;
+        }
+        tokio::time::sleep(Duration::from_millis(500) + Duration::from_micros(seed * 7919 % 100_000)).await;
+        let leader = fleet.leader().await;
+        let leaver = fleet.live[&leader].clone();
+        let left_at = Instant::now();
+        let leaving = tokio::spawn(async move { leaver.hand_over(&BTreeSet::new(), LIMIT).await });
+        fleet.until("another leads", |fleet| fleet.leaders().iter().any(|name| *name != leader)).await;
+        fleet.note(5).await;
+        let took = left_at.elapsed().as_millis();
+        let successor = leaving.await.expect("no panic").expect("a successor");
+        assert_eq!(fleet.leader().await, successor, "seed {seed}");
+        fleet.until_all_hold(6).await;
+        assert_eq!(fleet.common().numbers(), [0, 1, 2, 3, 4, 5], "seed {seed}");
+        took
+    })
+}
+
+#[test]
+#[expect(clippy::print_stderr, reason = "the figures are what the test is for")]
+fn a_leader_that_leaves_is_succeeded_within_a_tenth_of_a_second() {
+    for (what, settings) in [("lan", usual as fn(NodeId) -> ReplicaSettings), ("wifi", on_wifi)] {
+        let (p50, p99) = ranks((0..200).map(|seed| leave(seed, settings)).collect());
+        eprintln!("leave to first commit by the next, {what}, 200 seeds: p50 {p50} ms, p99 {p99} ms");
+        assert!(p99 < 100, "{what}");
+    }
+}
+
+#[test]
+fn the_leaver_refuses_proposals_at_once_votes_on_and_keeps_what_was_acknowledged() {
+    on_virtual_time(async {
+        let fleet = Fleet::founded(1, 3, usual).await;
+        let mut acknowledged = 0;
+        for round in 0..6 {
+            let leader = fleet.leader().await;
+            let leaver = fleet.live[&leader].clone();
+            let busy = {
+                let leaver = leaver.clone();
+                tokio::spawn(async move {
+                    let mut done = 0;
+                    while leaver.propose(Ask::Note(1), SOON).await.is_ok() {
+                        done += 1;
+                    }
+                    done
+                })
+            };
+            tokio::time::sleep(Duration::from_millis(40)).await;
+            let successor = leaver.hand_over(&BTreeSet::new(), LIMIT).await.expect("a successor");
+            assert!(!fleet.believed(&leader).is_me && leaver.quorum_age().is_none());
+            acknowledged += busy.await.expect("no panic");
+            let refused = leaver.propose(Ask::Note(2), SOON).await;
+            assert!(matches!(refused, Err(ProposeError::NotLeader { .. })), "{refused:?}");
+            assert_eq!(leaver.hand_over(&BTreeSet::new(), LIMIT).await, Err(HandOverError::NotLeader));
+            fleet.until("the successor leads", |fleet| fleet.leaders() == [successor.clone()]).await;
+            assert_ne!(successor, leader, "round {round}");
+        }
+        fleet.until_all_hold(acknowledged).await;
+        tokio::time::sleep(SOON).await;
+        // What was under way when its leader left was committed by the next, or not at all.
+        let held = fleet.common().written.len();
+        assert!((acknowledged..=acknowledged + 6).contains(&held), "{held} of {acknowledged}");
+    });
+}
+
+#[test]
+fn a_shunned_voter_succeeds_only_if_there_is_nobody_else() {
+    on_virtual_time(async {
+        let mut fleet = Fleet::founded(2, 3, usual).await;
+        fleet.note(1).await;
+        for _ in 0..4 {
+            let leader = fleet.leader().await;
+            let other: Vec<_> = fleet.live.keys().filter(|name| **name != leader).cloned().collect();
+            let shunned = BTreeSet::from([other[0].clone()]);
+            let successor = fleet.live[&leader].hand_over(&shunned, LIMIT).await.expect("a successor");
+            assert_eq!(successor, other[1]);
+            fleet.until("the successor leads", |fleet| fleet.leaders() == [successor.clone()]).await;
+        }
+        let leader = fleet.leader().await;
+        let other: Vec<_> = fleet.live.keys().filter(|name| **name != leader).cloned().collect();
+        fleet.kill(&other[1]);
+        tokio::time::sleep(SOON).await;
+        let successor = fleet.live[&leader].hand_over(&BTreeSet::from([other[0].clone()]), LIMIT).await;
+        assert_eq!(successor.as_ref(), Ok(&other[0]));
+    });
+}
+
+#[test]
+fn whoever_has_nobody_to_hand_over_to_says_so_and_leads_on() {
+    on_virtual_time(async {
+        let fleet = Fleet::founded(3, 1, usual).await;
+        fleet.note(1).await;
+        assert_eq!(fleet.on("ada").hand_over(&BTreeSet::new(), LIMIT).await, Err(HandOverError::Alone));
+        fleet.note(2).await;
+
+        let fleet = Fleet::founded(4, 3, usual).await;
+        fleet.note(1).await;
+        let leader = fleet.leader().await;
+        fleet.network.isolate(leader.clone());
+        tokio::time::sleep(Duration::from_millis(250)).await;
+        let limit = Duration::from_millis(20);
+        let nobody = fleet.live[&leader].hand_over(&BTreeSet::new(), limit).await;
+        assert_eq!(nobody, Err(HandOverError::NobodyReady { others: 2, limit }));
+        fleet.network.heal();
+        fleet.note(2).await;
+        fleet.until_all_hold(2).await;
+    });
+}
+
+#[test]
+fn at_no_moment_do_two_lead_while_leaders_leave_die_and_are_cut_off() {
+    for seed in 0..40 {
+        on_virtual_time(async {
+            let mut chance = ChaCha8Rng::seed_from_u64(seed);
+            let mut fleet = Fleet::founded(seed, 5, usual).await;
+            if seed % 3 == 0 {
+                fleet.network.set_link_model(LOSSY);
+            }
+            let mut last = 0;
+            for round in 0..8 {
+                let leader = fleet.leader().await;
+                let leaver: Replica<_> = fleet.live[&leader].clone();
+                let leaving = tokio::spawn(async move { leaver.hand_over(&BTreeSet::new(), LIMIT).await.is_ok() });
+                // Now and then something goes wrong in the middle of it.
+                let (trouble, at) = (chance.random_range(0..6), chance.random_range(0..25));
+                let mut killed = None;
+                for step in 0..1200 {
+                    let leaders = fleet.leaders();
+                    assert!(leaders.len() <= 1, "{leaders:?} at once, seed {seed}, round {round}, step {step}");
+                    if let [leader] = &leaders[..] {
+                        let term = fleet.believed(leader).term;
+                        assert!(term >= last, "term {term} after {last}, seed {seed}");
+                        last = term;
+                    }
+                    if step == at {
+                        let other = fleet.live.keys().find(|name| **name != leader).expect("five nodes").clone();
+                        match trouble {
+                            0 => {
+                                fleet.kill(&leader);
+                                killed = Some(leader.clone());
+                            }
+                            1 => fleet.network.isolate(leader.clone()),
+                            2 => {
+                                fleet.kill(&other);
+                                killed = Some(other);
+                            }
+                            3 => fleet.network.pause(&leader),
+                            4 => fleet.network.mute(other),
+                            _ => {}
+                        }
+                    }
+                    if step == 700 {
+                        fleet.network.heal();
+                        fleet.network.resume(&leader);
+                        if let Some(killed) = killed.take() {
+                            fleet.start(killed.as_str()).await;
+                        }
+                    }
+                    tokio::time::sleep(Duration::from_millis(1)).await;
+                }
+                leaving.abort();
+            }
+            fleet.network.set_link_model(consort_actors::bus::virtual_bus::LinkModel::LAN);
+            fleet.note(1).await;
+            fleet.until_all_hold(1).await;
+        });
+    }
+}
