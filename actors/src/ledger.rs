@@ -21,7 +21,8 @@ impl StateMachine for Ledger {
             | Command::Progress { .. }
             | Command::Release { .. }
             | Command::Fail { .. }
-            | Command::Cancel { .. } => false,
+            | Command::Cancel { .. }
+            | Command::Rescued { .. } => false,
         }
     }
 }

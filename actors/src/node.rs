@@ -12,9 +12,10 @@ use crate::clock::Clock;
 use crate::coordinator::{Coordinator, CoordinatorSettings};
 use crate::events::Events;
 use crate::gossip::{self, Gossip, GossipHandle, SharedKnowledge};
-use crate::replica::{RaftId, Replica, ReplicaSettings, StartError};
-use crate::robot::{Robot, RobotSettings};
-use crate::store::Store;
+use crate::observe::SharedObserver;
+use crate::replica::{Applied, RaftId, Replica, ReplicaSettings, StartError};
+use crate::robot::{Patience, Robot, RobotSettings};
+use crate::store::{Notebook, Store};
 use crate::tasks::Tasks;
 use consort_protocol::auction::Limits;
 use consort_protocol::ensemble::Ensemble;
@@ -22,7 +23,7 @@ use consort_protocol::ids::{FleetId, NodeId, RobotId};
 use consort_protocol::keys::{Key, Keys};
 use consort_protocol::knowledge::{Knowledge, Worker};
 use consort_protocol::lease::LeaseTerms;
-use consort_protocol::ledger::Ledger;
+use consort_protocol::ledger::{Command, Ledger};
 use consort_protocol::mission::Domain;
 use consort_skills::actions::BodyHost;
 use consort_skills::descriptor::Estimator;
@@ -54,6 +55,9 @@ pub struct FleetSettings {
     pub terms: LeaseTerms,
     /// How long an auction waits for a member that does not answer.
     pub window: Duration,
+    /// After how long a held role none of whose steps ends, although it waits for nobody, is taken from its holder; zero for
+    /// never.
+    pub stall_after: Duration,
     /// Nodes that may vote and must have met before the first election. All nodes that are started together count: a node
     /// that has met so many founds the fleet's ledger, with those it has met.
     pub bootstrap_expect: usize,
@@ -83,6 +87,8 @@ pub struct NodeSettings {
     pub robot: Option<RobotPart>,
     /// The bodies and people it hosts, if it does.
     pub host: Option<HostPart>,
+    /// Is told what happens on it, in place; none as a rule.
+    pub observer: Option<SharedObserver>,
 }
 
 /// A robot's part of a node.
@@ -181,6 +187,11 @@ impl NodeHandle {
         let _ = self.ended.await;
     }
 
+    /// Whether the node has ended by itself: an actor of it failed.
+    pub fn has_ended(&self) -> bool {
+        self.ended.is_finished()
+    }
+
     /// Waits until the node has ended by itself, and says why: an actor of it failed, or its copy of the ledger did.
     pub async fn ended(&mut self) -> String {
         // See above.
@@ -254,15 +265,20 @@ async fn assemble(
     bus: SharedBus,
     root: &ActorRef<NodeMessage>,
 ) -> Result<Assembled, NodeError> {
-    let NodeSettings { fleet, node, incarnation, seed, store, clock, .. } = settings;
+    let NodeSettings { fleet, node, incarnation, seed, store, clock, observer, .. } = settings;
     let keys = Keys::new(&fleet.fleet);
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     let mut tasks = Tasks::default();
-    let events = Events::open(node.clone(), &keys, bus.clone(), clock);
+    let events = Events::open(node.clone(), &keys, bus.clone(), clock, observer.clone());
 
     let replica = if settings.may_vote {
         let replica_settings = ReplicaSettings::new(fleet.fleet.clone(), node.clone());
-        Some(Replica::<Ledger>::start(replica_settings, bus.clone(), store.journal, rng.next_u64()).await?)
+        let applied = observer.map(|observer| {
+            let node = node.clone();
+            Arc::new(move |at, commands: &[Command]| observer.applied(&node, at, commands)) as Applied<Ledger>
+        });
+        let (bus, seed) = (bus.clone(), rng.next_u64());
+        Some(Replica::start_observed(replica_settings, bus, store.journal, seed, applied).await?)
     } else {
         None
     };
@@ -301,6 +317,7 @@ async fn assemble(
             limits: fleet.limits,
             terms: fleet.terms,
             window: fleet.window,
+            stall_after: fleet.stall_after,
             beat: Duration::from_millis(200),
         };
         Actor::spawn_linked(None, Coordinator, coordinator, supervisor.clone()).await?;
@@ -344,6 +361,7 @@ async fn assemble(
             clock,
             events,
             gossip,
+            store.notebook,
             &supervisor,
             &mut tasks,
         )
@@ -363,6 +381,7 @@ async fn start_robot(
     clock: Clock,
     events: Events,
     gossip: GossipHandle,
+    notebook: Arc<dyn Notebook>,
     supervisor: &ractor::ActorCell,
     tasks: &mut Tasks,
 ) -> Result<(), NodeError> {
@@ -391,10 +410,14 @@ async fn start_robot(
         knowledge: gossip.shared().clone(),
         gossip,
         ensemble: Arc::clone(&fleet.ensemble),
+        limits: fleet.limits,
         terms: fleet.terms,
         estimator: part.estimator,
         library: part.library,
         body,
+        notebook,
+        patience: Patience::default(),
+        pause: Duration::from_millis(500),
         beat: Duration::from_millis(250),
         tick: Duration::from_millis(100),
     };

@@ -95,6 +95,7 @@ fn robot<'s>(scenario: &'s Value, name: &Value) -> &'s Value {
 
 fn context(robot: &Value) -> Context {
     Context {
+        pose: None,
         place: PlaceId::new(robot["location"].as_str().unwrap()).unwrap(),
         speed: MetresPerSecond::new(robot["avg_speed"].as_f64().unwrap()).unwrap(),
         discharge: SharePerSecond::new(robot["battery_discharge_rate"].as_f64().unwrap()).unwrap(),

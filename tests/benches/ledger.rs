@@ -18,12 +18,12 @@ mod support;
 
 use bytes::Bytes;
 use consort_actors::bus::zenoh_bus::Mode;
-use consort_actors::bus::{Bus, Encoding, SharedBus, ZenohBus, ZenohSettings};
+use consort_actors::bus::{Encoding, SharedBus, ZenohBus, ZenohSettings};
 use consort_actors::replica::{RaftId, Replica, ReplicaSettings, StoreIdentity};
 use consort_actors::store::{DurableStore, LEDGER, Owner};
 use consort_protocol::codec;
 use consort_protocol::ids::{FleetId, MissionId, NodeId, RequestId};
-use consort_protocol::ledger::{Command, Ledger, Outcome, Submission};
+use consort_protocol::ledger::{Command, Ledger, Outcome, Priority, Submission};
 use consort_protocol::mission::{Domain, shipped};
 use consort_protocol::plan::divide_and_check;
 use serde_json::{Value, json};
@@ -194,12 +194,15 @@ async fn ask_all(
             let take = |left: usize| left.checked_sub(1);
             while left.fetch_update(Ordering::SeqCst, Ordering::SeqCst, take).is_ok() {
                 let command = match open.take() {
-                    Some(mission) => Command::Cancel { mission, by: "a client".to_owned() },
+                    Some(mission) => Command::Cancel { mission, by: "a client".to_owned(), places: BTreeMap::new() },
                     None => Command::Submit(Box::new(Submission {
                         request: RequestId::new(format!("client-{client}-{}", latencies.len())).expect("a slug"),
                         mission: mission.clone(),
                         division: division.clone(),
                         parameters: BTreeMap::new(),
+                        recovery: None,
+                        priority: Priority::default(),
+                        deadline_ms: None,
                         at_ms: 0,
                     })),
                 };

@@ -3,10 +3,13 @@
 mod again;
 mod delivery;
 mod determinism;
+mod fencing;
 mod leases;
 mod queueing;
 mod refusals;
 mod requests;
+mod restart;
+mod setbacks;
 mod supervision;
 mod takeover;
 mod takeover_everywhere;

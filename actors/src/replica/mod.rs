@@ -43,4 +43,5 @@ pub use replica::{BootstrapError, HandOverError, Leadership, MemberError, Propos
 pub use runtime::{SeededRuntime, seed_elections};
 pub use salvage::{Holdings, holdings, sole_voter};
 pub use settings::{ReplicaSettings, SettingsError};
+pub use store::Applied;
 pub use types::{Epoch, Peer, RaftId, Reign, StateMachine};

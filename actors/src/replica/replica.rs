@@ -7,7 +7,7 @@ use super::network::{Heard, Switchboard};
 use super::runtime::seed_elections;
 use super::serve::Service;
 use super::settings::{ReplicaSettings, SettingsError};
-use super::store::{self, MachineStore};
+use super::store::{self, Applied, MachineStore};
 use super::succession::{self, Resigned, Succession};
 use super::types::{Epoch, Peer, Raft, RaftId, Reign, StateMachine, epoch_of, reign_of};
 use crate::bus::{BusError, SharedBus};
@@ -242,10 +242,24 @@ impl<S: StateMachine> Replica<S> {
         journal: Arc<dyn Journal>,
         seed: u64,
     ) -> Result<Self, StartError> {
+        Replica::start_observed(settings, bus, journal, seed, None).await
+    }
+
+    /// The same, and tells `applied` of every entry that this copy takes in.
+    ///
+    /// # Errors
+    /// As [`Replica::start`].
+    pub async fn start_observed(
+        settings: ReplicaSettings,
+        bus: SharedBus,
+        journal: Arc<dyn Journal>,
+        seed: u64,
+        applied: Option<Applied<S>>,
+    ) -> Result<Self, StartError> {
         let config = settings.to_config()?;
         let id = RaftId::of(&settings.node, journal.identity());
         let place = journal.place();
-        let opened = store::open::<S>(journal).await;
+        let opened = store::open::<S>(journal, applied).await;
         let (log, machine) = opened.map_err(|problem| StartError::Journal { place, problem })?;
         let appended = log.appended();
         let keys = Keys::new(&settings.fleet);
@@ -459,23 +473,6 @@ impl<S: StateMachine> Replica<S> {
         self.change(ChangeMembers::RemoveNodes(BTreeSet::from([id])), true, limit).await
     }
 
-    /// Waits until this replica has given up for good, and says why: its journal could not be read or written. After an
-    /// ordinary [`shutdown`](Replica::shutdown), it waits for ever.
-    pub async fn failed(&self) -> String {
-        let mut metrics = self.inner.raft.metrics();
-        loop {
-            match &metrics.borrow_and_update().running_state {
-                Ok(()) => {}
-                Err(Fatal::Stopped) => break,
-                Err(problem) => return problem.to_string(),
-            }
-            if metrics.changed().await.is_err() {
-                return "its task has died".to_owned();
-            }
-        }
-        std::future::pending().await
-    }
-
     /// Gives the lead to another voter, which has all that this one has and is elected within a few round trips; to none of
     /// `shunned` unless there is nobody else. From the call on this node refuses proposals and no longer counts itself
     /// leader; it goes on voting and following. Waits `limit` at most for a voter that has everything.
@@ -555,6 +552,23 @@ impl<S: StateMachine> Replica<S> {
             (all_shunned || !shunned.contains(*name)) && matched >= latest.last_log_index
         });
         ready.map(|(id, _)| *id).min()
+    }
+
+    /// Waits until this replica has given up for good, and says why: its journal could not be read or written. After an
+    /// ordinary [`shutdown`](Replica::shutdown), it waits for ever.
+    pub async fn failed(&self) -> String {
+        let mut metrics = self.inner.raft.metrics();
+        loop {
+            match &metrics.borrow_and_update().running_state {
+                Ok(()) => {}
+                Err(Fatal::Stopped) => break,
+                Err(problem) => return problem.to_string(),
+            }
+            if metrics.changed().await.is_err() {
+                return "its task has died".to_owned();
+            }
+        }
+        std::future::pending().await
     }
 
     /// Stops taking part. The journal is at rest when it returns.

@@ -21,15 +21,19 @@ fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
+/// Is told of each entry that a copy of the state machine takes in, with its commands; none for those that are Raft's own.
+pub type Applied<S> = Arc<dyn Fn(Epoch, &[<S as StateMachine>::Command]) + Send + Sync>;
+
 /// Opens what `journal` holds: the log, and the state machine as of the last snapshot. openraft applies the rest.
 pub(super) async fn open<S: StateMachine>(
     journal: Arc<dyn Journal>,
+    observer: Option<Applied<S>>,
 ) -> Result<(LogStore<S>, MachineStore<S>), std::io::Error> {
     let (log, machine) = take_up::<S>(journal.load().await?)?;
     let applied = watch::Sender::new(machine.applied.as_ref().map(epoch_of).unwrap_or_default());
     let log = LogStore { journal: Arc::clone(&journal), log: Arc::new(Mutex::new(log)), appended: Arc::default() };
     let machine = Arc::new(Mutex::new(machine));
-    Ok((log, MachineStore { journal, machine, applied: Arc::new(applied), snapshots: Arc::default() }))
+    Ok((log, MachineStore { journal, machine, applied: Arc::new(applied), observer, snapshots: Arc::default() }))
 }
 
 /// Reads what a journal recorded: the log, and the state machine as of the last snapshot.
@@ -249,6 +253,7 @@ pub(super) struct MachineStore<S: StateMachine> {
     journal: Arc<dyn Journal>,
     machine: Arc<Mutex<Machine<S>>>,
     applied: Arc<watch::Sender<Epoch>>,
+    observer: Option<Applied<S>>,
     /// Held while a snapshot goes to the journal: openraft builds one while it installs another.
     snapshots: Arc<tokio::sync::Mutex<()>>,
 }
@@ -259,6 +264,7 @@ impl<S: StateMachine> Clone for MachineStore<S> {
             journal: Arc::clone(&self.journal),
             machine: Arc::clone(&self.machine),
             applied: Arc::clone(&self.applied),
+            observer: self.observer.clone(),
             snapshots: Arc::clone(&self.snapshots),
         }
     }
@@ -300,6 +306,11 @@ impl<S: StateMachine> RaftStateMachine<Types<S>> for MachineStore<S> {
         let mut outcomes = Vec::new();
         let mut machine = lock(&self.machine);
         for entry in entries {
+            if let Some(observer) = &self.observer {
+                let commands =
+                    if let EntryPayload::Normal(Batch(commands)) = &entry.payload { &commands[..] } else { &[] };
+                observer(epoch_of(&entry.log_id), commands);
+            }
             outcomes.push(machine.carry_out(entry));
         }
         let applied = machine.applied.as_ref().map(epoch_of).unwrap_or_default();

@@ -4,7 +4,7 @@ use consort_actors::replica::{Replica, ReplicaSettings, StoreIdentity};
 use consort_actors::store::{DurableStore, LEDGER, Owner, ledger_of};
 use consort_nodes::config::FleetConfig;
 use consort_protocol::ids::{NodeId, RequestId};
-use consort_protocol::ledger::{Command, Ledger, Submission};
+use consort_protocol::ledger::{Command, Ledger, Priority, Submission};
 use consort_protocol::mission::{Domain, shipped};
 use consort_protocol::plan::divide_and_check;
 use std::collections::BTreeMap;
@@ -56,13 +56,16 @@ fn three_voters(folder: &Folder) {
             division: divide_and_check(&mission).expect("a shipped mission"),
             mission: mission.clone(),
             parameters: BTreeMap::new(),
+            recovery: None,
+            priority: Priority::default(),
+            deadline_ms: None,
             at_ms: 0,
         }))
     };
     let commands = [
         submit("a"),
         submit("b"),
-        Command::Cancel { mission: "lab-samples-2".parse().expect("a slug"), by: "me".into() },
+        Command::Cancel { mission: "lab-samples-2".parse().expect("a slug"), by: "me".into(), places: BTreeMap::new() },
     ];
     let runtime = tokio::runtime::Builder::new_current_thread().enable_time().start_paused(true).build();
     runtime.expect("a runtime").block_on(async {

@@ -5,7 +5,7 @@
 //! waits for nobody for ever.
 
 use super::local::{Alternative, LocalPlan, Signal, SignalKind, Step, StepAction, StepIndex};
-use crate::ids::TaskId;
+use crate::ids::{RoleId, TaskId};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeSet;
 use std::sync::Arc;
@@ -197,6 +197,14 @@ impl PlanProgress {
         }
         self.ended.insert(step);
         Ok(())
+    }
+
+    /// Whoever plays `role` now is not who spoke for it before: what was heard from it and not yet acted on no longer holds.
+    /// Returns whether there was any such thing.
+    pub fn forget(&mut self, role: &RoleId) -> bool {
+        let void = waits(&self.plan).filter(|(step, signal)| signal.from == *role && !self.ended.contains(step));
+        let void: Vec<StepIndex> = void.map(|(step, _)| step).collect();
+        void.into_iter().fold(false, |any, step| self.heard.remove(&step) || any)
     }
 
     /// Whether the step may be performed as far as the ledger is concerned: it is not guarded, or `known`, the steps that the

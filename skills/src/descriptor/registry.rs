@@ -130,6 +130,8 @@ impl Estimator {
             };
             let estimate = estimate.map_err(|source| PriceError { step, task: task.clone(), source })?;
             parts.push(BidPart { step, label, skill, time: estimate.time, energy: estimate.energy });
+            // Whoever has been driven stands at a place.
+            context.pose = context.pose.filter(|_| estimate.ends_at == context.place);
             context.place = estimate.ends_at;
         }
         Ok(parts)

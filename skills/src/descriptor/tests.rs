@@ -48,6 +48,7 @@ fn estimator() -> Estimator {
 
 fn robot(at: &str) -> Context {
     Context {
+        pose: None,
         place: place(at),
         speed: MetresPerSecond::new(0.5).unwrap(),
         discharge: SharePerSecond::new(0.001).unwrap(),
