@@ -6,6 +6,7 @@ use consort_actors::replica::Holdings;
 use consort_actors::store::{DurableStore, OpenError, ledger_of, recover};
 use consort_protocol::ids::NodeId;
 use consort_protocol::ledger::Ledger;
+use std::collections::BTreeSet;
 use std::io;
 use std::path::PathBuf;
 use std::time::{SystemTime, UNIX_EPOCH};
@@ -53,13 +54,13 @@ pub fn run(args: Args) -> Result<(), Failure> {
         let what = "it holds no entry: there is nothing to recover; start the node with another data directory";
         return Err(Failure::Unsuccessful(format!("{file}: {what}")));
     }
-    let others: Vec<&str> = holdings.voters.values().filter(|voter| **voter != node).map(NodeId::as_str).collect();
+    let others: BTreeSet<&str> = holdings.voters.values().filter(|voter| **voter != node).map(NodeId::as_str).collect();
     if others.is_empty() {
         return output::line(format_args!(
             "\n{node} is the only voter already: start it as usual. Nothing was changed."
         ));
     }
-    output::line(warning(&holdings, &node, &others))?;
+    output::line(warning(&holdings, &node, others))?;
     if !args.yes && !agreed(&node) {
         let what = "nothing was changed; answer y, or give --yes, to have it done";
         return Err(Failure::Unsuccessful(what.to_owned()));
@@ -78,7 +79,11 @@ pub fn run(args: Args) -> Result<(), Failure> {
 /// What the store holds, in words.
 fn contents(holdings: &Holdings<Ledger>, node: &NodeId) -> String {
     let place = |epoch: Option<_>| epoch.map_or("none".to_owned(), |epoch| format!("{epoch}"));
-    let voters: Vec<String> = holdings.voters.values().map(ToString::to_string).collect();
+    let voters: BTreeSet<&str> = holdings.voters.values().map(NodeId::as_str).collect();
+    let voters = match voters.is_empty() {
+        true => "none".to_owned(),
+        false => voters.into_iter().collect::<Vec<_>>().join(", "),
+    };
     let missions: Vec<Vec<String>> =
         holdings.state.missions().map(|entry| vec![format!("  {}", entry.id), entry.state.word().to_owned()]).collect();
     let live = holdings.state.live().len();
@@ -86,7 +91,7 @@ fn contents(holdings: &Holdings<Ledger>, node: &NodeId) -> String {
         format!("newest term heard of     {}", holdings.term),
         format!("last entry (term.index)  {}", place(holdings.last)),
         format!("known to be committed    {}", place(holdings.committed)),
-        format!("voters                   {}", if voters.is_empty() { "none".to_owned() } else { voters.join(", ") }),
+        format!("voters                   {voters}"),
         format!("missions                 {}, of which {live} have not ended", missions.len()),
     ];
     if !missions.is_empty() {
@@ -99,10 +104,10 @@ fn contents(holdings: &Holdings<Ledger>, node: &NodeId) -> String {
 }
 
 /// What may be lost, and what must be done about the others.
-fn warning(holdings: &Holdings<Ledger>, node: &NodeId, others: &[&str]) -> String {
+fn warning(holdings: &Holdings<Ledger>, node: &NodeId, others: BTreeSet<&str>) -> String {
     let last = holdings.last.map(|last| last.to_string()).unwrap_or_default();
     let committed = holdings.committed.map_or("the beginning".to_owned(), |committed| committed.to_string());
-    let others = others.join(", ");
+    let others = others.into_iter().collect::<Vec<_>>().join(", ");
     let doubtful = match holdings.last > holdings.committed {
         true => format!(
             "\n- Entries after {committed}, up to {last}, may never have been committed; they are taken as if they had been."

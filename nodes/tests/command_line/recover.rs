@@ -143,7 +143,7 @@ fn the_last_of_three_becomes_the_only_voter_and_coordinates_again() {
     assert_eq!(ran.code, Some(1), "{}", ran.err);
     assert!(ran.err.contains("nothing was changed; answer y, or give --yes"), "{}", ran.err);
     for said in [
-        "is the store of node cyd of fleet consort.",
+        "is the store of node cyd of fleet ward.",
         "voters                   ada, bob, cyd",
         "missions                 2, of which 1 have not ended",
         "lab-samples-1  pending",
