@@ -33,8 +33,12 @@ type Metrics = openraft::RaftMetrics<RaftId, Peer>;
 /// Bytes of a message that are left for its frame when it carries one entry of commands.
 const FRAME_OVERHEAD: usize = 1024;
 
-/// Bytes that the commands of one entry may have together.
-const COMMANDS_MAX: usize = codec::LIMIT - FRAME_OVERHEAD;
+/// Bytes that a command may have.
+const COMMAND_MAX: usize = codec::LIMIT - FRAME_OVERHEAD;
+
+/// Bytes up to which commands share an entry: a follower must read it, bring it to disk and answer within a heartbeat, on a
+/// slow machine too. Entries of 63 KiB did not come through on a machine that was busy with much else.
+const SHARED_MAX: usize = 16 * 1024;
 
 /// Who leads, as this node believes. A watch shows the latest belief; a reign that came and went in between is seen
 /// by the next one's being greater.
@@ -309,7 +313,7 @@ impl<S: StateMachine> Replica<S> {
         };
         let serving = Task::spawn(service.run(queries));
         let (proposals, proposed) = mpsc::unbounded_channel();
-        let gatherer = Gatherer { raft: raft.clone(), proposals: proposed, appended, size_max: COMMANDS_MAX };
+        let gatherer = Gatherer { raft: raft.clone(), proposals: proposed, appended, size_max: SHARED_MAX };
         let gathering = Task::spawn(gatherer.run());
         info!(node = %settings.node, raft = %id, "takes part in the ledger");
         let inner = Inner {
@@ -619,9 +623,9 @@ impl<S: StateMachine> Replica<S> {
 /// The command's encoded size in bytes.
 fn check_size<C: serde::Serialize>(command: &C) -> Result<usize, ProposeError> {
     match codec::encode(command) {
-        Ok(bytes) if bytes.len() <= COMMANDS_MAX => Ok(bytes.len()),
-        Ok(bytes) => Err(ProposeError::TooLarge { size: bytes.len(), max: COMMANDS_MAX }),
-        Err(CodecError::TooLarge { size, .. }) => Err(ProposeError::TooLarge { size, max: COMMANDS_MAX }),
+        Ok(bytes) if bytes.len() <= COMMAND_MAX => Ok(bytes.len()),
+        Ok(bytes) => Err(ProposeError::TooLarge { size: bytes.len(), max: COMMAND_MAX }),
+        Err(CodecError::TooLarge { size, .. }) => Err(ProposeError::TooLarge { size, max: COMMAND_MAX }),
         Err(error) => Err(ProposeError::Unencodable(error.to_string())),
     }
 }

@@ -6,7 +6,6 @@ use consort_actors::bus::virtual_bus::{LinkModel, VirtualNetwork};
 use consort_actors::replica::{
     Epoch, Journal, MemoryJournal, ProposeError, Recorded, Replica, StateMachine, StoreIdentity,
 };
-use consort_protocol::codec;
 use futures::future::join_all;
 use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, BTreeSet};
@@ -148,13 +147,18 @@ fn commands_that_grant_epochs_have_one_each() {
 }
 
 #[test]
-fn no_entry_outgrows_a_message() {
+fn commands_share_an_entry_only_while_it_stays_small() {
     on_virtual_time(async {
         let (replica, journal) = alone().await;
-        put_all(&replica, (0..30).map(|number| Put::Bulky(number, vec![7; 9000]))).await;
+        put_all(&replica, (0..30).map(|number| Put::Bulky(number, vec![7; 5000]))).await;
         let entries = journal.load().await.expect("a journal").entries;
         let longest = entries.values().map(Vec::len).max().expect("entries");
-        assert!((40_000..codec::LIMIT).contains(&longest), "{longest} bytes");
+        assert!((15_000..16 * 1024).contains(&longest), "{longest} bytes");
+        // One that is larger goes alone.
+        put_all(&replica, (0..3).map(|number| Put::Bulky(number, vec![7; 30_000]))).await;
+        let entries = journal.load().await.expect("a journal").entries;
+        let longest = entries.values().map(Vec::len).max().expect("entries");
+        assert!((30_000..31_000).contains(&longest), "{longest} bytes");
     });
 }
 
