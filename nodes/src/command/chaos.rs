@@ -224,7 +224,7 @@ fn score(args: &Args) -> Result<(), Failure> {
 
 fn one(args: &Args, seed: u64) -> Result<(), Failure> {
     let schedule = match &args.schedule {
-        Some(file) => read(file)?,
+        Some(file) => read(file, &Cast::of(args.nodes))?,
         None => args.generated(seed),
     };
     if args.verbose {
@@ -378,10 +378,13 @@ fn in_quiet(args: &Args, order: &Order, schedule: &Schedule) -> Outcome {
     outcome.expect("a run has an outcome")
 }
 
-fn read(file: &Path) -> Result<Schedule, Failure> {
+fn read(file: &Path, cast: &Cast) -> Result<Schedule, Failure> {
     let wrong = |problem: String| Failure::Usage(format!("{}: {problem}", file.display()));
     let text = std::fs::read_to_string(file).map_err(|problem| wrong(problem.to_string()))?;
-    serde_json::from_str(&text).map_err(|problem| wrong(format!("not a schedule: {problem}")))
+    let schedule: Schedule =
+        serde_json::from_str(&text).map_err(|problem| wrong(format!("not a schedule: {problem}")))?;
+    schedule.check(cast).map_err(wrong)?;
+    Ok(schedule.in_order())
 }
 
 fn json(value: &impl serde::Serialize) -> Result<(), Failure> {
