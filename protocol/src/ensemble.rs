@@ -154,8 +154,10 @@ impl Ensemble {
         let knowledge = example_knowledge();
         let facts = ensemble.facts((&example, &knowledge), (&example, &knowledge)).expect("an example can be told");
         for condition in ensemble.membership.iter().chain(&ensemble.coordinator) {
-            condition.holds(&facts).map_err(|problem| {
-                ConditionError { ensemble: ensemble.spec.name.clone(), condition: condition.text.clone(), problem }
+            condition.holds(&facts).map_err(|problem| ConditionError {
+                ensemble: ensemble.spec.name.clone(),
+                condition: condition.text.clone(),
+                problem,
             })?;
         }
         Ok(ensemble)

@@ -4,7 +4,9 @@ use crate::exit::Failure;
 use crate::output;
 use clap::{ArgGroup, Args as ClapArgs};
 use consort_tests::chaos::many::be_quiet;
-use consort_tests::chaos::{Cast, Kind, Many, Order, Outcome, Schedule, Violation, cast, generate, run as play, shrink};
+use consort_tests::chaos::{
+    Cast, Kind, Many, Order, Outcome, Schedule, Violation, cast, generate, run as play, shrink,
+};
 use indicatif::{ProgressBar, ProgressStyle};
 use std::ops::RangeInclusive;
 use std::path::{Path, PathBuf};
