@@ -17,7 +17,7 @@ use consort_protocol::keys::{Key, Keys, PeopleCall};
 use consort_protocol::lease::Epoch;
 use consort_protocol::message::{Beacon, FailureKind, LivePlan, Report, ReportAnswer, Said, TaskFailure};
 use consort_protocol::mission::TaskSpec;
-use consort_protocol::plan::Signal;
+use consort_protocol::plan::{LocalPlan, Signal};
 use consort_skills::actions::{ActionError, GoalId, PersonAsk};
 use ractor::{Actor, ActorProcessingErr, ActorRef};
 use std::collections::{BTreeMap, BTreeSet};
@@ -76,6 +76,8 @@ pub struct AttendantState {
 
 /// One unmanaged role of a mission under way.
 struct Job {
+    /// Another one under the same name is that of the mission's recovery branch.
+    plan: LocalPlan,
     sequencer: Sequencer,
     /// What the person is at.
     ask: Option<(GoalId, Spot, PersonAsk)>,
@@ -208,6 +210,9 @@ impl AttendantState {
         }
         for LivePlan { mission, plan, ended, holders } in plans {
             let key = (mission.clone(), plan.role.clone());
+            if self.jobs.get(&key).is_some_and(|job| job.plan != plan) {
+                self.put_down(&key);
+            }
             if let Some(job) = self.jobs.get_mut(&key) {
                 job.sequencer.set_known(&ended);
                 if *job.sequencer.holders() != holders {
@@ -225,7 +230,7 @@ impl AttendantState {
                 }
             } else {
                 let role = plan.role.clone();
-                let sequencer = match Sequencer::new(plan, &ended, holders) {
+                let sequencer = match Sequencer::new(plan.clone(), &ended, holders) {
                     Ok(sequencer) => sequencer,
                     Err(problem) => {
                         warn!(%mission, %role, %problem, "a plan that cannot be taken up");
@@ -234,7 +239,7 @@ impl AttendantState {
                 };
                 self.talk.begin(&mission, &role, Epoch::default(), sequencer.said().clone()).await?;
                 ask_around(&self.talk, &mut self.tasks, myself, &mission, &sequencer);
-                let job = Job { sequencer, ask: None, failure: None, outdated: BTreeSet::new() };
+                let job = Job { plan, sequencer, ask: None, failure: None, outdated: BTreeSet::new() };
                 self.jobs.insert(key.clone(), job);
             }
             self.advance(myself, &key).await;

@@ -55,6 +55,9 @@ pub struct FleetSettings {
     pub terms: LeaseTerms,
     /// How long an auction waits for a member that does not answer.
     pub window: Duration,
+    /// After how long a held role none of whose steps ends, although it waits for nobody, is taken from its holder; zero for
+    /// never.
+    pub stall_after: Duration,
     /// Nodes that may vote and must have met before the first election. All nodes that are started together count: a node
     /// that has met so many founds the fleet's ledger, with those it has met.
     pub bootstrap_expect: usize,
@@ -314,6 +317,7 @@ async fn assemble(
             limits: fleet.limits,
             terms: fleet.terms,
             window: fleet.window,
+            stall_after: fleet.stall_after,
             beat: Duration::from_millis(200),
         };
         Actor::spawn_linked(None, Coordinator, coordinator, supervisor.clone()).await?;

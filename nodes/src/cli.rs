@@ -1,6 +1,6 @@
 //! The command line.
 
-use crate::command::{cancel, chaos, check, dry_run, fleet, missions, robot, station, submit, world};
+use crate::command::{cancel, chaos, check, dry_run, fleet, missions, rescue, robot, station, submit, world};
 use crate::demo;
 use crate::exit::Failure;
 use crate::output;
@@ -54,6 +54,7 @@ enum Command {
     Submit(submit::Args),
     Missions(missions::Args),
     Cancel(cancel::Args),
+    Rescue(rescue::Args),
     Fleet(fleet::Args),
     Check(check::Args),
     DryRun(dry_run::Args),
@@ -70,6 +71,7 @@ pub fn run() -> ExitCode {
         Command::Submit(args) => submit::run(args),
         Command::Missions(args) => missions::run(args),
         Command::Cancel(args) => cancel::run(args),
+        Command::Rescue(args) => rescue::run(args),
         Command::Fleet(args) => fleet::run(args),
         Command::Check(args) => check::run(args),
         Command::DryRun(args) => dry_run::run(args),

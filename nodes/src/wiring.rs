@@ -106,6 +106,7 @@ pub fn fleet_settings(config: &FleetConfig) -> Result<FleetSettings, Problems> {
             grace: Duration::from_millis(config.lease.grace_ms),
         },
         window: Duration::from_millis(config.auction.window_ms),
+        stall_after: Duration::from_secs(config.stall_after_s),
         bootstrap_expect: config.bootstrap_expect,
     })
 }

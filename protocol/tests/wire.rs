@@ -8,11 +8,15 @@ use consort_protocol::codec::{LIMIT, decode, encode};
 use consort_protocol::ids::{MissionId, NodeId, PlaceId, RequestId, RobotId, RoleId, TaskId, TaskType};
 use consort_protocol::knowledge::{Availability, Digest, Knowledge, Record, Stamp, Worker};
 use consort_protocol::lease::{Award, Declined, Ending, Epoch, Holding};
-use consort_protocol::ledger::{Command, Ledger, MissionState, Outcome, Refused, Submission};
+use consort_protocol::ledger::{
+    Command, Ledger, MissionState, Outcome, Priority, Recovery, Refused, Stranded, Submission,
+};
 use consort_protocol::message::{
     AwardAnswer, AwardNotice, Beacon, Changed, Exchange, FailureKind, LivePlan, Report, ReportAnswer, Said, TaskFailure,
 };
-use consort_protocol::mission::{Body, Method, Mission, Order, OtherMethod, Role, RoleKind, TaskNode, TaskSpec};
+use consort_protocol::mission::{
+    Body, Method, Mission, OnLoss, Order, OtherMethod, Role, RoleKind, TaskNode, TaskSpec,
+};
 use consort_protocol::plan::{Alternative, Division, LocalPlan, Signal, SignalKind, Step, StepAction};
 use consort_protocol::pose::Pose;
 use consort_protocol::units::{BatteryShare, MetresPerSecond, Seconds, SharePerSecond};
@@ -89,6 +93,7 @@ fn plan() -> impl Strategy<Value = LocalPlan> {
 
 fn mission() -> impl Strategy<Value = Mission> {
     let kind = prop_oneof![Just(RoleKind::Managed), Just(RoleKind::Unmanaged)];
+    let on_loss = prop_oneof![Just(OnLoss::Fail), Just(OnLoss::Restart)];
     let order = prop_oneof![Just(Order::Sequential), Just(Order::Unordered)];
     let other = vec((name(), spec()), 0..2).prop_map(|tasks| OtherMethod { tasks });
     let body = prop_oneof![
@@ -97,7 +102,11 @@ fn mission() -> impl Strategy<Value = Mission> {
             .prop_map(|(order, children, alternatives)| { Body::Abstract(Method { order, children, alternatives }) }),
     ];
     let node = (name(), body).prop_map(|(id, body)| TaskNode { id, body });
-    (name(), btree_map(name(), kind.prop_map(|kind| Role { kind }), 0..4), vec(node, 0..6))
+    (
+        name(),
+        btree_map(name(), (kind, on_loss).prop_map(|(kind, on_loss)| Role { kind, on_loss }), 0..4),
+        vec(node, 0..6),
+    )
         .prop_map(|(name, roles, tasks)| Mission { name, roles, tasks })
 }
 
@@ -172,6 +181,8 @@ fn reason() -> impl Strategy<Value = RefusalReason> {
         text().prop_map(|problem| RefusalReason::OutOfService { problem }),
         (name(), text()).prop_map(|(ensemble, why)| RefusalReason::NotMember { ensemble, why }),
         any::<u64>().prop_map(|window_ms| RefusalReason::Silent { window_ms }),
+        (name(), name()).prop_map(|(item, mission)| RefusalReason::HandsFull { item, mission }),
+        text().prop_map(|cause| RefusalReason::Excluded { cause }),
     ]
 }
 
@@ -203,8 +214,21 @@ fn auction_record() -> impl Strategy<Value = AuctionRecord> {
 
 fn submission() -> impl Strategy<Value = Submission> {
     let division = btree_map(name(), plan(), 0..3).prop_map(|plans| Division { plans });
-    (name::<RequestId>(), mission(), division, btree_map(text(), text(), 0..3), any::<u64>()).prop_map(
-        |(request, mission, division, parameters, at_ms)| Submission { request, mission, division, parameters, at_ms },
+    let division = division.boxed();
+    let recovery = (mission(), division.clone()).prop_map(|(mission, division)| Recovery { mission, division });
+    let priority = (-100i64..=100).prop_map(|number| Priority::new(number).expect("a priority"));
+    let how = (option::of(recovery), priority, option::of(any::<u64>()));
+    (name::<RequestId>(), mission(), division, btree_map(text(), text(), 0..3), how, any::<u64>()).prop_map(
+        |(request, mission, division, parameters, (recovery, priority, deadline_ms), at_ms)| Submission {
+            request,
+            mission,
+            division,
+            parameters,
+            recovery,
+            priority,
+            deadline_ms,
+            at_ms,
+        },
     )
 }
 
@@ -215,8 +239,8 @@ fn command() -> impl Strategy<Value = Command> {
         (name(), btree_map(name(), name(), 0..3), auction_record())
             .prop_map(|(mission, holders, auction)| Command::Award { mission, holders, auction }),
         (name(), auction_record()).prop_map(|(mission, auction)| Command::Defer { mission, auction }),
-        (held(), any::<u64>()).prop_map(|((mission, role, epoch), incarnation)| {
-            Command::Accept { mission, role, epoch, incarnation }
+        (held(), any::<u64>(), any::<bool>()).prop_map(|((mission, role, epoch), incarnation, resumes)| {
+            Command::Accept { mission, role, epoch, incarnation, resumes }
         }),
         (held(), btree_set(any::<u32>(), 0..5)).prop_map(|((mission, role, epoch), ended)| Command::Progress {
             mission,
@@ -224,10 +248,29 @@ fn command() -> impl Strategy<Value = Command> {
             epoch,
             ended
         }),
-        (held(), text()).prop_map(|((mission, role, epoch), cause)| Command::Release { mission, role, epoch, cause }),
-        (name(), text()).prop_map(|(mission, cause)| Command::Fail { mission, cause }),
-        (name(), text()).prop_map(|(mission, by)| Command::Cancel { mission, by }),
+        (held(), text(), any::<bool>(), option::of(place())).prop_map(
+            |((mission, role, epoch), cause, blamed, place)| Command::Release {
+                mission,
+                role,
+                epoch,
+                cause,
+                blamed,
+                place
+            }
+        ),
+        (name(), text(), places()).prop_map(|(mission, cause, places)| Command::Fail { mission, cause, places }),
+        (name(), text(), places()).prop_map(|(mission, by, places)| Command::Cancel { mission, by, places }),
+        (name(), text()).prop_map(|(mission, by)| Command::Rescued { mission, by }),
     ]
+}
+
+fn places() -> impl Strategy<Value = BTreeMap<RobotId, PlaceId>> {
+    btree_map(name(), place(), 0..3)
+}
+
+fn stranded() -> impl Strategy<Value = Stranded> {
+    (name(), name(), name(), option::of(place()), any::<bool>())
+        .prop_map(|(item, role, robot, place, certain)| Stranded { item, role, robot, place, certain })
 }
 
 fn outcome() -> impl Strategy<Value = Outcome> {
@@ -238,6 +281,15 @@ fn outcome() -> impl Strategy<Value = Outcome> {
         (name(), text()).prop_map(|(mission, cause)| {
             Outcome::Refused(Refused::Over { mission, state: MissionState::Failed { cause } })
         }),
+        (name(), text(), vec(stranded(), 0..3)).prop_map(|(mission, cause, items)| {
+            Outcome::Refused(Refused::Over { mission, state: MissionState::NeedsRescue { cause, items } })
+        }),
+        (name(), name(), name()).prop_map(|(robot, item, mission)| Outcome::Refused(Refused::HandsFull {
+            robot,
+            item,
+            mission
+        })),
+        (name(), text()).prop_map(|(mission, state)| Outcome::Refused(Refused::NoRescue { mission, state })),
         (name(), name(), option::of(epoch())).prop_map(|(mission, role, held)| Outcome::Refused(Refused::Epoch {
             mission,
             role,

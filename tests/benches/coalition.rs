@@ -92,7 +92,12 @@ impl Scene {
     fn conclude(&self, tenders: &[Tender]) -> Conclusion {
         let taken = BTreeMap::new();
         let (expected, limits) = (&self.expected, &self.limits);
-        conclude(&self.call, tenders, &Circumstances { expected, taken: &taken, limits, window_ms: 200, at_ms: 0 })
+        let excluded = BTreeMap::new();
+        conclude(
+            &self.call,
+            tenders,
+            &Circumstances { expected, taken: &taken, excluded: &excluded, limits, window_ms: 200, at_ms: 0 },
+        )
     }
 
     /// The estimates and the choice alone.

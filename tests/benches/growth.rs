@@ -106,9 +106,8 @@ fn draw(all: &[Figures], path: &Path) -> Result<(), Box<dyn std::error::Error>> 
         let series = chart.draw_series(LineSeries::new(points, color.stroke_width(2)))?;
         series.label(name).legend(move |(x, y)| PathElement::new([(x, y), (x + 18, y)], color.stroke_width(2)));
     }
-    let labels = chart.configure_series_labels();
-    let mut labels = labels.position(SeriesLabelPosition::UpperLeft).border_style(BLACK).background_style(WHITE);
-    labels.draw()?;
+    let mut labels = chart.configure_series_labels();
+    labels.position(SeriesLabelPosition::UpperLeft).border_style(BLACK).background_style(WHITE).draw()?;
     root.present()?;
     Ok(())
 }

@@ -101,6 +101,7 @@ impl Fleet {
             limits: Limits::default(),
             terms: LeaseTerms::default(),
             window: Duration::from_millis(200),
+            stall_after: Duration::from_secs(15 * 60),
             bootstrap_expect: all.iter().filter(|member| !member.late).count() + stations.len(),
         };
         let client = network.bus(slug("client"));

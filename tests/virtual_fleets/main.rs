@@ -6,6 +6,7 @@ mod determinism;
 mod fencing;
 mod leases;
 mod queueing;
+mod recovery;
 mod refusals;
 mod requests;
 mod restart;

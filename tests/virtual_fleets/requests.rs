@@ -116,8 +116,8 @@ fn a_mission_canceled_under_way_stops_its_robots_and_frees_them() {
         let mut fleet = fleet(seed).await;
         let mission = fleet.submit("a", ROOM).await;
         let began =
-            |what: &Happening| matches!(what, Happening::TaskBegan { task, .. } if task.as_str() == "navto_lab");
-        fleet.until("the way to the laboratory", SOON, |fleet| fleet.happened(began)).await;
+            |what: &Happening| matches!(what, Happening::TaskBegan { task, .. } if task.as_str() == "navto_room");
+        fleet.until("the way to the room", SOON, |fleet| fleet.happened(began)).await;
         let robot = fleet.holder(&mission, "r1").expect("held").to_string();
         fleet.answer(ApiCall::Cancel, &json!({ "mission": mission })).await;
         let halted = |what: &Happening| matches!(what, Happening::Halted { reason: Ending::Canceled, .. });

@@ -33,6 +33,9 @@ pub struct FleetConfig {
     /// How long a neighbour that says nothing counts as linked, in milliseconds. Shorter: a silent loss is noticed
     /// earlier; a slow link is more easily taken for one. Default 2000, of which 1.5 to 2.0 s were measured to pass.
     pub link_lease_ms: u64,
+    /// After how many seconds a role none of whose steps ends, although it waits for nobody, is taken from its robot; 0 for
+    /// never. Longer: slow drives are left alone, robots that do nothing keep their roles for longer. Default 900.
+    pub stall_after_s: u64,
     /// What bids must keep to.
     pub limits: LimitsConfig,
     /// How long awards last.
@@ -82,6 +85,7 @@ impl Default for FleetConfig {
             map: "hospital".to_owned(),
             bootstrap_expect: 1,
             link_lease_ms: 2_000,
+            stall_after_s: 900,
             limits: LimitsConfig::default(),
             lease: LeaseConfig::default(),
             auction: AuctionConfig::default(),
@@ -139,6 +143,7 @@ impl ConfigFile for FleetConfig {
         };
         within("bootstrap_expect", self.bootstrap_expect as u64, 1, 1_000);
         within("link_lease_ms", self.link_lease_ms, 100, 600_000);
+        within("stall_after_s", self.stall_after_s, 0, 604_800);
         within("lease.lease_ms", self.lease.lease_ms, 500, 3_600_000);
         within("lease.grace_ms", self.lease.grace_ms, 200, 3_600_000);
         within("auction.window_ms", self.auction.window_ms, 1, 60_000);

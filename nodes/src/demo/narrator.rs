@@ -181,6 +181,7 @@ impl Narrator {
         let text = match state {
             MissionState::Failed { cause } => format!("{mission} failed: {cause}"),
             MissionState::Canceled { by } => format!("{mission} canceled by {by}"),
+            MissionState::NeedsRescue { cause, .. } => format!("{mission} needs rescue: {cause}"),
             MissionState::Pending | MissionState::Running | MissionState::Completed => {
                 format!("{mission} is {}", state.word())
             }

@@ -399,7 +399,7 @@ impl<'a> Import<'a> {
                 Ok(role) => {
                     let unmanaged = self.reading.unmanaged.contains(&role);
                     let kind = if unmanaged { RoleKind::Unmanaged } else { RoleKind::Managed };
-                    roles.insert(role.clone(), Role { kind });
+                    roles.insert(role.clone(), Role::of(kind));
                     own.push(role);
                 }
                 Err(error) => self.problem(id, error),

@@ -23,6 +23,29 @@ pub struct Mission {
 pub struct Role {
     /// Whether a robot is sought for it.
     pub kind: RoleKind,
+    /// What becomes of the mission when a holder of it is lost whose work others have already acted on.
+    #[serde(default)]
+    pub on_loss: OnLoss,
+}
+
+/// What becomes of a mission when a robot is lost after others have acted on its work, while it has no item in its hands.
+/// (With one, the mission is recovered or rescued, whatever this says. Before, the role is begun anew elsewhere.)
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum OnLoss {
+    /// It fails: what the others built upon may no longer be there.
+    #[default]
+    Fail,
+    /// Another robot begins the role from its first step, and does again what had been done; the others go on from where
+    /// they are. For roles whose work does no harm when it is done twice.
+    Restart,
+}
+
+impl Role {
+    /// A role of this kind, whose loss fails the mission once others have acted on its work.
+    pub fn of(kind: RoleKind) -> Self {
+        Role { kind, on_loss: OnLoss::Fail }
+    }
 }
 
 /// Whether the fleet fills a role.
@@ -174,6 +197,18 @@ impl Mission {
             }
         }
         found
+    }
+
+    /// The names of all tasks, those of alternatives included.
+    pub fn task_names(&self) -> impl Iterator<Item = &TaskId> {
+        self.tasks.iter().flat_map(|node| {
+            let others: &[OtherMethod] = match &node.body {
+                Body::Abstract(method) => &method.alternatives,
+                Body::Elementary(_) => &[],
+            };
+            let others = others.iter().flat_map(|other| other.tasks.iter().map(|(id, _)| id));
+            std::iter::once(&node.id).chain(others)
+        })
     }
 
     /// The roles that robots fill, in the order of their names.

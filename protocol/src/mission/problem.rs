@@ -305,6 +305,9 @@ pub enum Fault {
         /// The other task.
         other: TaskId,
     },
+    /// A recovery branch that is never taken.
+    #[error("is never taken: no task of the mission acquires an item")]
+    NothingToLose,
     /// A method with alternatives that is not one role's own affair.
     #[error(
         "has alternatives, so its tasks and theirs are done by one managed role alone and touch no item; \

@@ -335,7 +335,7 @@ mod tests {
     fn mission(roles: &[(&str, RoleKind)], tasks: Vec<TaskNode>) -> Mission {
         Mission {
             name: TaskId::new("trial").unwrap(),
-            roles: roles.iter().map(|(name, kind)| (role(name), Role { kind: *kind })).collect(),
+            roles: roles.iter().map(|(name, kind)| (role(name), Role::of(*kind))).collect(),
             tasks,
         }
     }

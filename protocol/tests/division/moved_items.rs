@@ -1,11 +1,15 @@
 //! Random missions that hand items on: an item moves only when the ledger knows enough to tell that it may have.
 
 use crate::properties::{Dice, run_from, small_trees, trees};
-use crate::support::{Explored, Team, Tree, explore_from, mission, slow_order};
-use consort_protocol::ids::ItemId;
-use consort_protocol::mission::{Body, Domain, Mission};
-use consort_protocol::plan::{DivisionError, DivisionFault, check_division, divide_and_check, item_moves};
+use crate::support::{Event, Explored, Team, Tree, explore_from, mission, slow_order};
+use consort_protocol::auction::{AuctionId, AuctionRecord};
+use consort_protocol::ids::{ItemId, RequestId, RobotId, RoleId};
+use consort_protocol::lease::Epoch;
+use consort_protocol::ledger::{Command, Ledger, Priority, RolePhase, Submission};
+use consort_protocol::mission::{Body, Domain, Mission, RoleKind};
+use consort_protocol::plan::{Division, DivisionError, DivisionFault, check_division, divide_and_check, item_moves};
 use proptest::prelude::*;
+use std::collections::{BTreeMap, BTreeSet};
 
 /// The mission of a tree, in which up to two items are moved, by tasks in order, to roles and out of the mission.
 fn moving(tree: &Tree, seed: u64) -> Mission {
@@ -31,6 +35,38 @@ fn moving(tree: &Tree, seed: u64) -> Mission {
     mission
 }
 
+const AWARD: Epoch = Epoch { term: 1, index: 2 };
+
+/// A ledger with the mission, of which every managed role is held and confirmed by a robot of its name.
+fn held(mission: &Mission, division: &Division) -> Ledger {
+    let mut ledger = Ledger::default();
+    let submission = Submission {
+        request: RequestId::new("a").unwrap(),
+        mission: mission.clone(),
+        division: division.clone(),
+        parameters: BTreeMap::new(),
+        recovery: None,
+        priority: Priority::default(),
+        deadline_ms: None,
+        at_ms: 0,
+    };
+    ledger.apply(Epoch { term: 1, index: 1 }, Command::Submit(Box::new(submission)));
+    let mission = ledger.missions().next().unwrap().id.clone();
+    let auction = AuctionId { mission: mission.clone(), term: 1, round: 1 };
+    let auction =
+        AuctionRecord { auction, at_ms: 0, entries: vec![], omitted: 0, chosen: BTreeMap::new(), failure: None };
+    let roles = ledger.mission(&mission).unwrap().open_roles();
+    let holders = roles.iter().map(|role| (role.clone(), RobotId::new(role.as_str()).unwrap())).collect();
+    ledger.apply(AWARD, Command::Award { mission: mission.clone(), holders, auction });
+    for role in roles {
+        ledger.apply(
+            AWARD,
+            Command::Accept { mission: mission.clone(), role, epoch: AWARD, incarnation: 1, resumes: false },
+        );
+    }
+    ledger
+}
+
 proptest! {
     #![proptest_config(ProptestConfig { cases: 60, failure_persistence: None, ..ProptestConfig::default() })]
 
@@ -54,6 +90,62 @@ proptest! {
         let moves: Vec<_> = item_moves(&mission, &division).unwrap().into_values().flatten().collect();
         let explored = explore_from(Team::of(&division, &before).watching(&moves), 3_000);
         prop_assert!(!matches!(explored, Explored::Wrong(_)), "{:?}", explored);
+    }
+
+    /// Whatever was reported so far: whoever may really have an item is among those of whom the ledger says so, and of whom
+    /// the ledger is certain nobody else can have it.
+    #[test]
+    fn the_ledger_is_never_wrong_about_who_has_what(tree in trees(5, 20), seed: u64) {
+        let before = slow_order(&tree);
+        let mission = moving(&tree, seed);
+        let division = divide_and_check(&mission).unwrap();
+        let moves = item_moves(&mission, &division).unwrap();
+        let mut ledger = held(&mission, &division);
+        let id = ledger.missions().next().unwrap().id.clone();
+        let mut dice = Dice(seed);
+        let mut team = Team::of(&division, &before);
+        loop {
+            let events = team.events();
+            if events.is_empty() {
+                break;
+            }
+            let event = events[dice.below(events.len())];
+            team.apply(event).map_err(TestCaseError::fail)?;
+            if let Event::Report(robot) = event {
+                let role = division.plans.keys().nth(robot).unwrap().clone();
+                let epoch = if mission.roles[&role].kind == RoleKind::Managed { AWARD } else { Epoch::default() };
+                let ended = team.known(robot).clone();
+                ledger.apply(AWARD, Command::Progress { mission: id.clone(), role, epoch, ended });
+            }
+            let entry = ledger.mission(&id).unwrap();
+            if entry.state.is_end() {
+                break; // robots have no more to do
+            }
+            let said = entry.custody();
+            for (item, moves) in &moves {
+                let mut keepers: BTreeSet<Option<&RoleId>> = [None].into();
+                let mut delivered = false;
+                for (index, moved) in moves.iter().enumerate() {
+                    let (begun, ended) = team.begun_and_ended(&moved.task);
+                    if ended {
+                        keepers.clear();
+                    }
+                    if begun {
+                        keepers.insert(moved.to.as_ref());
+                    }
+                    let over = |role: &RoleId| entry.roles[role].phase == RolePhase::Ended;
+                    delivered = index + 1 == moves.len() && ended && moved.to.as_ref().is_some_and(over);
+                }
+                let said: Vec<_> = said.iter().filter(|kept| kept.item == *item).collect();
+                for keeper in keepers.iter().flatten().filter(|_| !delivered) {
+                    let managed = mission.roles[*keeper].kind == RoleKind::Managed;
+                    prop_assert!(!managed || said.iter().any(|kept| kept.role == **keeper), "{} {:?}", keeper, said);
+                }
+                for certain in said.iter().filter(|kept| kept.certain) {
+                    prop_assert_eq!(&keepers, &[Some(&certain.role)].into(), "{:?}", said);
+                }
+            }
+        }
     }
 
     #[test]

@@ -54,7 +54,7 @@ pub(crate) fn mission(tree: &Tree) -> Mission {
         0 if !people_only => RoleKind::Unmanaged,
         _ => RoleKind::Managed,
     };
-    let roles = used.iter().map(|number| (role(*number), Role { kind: kind(number) })).collect();
+    let roles = used.iter().map(|number| (role(*number), Role::of(kind(number)))).collect();
     Mission { name: TaskId::new("trial").unwrap(), roles, tasks }
 }
 
@@ -289,6 +289,26 @@ impl<'d> Team<'d> {
 
     fn index(&self, role: &RoleId) -> usize {
         self.division.plans.keys().position(|other| other == role).unwrap()
+    }
+
+    /// What the ledger holds of a robot.
+    pub(crate) fn known(&self, robot: usize) -> &BTreeSet<StepIndex> {
+        &self.known[robot]
+    }
+
+    /// Whether anybody has begun the task, and whether all have ended it.
+    pub(crate) fn begun_and_ended(&self, task: &TaskId) -> (bool, bool) {
+        let (mut begun, mut all) = (false, true);
+        for (progress, doing) in self.robots.iter().zip(&self.doing) {
+            for (index, step) in (0..).zip(&progress.plan().steps) {
+                if matches!(&step.action, StepAction::Task { id, .. } if id == task) {
+                    let ended = progress.ended().contains(&index);
+                    begun |= ended || *doing == Some(index);
+                    all &= ended;
+                }
+            }
+        }
+        (begun, all)
     }
 
     pub(crate) fn robots_mut(&mut self) -> &mut Vec<PlanProgress> {

@@ -19,6 +19,8 @@ pub struct Tally {
     pub completed: usize,
     /// Those that failed with a cause.
     pub failed: usize,
+    /// Those that wait for a person to fetch what a lost robot holds.
+    pub rescues: usize,
     /// Those that were withdrawn.
     pub canceled: usize,
     /// Those that no ledger has: there must be none.
@@ -58,6 +60,7 @@ impl Tally {
             match fleet.state_of(&slug::<MissionId>(mission)) {
                 Some(MissionState::Completed) => self.completed += 1,
                 Some(MissionState::Failed { .. }) => self.failed += 1,
+                Some(MissionState::NeedsRescue { .. }) => self.rescues += 1,
                 Some(MissionState::Canceled { .. }) => self.canceled += 1,
                 Some(MissionState::Pending | MissionState::Running) => {}
                 None => self.lost += 1,
