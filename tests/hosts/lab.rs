@@ -12,6 +12,7 @@
 
 use crate::support::{Ended, Folder, Program, until};
 use std::collections::BTreeMap;
+use std::io::Write as _;
 use std::process::Command;
 use std::time::Duration;
 use toml::Table;
@@ -29,19 +30,26 @@ const UNSHARE: [&str; 6] = ["-Urnm", "--pid", "--fork", "--mount-proc", "--kill-
 /// Tells a story in namespaces of its own: starts the test of this name again, inside. Where that is not allowed or a tool
 /// is missing, it says why and tells nothing.
 pub(crate) fn inside(test: &str, tools: &[&str], story: impl FnOnce()) {
+    inside_again(&["--exact", test, "--nocapture"], tools, story);
+}
+
+/// The same for a program that is no test, started again with these arguments.
+pub(crate) fn inside_again(arguments: &[&str], tools: &[&str], story: impl FnOnce()) {
+    let what = arguments.join(" ");
     if std::env::var_os(INSIDE).is_some() {
         run("mount", &["-t", "tmpfs", "none", "/run"]);
         return story();
     }
     if let Some(reason) = hindrance(tools) {
-        eprintln!("skipped: {test}: {reason}");
+        // A test prints what it has to say; the lint means the program.
+        let _ = writeln!(std::io::stderr(), "skipped: {what}: {reason}");
         return;
     }
     let program = std::env::current_exe().expect("a test has a path");
     let mut again = Command::new("unshare");
-    again.args(UNSHARE).arg(program).args(["--exact", test, "--nocapture"]);
+    again.args(UNSHARE).arg(program).args(arguments);
     let status = again.env(INSIDE, std::process::id().to_string()).status().expect("unshare was there a moment ago");
-    assert!(status.success(), "inside its namespaces, {test} failed");
+    assert!(status.success(), "inside its namespaces, {what} failed");
 }
 
 /// Why there can be no laboratory here.
@@ -205,9 +213,10 @@ impl Lab {
             Way::In => ("input", "iifname"),
             Way::Out => ("output", "oifname"),
         };
+        let some = if percent < 100 { format!("numgen random mod 100 < {percent} ") } else { String::new() };
         let rules = format!(
             "add table inet faults; add chain inet faults {hook} {{ type filter hook {hook} priority 0; }}; \
-             add rule inet faults {hook} {device} != lo numgen random mod 100 < {percent} drop"
+             add rule inet faults {hook} {device} != lo {some}drop"
         );
         run("ip", &["netns", "exec", name, "nft", &rules]);
     }
@@ -215,6 +224,20 @@ impl Lab {
     /// Ends all loss at a host.
     pub(crate) fn lose_nothing(&self, name: &str) {
         run("ip", &["netns", "exec", name, "nft", "add table inet faults; delete table inet faults"]);
+    }
+
+    /// The process of a host's node.
+    pub(crate) fn process(&self, name: &str) -> u32 {
+        self.hosts[name].program.as_ref().expect("a node that runs").id()
+    }
+
+    /// Bytes that have crossed a host's cable: sent by it, and received.
+    pub(crate) fn bytes(&self, name: &str) -> (u64, u64) {
+        let port = format!("port{}", self.hosts[name].number);
+        let shown = Command::new("ip").args(["-s", "-j", "link", "show", "dev", &port]).output().expect("ip was there");
+        let shown: serde_json::Value = serde_json::from_slice(&shown.stdout).expect("ip writes JSON");
+        let count = |way: &str| shown[0]["stats64"][way]["bytes"].as_u64().expect("a number of bytes");
+        (count("rx"), count("tx"))
     }
 
     /// Ends a node's process with SIGKILL.

@@ -126,7 +126,7 @@ pub(crate) fn agreed(lab: &mut Lab, hosts: &[&str]) -> String {
     })
 }
 
-/// A host without a majority serves nobody.
+/// A host without a majority serves nobody: nothing is acknowledged.
 #[track_caller]
 pub(crate) fn serves_nobody(lab: &mut Lab, host: &str) {
     let ended = lab.run(&["submit", "lab-samples", "--set", "room=IC Room 6"], host, Duration::from_secs(4));

@@ -5,8 +5,10 @@
 //! killed when its handle is dropped, also when a test fails.
 
 mod by_hand;
+mod crashes;
 mod demo;
 mod demo_on_virtual_time;
+mod full_disk;
 mod holder;
 mod interruption;
 mod mistakes;

@@ -12,6 +12,11 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
 
 impl Fleet {
+    /// The names of the nodes that run.
+    pub fn names(&self) -> Vec<NodeId> {
+        self.nodes.values().map(|node| node.node.clone()).collect()
+    }
+
     /// Waits until somebody coordinates, and says who.
     pub async fn coordinator(&mut self) -> NodeId {
         self.until("an election", Duration::from_secs(20), |fleet| fleet.coordinating().is_some()).await;

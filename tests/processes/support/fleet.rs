@@ -24,11 +24,16 @@ pub(crate) fn example(kind: &str) -> Table {
     text.parse().expect("the examples are TOML")
 }
 
+/// How a node is started: by way of which program, and with which arguments.
+type Line = (Vec<String>, Vec<String>);
+
 /// Nodes in processes. Each listens on a port that the system gives it; nobody else can have taken it.
 pub(crate) struct Fleet {
     name: String,
     nodes: BTreeMap<String, Program>,
     addresses: BTreeMap<String, String>,
+    /// How each node was started.
+    lines: BTreeMap<String, Line>,
     commands: u32,
     folder: Folder,
 }
@@ -39,11 +44,16 @@ impl Fleet {
         let folder = Folder::new();
         folder.write("fleet.toml", &fleet.to_string());
         let name = fleet["name"].as_str().expect("a fleet has a name").to_owned();
-        Fleet { name, nodes: BTreeMap::new(), addresses: BTreeMap::new(), commands: 0, folder }
+        Fleet { name, nodes: BTreeMap::new(), addresses: BTreeMap::new(), lines: BTreeMap::new(), commands: 0, folder }
     }
 
     /// Starts a node: `consort KIND --config FILE`, linked with nodes that run.
-    pub(crate) fn start(&mut self, kind: &str, mut node: Table, neighbours: &[&str]) {
+    pub(crate) fn start(&mut self, kind: &str, node: Table, neighbours: &[&str]) {
+        self.start_by(&[], kind, node, neighbours);
+    }
+
+    /// The same by way of another program, which puts `consort` in its own place.
+    pub(crate) fn start_by(&mut self, by: &[&str], kind: &str, mut node: Table, neighbours: &[&str]) {
         let name = node["name"].as_str().expect("a node has a name").to_owned();
         let connect: Vec<String> = neighbours.iter().map(|neighbour| self.address(neighbour)).collect();
         let mut bus = Table::new();
@@ -52,8 +62,35 @@ impl Fleet {
         node.insert("bus".to_owned(), bus.into());
         let file = self.folder.write(&format!("{name}.toml"), &node.to_string());
         let file = file.display().to_string();
-        let program = Program::start(&self.folder, &name, &[kind, "--config", &file, "--until-stdin-closes"]);
-        self.nodes.insert(name, program);
+        let own = |words: &[&str]| words.iter().map(|word| (*word).to_owned()).collect::<Vec<_>>();
+        let line = (own(by), own(&[kind, "--config", &file, "--until-stdin-closes"]));
+        self.lines.insert(name.clone(), line);
+        self.start_again(&name);
+    }
+
+    /// Starts a node that was started before and runs no more, just as then. It may listen elsewhere.
+    pub(crate) fn start_again(&mut self, name: &str) {
+        let (by, arguments) = self.lines.get(name).expect("a node of this fleet");
+        let by: Vec<&str> = by.iter().map(String::as_str).collect();
+        let arguments: Vec<&str> = arguments.iter().map(String::as_str).collect();
+        self.addresses.remove(name);
+        let program = Program::start_by(&by, &self.folder, name, &arguments);
+        self.nodes.insert(name.to_owned(), program);
+    }
+
+    /// A folder of this fleet's, for a node's data or whatever else.
+    pub(crate) fn path(&self, name: &str) -> std::path::PathBuf {
+        self.folder.path().join(name)
+    }
+
+    /// A node that runs.
+    pub(crate) fn node(&mut self, name: &str) -> &mut Program {
+        self.nodes.get_mut(name).unwrap_or_else(|| panic!("{name} does not run"))
+    }
+
+    /// Takes a node that ends by itself out of the fleet.
+    pub(crate) fn take(&mut self, name: &str) -> Program {
+        self.nodes.remove(name).unwrap_or_else(|| panic!("{name} does not run"))
     }
 
     /// Where a node listens, as it says itself.

@@ -1,0 +1,134 @@
+//! How the bytes that each node of an idle fleet sends and receives grow with the fleet, on the virtual bus.
+//!
+//! ```text
+//! cargo bench -p consort-tests --bench growth [-- ROBOTS ...]
+//! ```
+//!
+//! A hospital with three stations and so many robots, the world among them, in which nothing is asked for. After they have
+//! met, one minute of virtual time is measured. Bytes are those of keys and payloads, once for each receiver; over Zenoh a
+//! publication crosses each link once, so that a node sends about what it receives, times its links. Prints a line of
+//! JSON for each size, and draws `tests/figures/growth.svg`.
+
+use consort_tests::{Fleet, Member};
+use plotters::prelude::*;
+use serde_json::{Value, json};
+use std::io::Write as _;
+use std::path::Path;
+use std::time::Duration;
+use tokio::time::sleep;
+
+/// Robots of each fleet, if none are named.
+const SIZES: [usize; 6] = [7, 25, 50, 100, 150, 200];
+
+/// How long a fleet may take to meet, and to settle.
+const SETTLE: Duration = Duration::from_secs(45);
+
+/// How long is measured.
+const SPAN: Duration = Duration::from_secs(60);
+
+const PLACES: [&str; 4] = ["Dock", "PC Room 4", "IC Room 5", "IC Room 6"];
+
+/// Bytes each second: what the mean node sends and receives, and what the coordinator does.
+struct Figures {
+    robots: usize,
+    sent: f64,
+    received: f64,
+    coordinator_sent: f64,
+    coordinator_received: f64,
+}
+
+async fn measure(robots: usize) -> Figures {
+    let name = |number: usize| -> &'static str { format!("robot-{number:03}").leak() };
+    let members = (0..robots).map(|n| Member::carrier(name(n), PLACES[n % PLACES.len()])).collect();
+    let mut fleet = Fleet::hospital(1, members, &["s1", "s2", "s3"], &[]).await;
+    sleep(SETTLE).await;
+    let coordinator = fleet.coordinator().await;
+    let nodes = fleet.names();
+    let traffic = |fleet: &Fleet| nodes.iter().map(|node| fleet.network.traffic(node)).collect::<Vec<_>>();
+    let before = traffic(&fleet);
+    sleep(SPAN).await;
+    let after = traffic(&fleet);
+    let rates: Vec<(f64, f64)> = before
+        .iter()
+        .zip(&after)
+        .map(|(before, after)| {
+            let rate = |from: u64, to: u64| (to - from) as f64 / SPAN.as_secs_f64();
+            (rate(before.sent, after.sent), rate(before.received, after.received))
+        })
+        .collect();
+    let mean = |pick: fn(&(f64, f64)) -> f64| rates.iter().map(pick).sum::<f64>() / rates.len() as f64;
+    let at = nodes.iter().position(|node| *node == coordinator).expect("the coordinator is a node");
+    Figures {
+        robots,
+        sent: mean(|rate| rate.0),
+        received: mean(|rate| rate.1),
+        coordinator_sent: rates[at].0,
+        coordinator_received: rates[at].1,
+    }
+}
+
+fn line(figures: &Figures) -> Value {
+    let round = |bytes: f64| bytes.round();
+    json!({
+        "bench": "growth",
+        "robots": figures.robots,
+        "bytes_per_s": {
+            "sent": round(figures.sent),
+            "received": round(figures.received),
+            "coordinator_sent": round(figures.coordinator_sent),
+            "coordinator_received": round(figures.coordinator_received),
+        },
+    })
+}
+
+fn draw(all: &[Figures], path: &Path) -> Result<(), Box<dyn std::error::Error>> {
+    let most = all.iter().map(|figures| figures.robots).max().unwrap_or(1);
+    let top = all.iter().flat_map(|f| [f.received, f.coordinator_received, f.sent, f.coordinator_sent]);
+    let top = top.fold(1.0, f64::max) / 1000.0 * 1.05;
+    let root = SVGBackend::new(path, (760, 420)).into_drawing_area();
+    root.fill(&WHITE)?;
+    let mut chart = ChartBuilder::on(&root)
+        .margin(16)
+        .x_label_area_size(42)
+        .y_label_area_size(56)
+        .caption("An idle fleet: kilobytes per second and node", ("sans-serif", 18))
+        .build_cartesian_2d(0..most, 0.0..top)?;
+    chart.configure_mesh().x_desc("robots").y_desc("kB/s").light_line_style(WHITE).draw()?;
+    type Pick = fn(&Figures) -> f64;
+    let lines: [(&str, RGBColor, Pick); 4] = [
+        ("mean node, received", RGBColor(31, 119, 180), |f| f.received),
+        ("mean node, sent", RGBColor(140, 190, 230), |f| f.sent),
+        ("coordinator, received", RGBColor(214, 39, 40), |f| f.coordinator_received),
+        ("coordinator, sent", RGBColor(240, 150, 150), |f| f.coordinator_sent),
+    ];
+    for (name, color, pick) in lines {
+        let points = all.iter().map(|figures| (figures.robots, pick(figures) / 1000.0));
+        let series = chart.draw_series(LineSeries::new(points, color.stroke_width(2)))?;
+        series.label(name).legend(move |(x, y)| PathElement::new([(x, y), (x + 18, y)], color.stroke_width(2)));
+    }
+    let mut labels = chart.configure_series_labels();
+    labels.position(SeriesLabelPosition::UpperLeft).border_style(BLACK).background_style(WHITE).draw()?;
+    root.present()?;
+    Ok(())
+}
+
+fn main() -> Result<(), Box<dyn std::error::Error>> {
+    let mut sizes: Vec<usize> = std::env::args().filter_map(|argument| argument.parse().ok()).collect();
+    let whole = sizes.is_empty();
+    if whole {
+        sizes = SIZES.to_vec();
+    }
+    let mut all = vec![];
+    for robots in sizes {
+        let mut builder = tokio::runtime::Builder::new_current_thread();
+        let figures = builder.enable_time().start_paused(true).build()?.block_on(measure(robots));
+        writeln!(std::io::stdout(), "{}", line(&figures))?;
+        all.push(figures);
+    }
+    if whole {
+        let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("figures");
+        std::fs::create_dir_all(&folder)?;
+        draw(&all, &folder.join("growth.svg"))?;
+    }
+    Ok(())
+}

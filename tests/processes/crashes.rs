@@ -1,0 +1,250 @@
+//! Processes are killed, stopped and started again, at whatever step of a mission.
+
+use crate::demo::each_once;
+use crate::support::{Client, Fleet, example, until};
+use serde_json::Value;
+use std::time::Duration;
+use toml::Table;
+
+const LONG: Duration = Duration::from_secs(90);
+const STATIONS: [&str; 3] = ["station-1", "station-2", "station-3"];
+
+pub(crate) fn with(mut table: Table, key: &str, value: impl Into<toml::Value>) -> Table {
+    table.insert(key.to_owned(), value.into());
+    table
+}
+
+/// The world, with samples for many missions.
+pub(crate) fn world(speed: f64) -> Table {
+    let mut world = with(example("world"), "speed", speed);
+    let samples: Vec<String> = (1..=12).map(|number| format!("blood-{number}")).collect();
+    world["person"][0].as_table_mut().expect("a person").insert("samples".to_owned(), samples.into());
+    world
+}
+
+/// Three stations keep the ledger, each on a disk of its own; one robot carries, one is the arm. The world, which is no
+/// part of a real fleet, is where they meet.
+fn hospital(name: &str, speed: f64) -> Fleet {
+    let mut fleet = Fleet::new(&with(example("fleet"), "name", name));
+    fleet.start("world", world(speed), &[]);
+    for station in STATIONS {
+        let data = fleet.path(&format!("{station}-data")).display().to_string();
+        let table = with(with(example("station"), "name", station), "data_dir", data);
+        let neighbours: Vec<&str> =
+            ["world"].into_iter().chain(STATIONS).take_while(|other| *other != station).collect();
+        fleet.start("station", table, &neighbours);
+    }
+    for (kind, robot) in [("robot", "ada"), ("arm", "lab-arm")] {
+        let data = fleet.path(&format!("{robot}-data")).display().to_string();
+        fleet.start("robot", with(with(example(kind), "may_vote", false), "data_dir", data), &["world", "station-1"]);
+    }
+    fleet
+}
+
+/// Who coordinates, once somebody says so.
+fn coordinator(client: &Client) -> String {
+    until("somebody coordinates", LONG, || {
+        let answers = client.all("view/coordinator", "");
+        let latest = answers.iter().max_by_key(|(_, view)| view["term"].as_u64())?;
+        Some(latest.1["node"].as_str()?.to_owned())
+    })
+}
+
+/// Asks for a mission until it is acknowledged, always by one name: it is one request.
+pub(crate) fn submit(client: &Client, request: &str) -> String {
+    let asked =
+        format!(r#"{{"mission": "lab-samples", "parameters": {{"room": "IC Room 6"}}, "request": "{request}"}}"#);
+    until("the mission is acknowledged", LONG, || {
+        let answers = client.all("api/submit", &asked);
+        answers.iter().find_map(|(_, answer)| answer["mission"].as_str().map(str::to_owned))
+    })
+}
+
+fn ready(client: &Client, members: usize) {
+    until("the robots are members", LONG, || {
+        let (_, view) = client.all("view/fleet", "").into_iter().next()?;
+        let nodes = view["ensembles"][0]["nodes"].as_array()?;
+        (nodes.iter().filter(|entry| entry["member"] == true).count() == members).then_some(())
+    });
+}
+
+fn is_of(event: &Value, name: &str, mission: &str) -> bool {
+    event["event"] == name && event["mission"] == mission
+}
+
+pub(crate) fn completes(client: &mut Client, mission: &str) {
+    client.hears(&format!("{mission} completes"), LONG, |event| {
+        is_of(event, "mission", mission) && event["state"] == "completed"
+    });
+}
+
+fn state(client: &Client, mission: &str) -> Value {
+    until(&format!("the state of {mission} is told"), LONG, || {
+        let answers = client.all(&format!("view/mission/{mission}"), "");
+        answers.into_iter().map(|(_, view)| view["state"].clone()).find(Value::is_string)
+    })
+}
+
+/// Kills whoever coordinates, and starts it again.
+fn kill_and_start_again(fleet: &mut Fleet, client: &Client) {
+    let victim = coordinator(client);
+    fleet.kill(&victim);
+    fleet.start_again(&victim);
+}
+
+#[test]
+fn the_coordinator_is_killed_at_each_step_of_the_protocol_and_each_mission_completes_once() {
+    let mut fleet = hospital("steps", 20.0);
+    let mut client = Client::open(&fleet.address("world"), "steps");
+    ready(&client, 2);
+    let mut steps_seen = 0;
+    for (number, step) in ["submitted", "called", "awarded", "started", "sent", "progress"].into_iter().enumerate() {
+        let mission = format!("lab-samples-{}", number + 1);
+        // Nobody waits for the answer: the coordinator may be dead before it gives one.
+        let asking = submit(&client, step);
+        assert_eq!(asking, mission, "{step}");
+        // A node that has just started again may tell of a step before it has heard who listens.
+        let seen = until(&format!("{mission} is {step}, or over"), LONG, || {
+            let events = client.events();
+            let over = events.iter().any(|event| is_of(event, "mission", &mission) && event["state"] == "completed");
+            let seen = events.iter().any(|event| is_of(event, step, &mission));
+            (seen || over).then_some(seen)
+        });
+        steps_seen += usize::from(seen);
+        kill_and_start_again(&mut fleet, &client);
+        assert_eq!(
+            submit(&client, step),
+            mission,
+            "{step}: what was acknowledged is not lost, nor is it something new"
+        );
+        completes(&mut client, &mission);
+        assert_eq!(client.tasks(&mission), each_once(), "killed when it was {step}\n{}", fleet.logs());
+        // The last step has been reported, and its coordinator dies before anybody asks.
+        kill_and_start_again(&mut fleet, &client);
+        assert_eq!(state(&client, &mission), "completed", "{step}");
+    }
+    assert!(steps_seen > 3, "{steps_seen} of 6");
+    fleet.stop();
+}
+
+#[test]
+fn the_coordinator_is_killed_at_each_task_of_a_mission_which_completes_once() {
+    let mut fleet = hospital("tasks", 4.0);
+    let mut client = Client::open(&fleet.address("world"), "tasks");
+    ready(&client, 2);
+    let mission = submit(&client, "every-task");
+    let mut kills = 0;
+    for task in each_once().keys().filter(|task| !task.starts_with("nurse/")) {
+        let (_, task) = task.split_once('/').expect("ROLE/TASK");
+        let seen = until("the mission goes on", LONG, || {
+            let events = client.events();
+            let over = events.iter().any(|event| is_of(event, "mission", &mission) && event["state"] == "completed");
+            let began = events.iter().any(|event| is_of(event, "task_began", &mission) && event["task"] == task);
+            (began || over).then_some(over)
+        });
+        if seen {
+            break;
+        }
+        kill_and_start_again(&mut fleet, &client);
+        kills += 1;
+    }
+    completes(&mut client, &mission);
+    assert!(kills > 2, "{kills}");
+    assert_eq!(client.tasks(&mission), each_once(), "{kills} kills\n{}", fleet.logs());
+    fleet.stop();
+}
+
+#[test]
+fn a_coordinator_that_stood_still_comes_back_and_has_no_say() {
+    let mut fleet = hospital("still", 4.0);
+    let mut client = Client::open(&fleet.address("world"), "still");
+    ready(&client, 2);
+    let mission = submit(&client, "still-1");
+    client.hears("the carrier sets out", LONG, |event| is_of(event, "task_began", &mission) && event["role"] == "r1");
+    let first = coordinator(&client);
+    fleet.node(&first).signal("STOP");
+    let elected = client
+        .hears("another is elected", LONG, |event| event["event"] == "elected" && event["node"] != first.as_str());
+    let before = client.events().len();
+    fleet.node(&first).signal("CONT");
+    until("the one that stood still knows that it coordinates no more", LONG, || {
+        fleet.node(&first).stderr().contains("no longer coordinates").then_some(())
+    });
+    completes(&mut client, &mission);
+    assert_eq!(client.tasks(&mission), each_once(), "{}", fleet.logs());
+    let says = |event: &&Value| {
+        let what = event["event"].as_str().unwrap_or("?");
+        event["node"] == first.as_str() && ["awarded", "released", "mission", "called", "closed"].contains(&what)
+    };
+    assert_eq!(client.events()[before..].iter().filter(says).collect::<Vec<_>>(), Vec::<&Value>::new());
+    let last = coordinator(&client);
+    assert_eq!(elected["node"], last.as_str());
+    assert!(
+        client.present().iter().filter(|key| key.starts_with("coordinator/")).count() == 1,
+        "{:?}",
+        client.present()
+    );
+    fleet.stop();
+}
+
+#[test]
+fn everybody_is_killed_at_once_and_the_mission_under_way_completes() {
+    let mut fleet = hospital("all", 4.0);
+    let mut client = Client::open(&fleet.address("world"), "all");
+    ready(&client, 2);
+    let under_way = submit(&client, "all-1");
+    let waiting = submit(&client, "all-2");
+    client.hears("the carrier sets out", LONG, |event| is_of(event, "task_began", &under_way) && event["role"] == "r1");
+    let nodes: Vec<String> = fleet.names().into_iter().filter(|name| *name != "world").map(str::to_owned).collect();
+    for node in &nodes {
+        fleet.kill(node);
+    }
+    for node in &nodes {
+        fleet.start_again(node);
+    }
+    let missions = until("the ledger is served again", LONG, || {
+        let (_, view) = client.all("view/missions", "").into_iter().next()?;
+        view["missions"].as_array().cloned()
+    });
+    let known: Vec<&str> = missions.iter().filter_map(|entry| entry["mission"].as_str()).collect();
+    assert_eq!(known, [under_way.as_str(), waiting.as_str()], "what was acknowledged is there");
+    completes(&mut client, &under_way);
+    completes(&mut client, &waiting);
+    let delivered = client.view("world")["samples"]
+        .as_array()
+        .expect("samples")
+        .iter()
+        .filter(|s| s["place"] == "Laboratory")
+        .count();
+    assert_eq!(delivered, 2, "{}", fleet.logs());
+    fleet.stop();
+}
+
+#[test]
+fn the_world_is_killed_and_the_fleet_serves_again_once_it_is_back() {
+    let mut fleet = Fleet::new(&with(with(example("fleet"), "name", "worldless"), "bootstrap_expect", 1));
+    fleet.start("station", example("station"), &[]);
+    fleet.start("world", world(10.0), &["station-1"]);
+    for kind in ["robot", "arm"] {
+        fleet.start("robot", with(example(kind), "may_vote", false), &["station-1"]);
+    }
+    let mut client = Client::open(&fleet.address("station-1"), "worldless");
+    ready(&client, 2);
+    let first = submit(&client, "before");
+    client.hears("the carrier sets out", LONG, |event| is_of(event, "task_began", &first) && event["role"] == "r1");
+    fleet.kill("world");
+    until("the carrier says that its body does not answer, or has ended its mission", LONG, || {
+        let (_, view) = client.all("view/robot/ada", "").into_iter().next()?;
+        view["robot"].is_object().then_some(())
+    });
+    fleet.start_again("world");
+    until("the mission of before has ended, in one way or another", LONG, || {
+        let (_, view) = client.all(&format!("view/mission/{first}"), "").into_iter().next()?;
+        let over = !["pending", "running"].contains(&view["state"].as_str()?);
+        over.then_some(())
+    });
+    ready(&client, 2);
+    let second = submit(&client, "after");
+    completes(&mut client, &second);
+    fleet.stop();
+}

@@ -1,0 +1,66 @@
+//! A disk that is full.
+
+use crate::crashes::{completes, submit, with, world};
+use crate::support::{Client, Fleet, example, until};
+use std::fs::File;
+use std::io::Write;
+use std::process::Command;
+use std::time::Duration;
+
+const LONG: Duration = Duration::from_secs(90);
+
+/// Starts a program that sees a small disk of its own at `$1`.
+const SMALL_DISK: &str = "mkdir -p \"$1\" && mount -t tmpfs -o size=16m none \"$1\" && shift && exec \"$@\"";
+
+#[test]
+fn a_node_whose_disk_is_full_ends_and_says_so_and_the_fleet_goes_on() {
+    let allowed = Command::new("unshare").args(["-Urm", "mount", "-t", "tmpfs", "none", "/mnt"]).output();
+    if !allowed.as_ref().is_ok_and(|tried| tried.status.success()) {
+        // A test prints what it has to say; the lint means the program.
+        let _ = writeln!(std::io::stderr(), "skipped: no small disk can be made here: {allowed:?}");
+        return;
+    }
+    let mut fleet = Fleet::new(&with(example("fleet"), "name", "disks"));
+    fleet.start("world", world(20.0), &[]);
+    for station in ["station-1", "station-2", "station-3"] {
+        let data = fleet.path(&format!("{station}-data")).display().to_string();
+        let table = with(with(example("station"), "name", station), "data_dir", data.clone());
+        match station {
+            "station-3" => {
+                fleet.start_by(&["unshare", "-Urm", "sh", "-c", SMALL_DISK, "sh", &data], "station", table, &["world"])
+            }
+            _ => fleet.start("station", table, &["world"]),
+        }
+    }
+    for kind in ["robot", "arm"] {
+        fleet.start("robot", with(example(kind), "may_vote", false), &["world", "station-1"]);
+    }
+    let mut client = Client::open(&fleet.address("world"), "disks");
+    until("all three keep the ledger", LONG, || {
+        let (_, view) = client.all("view/coordinator", "").into_iter().next()?;
+        (view["voters"].as_array()?.len() == 3).then_some(())
+    });
+    let first = submit(&client, "room-enough");
+    completes(&mut client, &first);
+
+    // Seen from outside by way of its process.
+    let disk = fleet.path("station-3-data");
+    let disk = format!("/proc/{}/root{}", fleet.node("station-3").id(), disk.display());
+    let mut ballast = File::create(format!("{disk}/ballast")).expect("its disk can be reached");
+    while ballast.write_all(&[1; 4096]).is_ok() {}
+    let mut number = 0;
+    until("it ends", LONG, || {
+        number += 1;
+        let mission = submit(&client, &format!("no-room-{number}"));
+        assert!(!mission.is_empty());
+        fleet.node("station-3").has_ended().then_some(())
+    });
+    let ended = fleet.take("station-3").end(Duration::from_secs(1));
+    assert_ne!(ended.status.code(), Some(0), "{}", ended.stderr);
+    let said = ended.stderr.to_lowercase();
+    assert!(said.contains("no space left"), "{}", ended.stderr);
+    let last = submit(&client, "the-others");
+    client
+        .hears("its auction is called", LONG, |event| event["event"] == "called" && event["mission"] == last.as_str());
+    fleet.stop();
+}
