@@ -1,6 +1,7 @@
 //! The mission ledger as the state machine that is replicated.
 
 use crate::replica::StateMachine;
+use consort_protocol::ids::ClusterId;
 use consort_protocol::lease::Epoch;
 use consort_protocol::ledger::{Command, Ledger, Outcome};
 
@@ -10,5 +11,9 @@ impl StateMachine for Ledger {
 
     fn apply(&mut self, at: Epoch, command: Command) -> Outcome {
         Ledger::apply(self, at, command)
+    }
+
+    fn cluster(&self) -> Option<ClusterId> {
+        Ledger::cluster(self)
     }
 }

@@ -1,6 +1,6 @@
 //! The command line.
 
-use crate::command::{cancel, check, dry_run, fleet, missions, robot, station, submit, world};
+use crate::command::{cancel, check, dry_run, fleet, leave, missions, robot, station, submit, world};
 use crate::demo;
 use crate::exit::Failure;
 use crate::output;
@@ -55,6 +55,7 @@ enum Command {
     Missions(missions::Args),
     Cancel(cancel::Args),
     Fleet(fleet::Args),
+    Leave(leave::Args),
     Check(check::Args),
     DryRun(dry_run::Args),
 }
@@ -70,6 +71,7 @@ pub fn run() -> ExitCode {
         Command::Missions(args) => missions::run(args),
         Command::Cancel(args) => cancel::run(args),
         Command::Fleet(args) => fleet::run(args),
+        Command::Leave(args) => leave::run(args),
         Command::Check(args) => check::run(args),
         Command::DryRun(args) => dry_run::run(args),
     };

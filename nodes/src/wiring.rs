@@ -73,8 +73,11 @@ pub fn fleet_settings(config: &FleetConfig) -> Result<FleetSettings, Problems> {
             lease: Duration::from_millis(config.lease.lease_ms),
             grace: Duration::from_millis(config.lease.grace_ms),
         },
-        window: Duration::from_millis(config.auction.window_ms),
+        window: config.times().window,
         bootstrap_expect: config.bootstrap_expect,
+        timing: config.timing,
+        voters: config.voters,
+        dead_after: config.times().dead_after,
     })
 }
 
@@ -223,7 +226,7 @@ pub fn bus_settings(bus: &BusConfig, fleet: &FleetConfig) -> ZenohSettings {
     ZenohSettings {
         listen: bus.listen.clone(),
         connect: bus.connect.clone(),
-        lease: Duration::from_millis(fleet.link_lease_ms),
+        lease: fleet.times().link_lease,
         ..ZenohSettings::default()
     }
 }

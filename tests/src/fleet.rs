@@ -3,10 +3,12 @@
 use crate::chronicle::{Chronicle, Entry};
 use crate::member::Member;
 use crate::slug;
+use consort_actors::autopilot;
 use consort_actors::bus::{Bus, LinkModel, VirtualBus, VirtualNetwork};
 use consort_actors::clock::Clock;
 use consort_actors::node::{FleetSettings, HostPart, NodeHandle, NodeSettings, RobotPart};
 use consort_actors::store::Store;
+use consort_actors::timing::Timing;
 use consort_protocol::auction::Limits;
 use consort_protocol::ensemble::{Ensemble, EnsembleSpec};
 use consort_protocol::event::{Event, Happening};
@@ -83,6 +85,9 @@ impl Fleet {
             terms: LeaseTerms::default(),
             window: Duration::from_millis(200),
             bootstrap_expect: all.iter().filter(|member| !member.late).count() + stations.len(),
+            timing: Timing::Lan,
+            voters: autopilot::VOTERS,
+            dead_after: Timing::Lan.times().dead_after,
         };
         let client = network.bus(slug("client"));
         let mut fleet = Fleet {

@@ -6,10 +6,12 @@ mod client;
 mod fleet;
 mod look;
 mod member;
+mod stations;
 
 pub use chronicle::{Chronicle, Entry, Spell};
 pub use fleet::{Fleet, topology};
 pub use member::Member;
+pub use stations::Stations;
 
 use std::fmt;
 

@@ -1,9 +1,12 @@
 //! Whole fleets on virtual time.
 
 mod again;
+mod clusters;
 mod delivery;
 mod determinism;
+mod keepers;
 mod leases;
+mod leaving;
 mod queueing;
 mod refusals;
 mod requests;

@@ -1,6 +1,7 @@
 //! The actor that coordinates while its node leads the ledger, and does nothing otherwise.
 
 use super::reign::Reign;
+use crate::autopilot::Done;
 use crate::bus::{BusError, Query, SharedBus};
 use crate::clock::Clock;
 use crate::events::Events;
@@ -50,8 +51,16 @@ pub struct CoordinatorSettings {
     /// How long an auction waits for a member that does not answer. Raised: slow links still win roles, silent robots
     /// hold up everybody for longer. Default 200 ms.
     pub window: Duration,
-    /// How often the coordinator says that it is there and looks after its duties. Default 200 ms.
+    /// How often the coordinator says that it is there and looks after its duties. Default 250 ms.
     pub beat: Duration,
+    /// What the ledger's identity is drawn from, should this node be the first to coordinate.
+    pub cluster_seed: u64,
+    /// Voters that the autopilot aims at.
+    pub voters: usize,
+    /// How long a voter must be gone until the autopilot replaces it.
+    pub dead_after: Duration,
+    /// How long ago a voter may have answered last and still counts as there: several heartbeats.
+    pub near: Duration,
 }
 
 /// To a coordinator.
@@ -98,6 +107,8 @@ pub enum CoordinatorMessage {
         /// What it said.
         answer: AwardAnswer,
     },
+    /// A change of the ledger's keepers was made, or was not.
+    Keepers(Done),
     /// A robot reports.
     Report(Query),
     /// Somebody asks which missions are under way.
@@ -159,7 +170,14 @@ impl Actor for Coordinator {
             CoordinatorMessage::Beat => {
                 reign.say_so(settings).await;
                 reign.follow_members(settings);
+                reign.look_abroad(settings);
+                reign.keep_keepers(settings, &myself);
                 reign.attend(settings, &myself);
+            }
+            CoordinatorMessage::Keepers(done) => {
+                reign.keepers_changed(settings, done);
+                // Whoever leaves waits to hear that nobody counts on it any more.
+                reign.say_so(settings).await;
             }
             CoordinatorMessage::Closed { call, expected, tenders } => {
                 reign.close(settings, &myself, &call, &expected, &tenders);

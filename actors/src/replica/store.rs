@@ -5,6 +5,7 @@ use super::types::{
     Epoch, LogId, SnapshotMeta, StateMachine, StorageError, StorageIOError, StoredMembership, Types, Vote, epoch_of,
 };
 use consort_protocol::codec;
+use consort_protocol::ids::ClusterId;
 use openraft::storage::{LogFlushed, RaftLogStorage, RaftStateMachine};
 use openraft::{AnyError, Entry, EntryPayload, LogState, OptionalSend, RaftLogReader, RaftSnapshotBuilder, Snapshot};
 use serde::{Deserialize, Serialize};
@@ -41,10 +42,20 @@ pub(super) async fn open<S: StateMachine>(
         let kept: Kept = read_record(&bytes)?;
         machine.restore(read_record(&kept.state)?, kept);
     }
+    let cluster = watch::Sender::new(machine.state.cluster());
     let applied = watch::Sender::new(machine.applied.as_ref().map(epoch_of).unwrap_or_default());
     let log = LogStore { journal: Arc::clone(&journal), log: Arc::new(Mutex::new(log)) };
     let machine = Arc::new(Mutex::new(machine));
-    Ok((log, MachineStore { journal, machine, applied: Arc::new(applied), snapshots: Arc::default() }))
+    Ok((
+        log,
+        MachineStore {
+            journal,
+            machine,
+            applied: Arc::new(applied),
+            cluster: Arc::new(cluster),
+            snapshots: Arc::default(),
+        },
+    ))
 }
 
 fn read_record<T: serde::de::DeserializeOwned>(bytes: &[u8]) -> std::io::Result<T> {
@@ -185,6 +196,7 @@ pub(super) struct MachineStore<S: StateMachine> {
     journal: Arc<dyn Journal>,
     machine: Arc<Mutex<Machine<S>>>,
     applied: Arc<watch::Sender<Epoch>>,
+    cluster: Arc<watch::Sender<Option<ClusterId>>>,
     /// Held while a snapshot goes to the journal: openraft builds one while it installs another.
     snapshots: Arc<tokio::sync::Mutex<()>>,
 }
@@ -195,6 +207,7 @@ impl<S: StateMachine> Clone for MachineStore<S> {
             journal: Arc::clone(&self.journal),
             machine: Arc::clone(&self.machine),
             applied: Arc::clone(&self.applied),
+            cluster: Arc::clone(&self.cluster),
             snapshots: Arc::clone(&self.snapshots),
         }
     }
@@ -204,6 +217,15 @@ impl<S: StateMachine> MachineStore<S> {
     /// What `look` sees in the state as applied so far on this node.
     pub(super) fn read<R>(&self, look: impl FnOnce(&S) -> R) -> R {
         look(&lock(&self.machine).state)
+    }
+
+    /// Which founding the state belongs to, once it says so.
+    pub(super) fn cluster(&self) -> watch::Receiver<Option<ClusterId>> {
+        self.cluster.subscribe()
+    }
+
+    fn tell_cluster(&self, cluster: Option<ClusterId>) {
+        self.cluster.send_if_modified(|known| std::mem::replace(known, cluster) != cluster);
     }
 
     /// The place of the last applied entry, told anew after each batch.
@@ -247,7 +269,9 @@ impl<S: StateMachine> RaftStateMachine<Types<S>> for MachineStore<S> {
             });
         }
         let applied = machine.applied.as_ref().map(epoch_of).unwrap_or_default();
+        let cluster = machine.state.cluster();
         drop(machine);
+        self.tell_cluster(cluster);
         self.applied.send_replace(applied);
         Ok(outcomes)
     }
@@ -277,11 +301,13 @@ impl<S: StateMachine> RaftStateMachine<Types<S>> for MachineStore<S> {
         snapshot: Box<Cursor<Vec<u8>>>,
     ) -> Result<(), StorageError> {
         let kept = Kept { meta: meta.clone(), state: snapshot.into_inner() };
-        let state = read_record(&kept.state).map_err(reading_snapshot)?;
+        let state: S = read_record(&kept.state).map_err(reading_snapshot)?;
+        let cluster = state.cluster();
         let record = write_record(&kept).map_err(writing_snapshot)?;
         let _alone = self.snapshots.lock().await;
         self.journal.keep_snapshot(record).await.map_err(writing_snapshot)?;
         lock(&self.machine).restore(state, kept);
+        self.tell_cluster(cluster);
         self.applied.send_replace(meta.last_log_id.as_ref().map(epoch_of).unwrap_or_default());
         Ok(())
     }

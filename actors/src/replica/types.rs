@@ -2,7 +2,7 @@
 
 use super::journal::StoreIdentity;
 use super::runtime::SeededRuntime;
-use consort_protocol::ids::NodeId;
+use consort_protocol::ids::{ClusterId, NodeId};
 pub use consort_protocol::lease::Epoch;
 use openraft::RaftTypeConfig;
 use serde::de::DeserializeOwned;
@@ -21,6 +21,12 @@ pub trait StateMachine: Clone + Send + Sync + Default + Serialize + DeserializeO
 
     /// Carries out `command`, which stands in the log at `at`. Neither clock nor chance may be asked.
     fn apply(&mut self, at: Epoch, command: Self::Command) -> Self::Outcome;
+
+    /// Which founding of the fleet's ledger this state belongs to, once it says so. Replicas of different ones refuse one
+    /// another's questions.
+    fn cluster(&self) -> Option<ClusterId> {
+        None
+    }
 }
 
 /// Who leads, and since which term. Each term has one leader at most, so that the term alone tells reigns apart and orders

@@ -27,7 +27,7 @@ use consort_protocol::units::NodeTime;
 use consort_skills::actions::RobotActions;
 use consort_skills::descriptor::Estimator;
 use consort_skills::library::{SkillContext, SkillLibrary};
-use ractor::{Actor, ActorProcessingErr, ActorRef, SupervisionEvent};
+use ractor::{Actor, ActorProcessingErr, ActorRef, RpcReplyPort, SupervisionEvent};
 use std::collections::BTreeSet;
 use std::sync::Arc;
 use std::time::Duration;
@@ -99,6 +99,15 @@ pub enum RobotMessage {
     Signal(Sample),
     /// Another role answered what it has said.
     Said(Said),
+    /// The robot is to leave the fleet for good: it takes nothing new, and gives up what it holds. Answered once it holds
+    /// nothing (true), or when the time allowed has passed (false); whoever asked then ends the node. A node that is only
+    /// stopped for a while is not told to leave: its robot goes on with its role when it is back in time.
+    Leave {
+        /// How long the coordinator may take to say that the role is put down: lease and grace will do.
+        within: Duration,
+        /// Whether the robot holds nothing now.
+        done: RpcReplyPort<bool>,
+    },
 }
 
 /// The actor.
@@ -195,6 +204,10 @@ impl Actor for Robot {
                 Err(problem) => warn!(key = sample.key, %problem, "a signal that cannot be read"),
             },
             RobotMessage::Said(said) => state.hear(&myself, &said).await?,
+            RobotMessage::Leave { done, .. } => {
+                // Whoever asked may have gone.
+                let _ = done.send(state.job.is_none());
+            }
         }
         Ok(())
     }

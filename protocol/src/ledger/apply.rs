@@ -2,7 +2,7 @@
 
 use super::entry::{Holder, MissionEntry, MissionState, RoleEntry, RolePhase, Submission};
 use crate::auction::AuctionRecord;
-use crate::ids::{MissionId, RequestId, RobotId, RoleId};
+use crate::ids::{ClusterId, MissionId, RequestId, RobotId, RoleId};
 use crate::lease::Epoch;
 use crate::mission::RoleKind;
 use crate::plan::StepIndex;
@@ -15,6 +15,7 @@ pub const HISTORY_MAX: usize = 500;
 /// What the fleet has promised and what came of it.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct Ledger {
+    cluster: Option<ClusterId>,
     missions: BTreeMap<MissionId, MissionEntry>,
     requests: BTreeMap<RequestId, MissionId>,
     submitted: u64,
@@ -23,6 +24,11 @@ pub struct Ledger {
 /// Something the coordinator wants to hold for all.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub enum Command {
+    /// The ledger gets its identity: the first command of all.
+    Found {
+        /// Unlike that of every other ledger of a fleet of this name.
+        cluster: ClusterId,
+    },
     /// A client asks for a mission.
     Submit(Box<Submission>),
     /// An auction has filled all open roles.
@@ -180,6 +186,7 @@ impl Ledger {
     /// Carries out the command that stands at `at` in the log.
     pub fn apply(&mut self, at: Epoch, command: Command) -> Outcome {
         let done = match command {
+            Command::Found { cluster } => Ok(self.found(cluster)),
             Command::Submit(submission) => return self.submit(*submission),
             Command::Award { mission, holders, auction } => self.award(&mission, holders, auction, at),
             Command::Defer { mission, auction } => self.defer(&mission, auction),
@@ -190,6 +197,11 @@ impl Ledger {
             Command::Cancel { mission, by } => self.end(&mission, MissionState::Canceled { by }),
         };
         done.unwrap_or_else(Outcome::Refused)
+    }
+
+    /// Which founding of the fleet's ledger this is; `None` until the founding is committed.
+    pub fn cluster(&self) -> Option<ClusterId> {
+        self.cluster
     }
 
     /// All missions that are kept, by id.
@@ -224,6 +236,12 @@ impl Ledger {
                 _ => None,
             })
         })
+    }
+
+    /// Once founded, a ledger stays what it is: a second founder may have stood in for the first.
+    fn found(&mut self, cluster: ClusterId) -> Outcome {
+        self.cluster.get_or_insert(cluster);
+        Outcome::Done
     }
 
     fn submit(&mut self, submission: Submission) -> Outcome {
