@@ -7,7 +7,7 @@
 use crate::body::{PeopleAsk, PersonDone, PersonState};
 use crate::bus::{BusError, Sample, SharedBus};
 use crate::events::Events;
-use crate::robot::{Move, Sequencer, Talk, ask as send_report};
+use crate::robot::{Move, Outdated, Sequencer, Spot, Talk, ask as send_report};
 use crate::tasks::Tasks;
 use bytes::Bytes;
 use consort_protocol::codec;
@@ -15,12 +15,12 @@ use consort_protocol::event::Happening;
 use consort_protocol::ids::{MissionId, NodeId, RobotId, RoleId, TaskId};
 use consort_protocol::keys::{Key, Keys, PeopleCall};
 use consort_protocol::lease::Epoch;
-use consort_protocol::message::{Beacon, LivePlan, Report, ReportAnswer, Said, TaskFailure};
+use consort_protocol::message::{Beacon, FailureKind, LivePlan, Report, ReportAnswer, Said, TaskFailure};
 use consort_protocol::mission::TaskSpec;
-use consort_protocol::plan::StepIndex;
+use consort_protocol::plan::{LocalPlan, Signal};
 use consort_skills::actions::{ActionError, GoalId, PersonAsk};
 use ractor::{Actor, ActorProcessingErr, ActorRef};
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
 use tracing::{debug, warn};
 
@@ -69,15 +69,21 @@ pub struct AttendantState {
     coordinator: Option<Beacon>,
     jobs: BTreeMap<(MissionId, RoleId), Job>,
     talk: Talk,
+    /// Signals under awards no longer in force, counted since the start.
+    outdated: u64,
     tasks: Tasks,
 }
 
 /// One unmanaged role of a mission under way.
 struct Job {
+    /// Another one under the same name is that of the mission's recovery branch.
+    plan: LocalPlan,
     sequencer: Sequencer,
     /// What the person is at.
-    ask: Option<(GoalId, StepIndex, PersonAsk)>,
+    ask: Option<(GoalId, Spot, PersonAsk)>,
     failure: Option<TaskFailure>,
+    /// What was said under awards no longer in force, so that each is told of once.
+    outdated: BTreeSet<(Signal, Epoch)>,
 }
 
 #[ractor::async_trait]
@@ -100,7 +106,14 @@ impl Actor for Attendant {
         tasks.forward(bus.subscribe(&done).await?, &myself, AttendantMessage::Done);
         tasks.beat(settings.beat, &myself, || AttendantMessage::Beat);
         let (bus, keys) = (bus.clone(), keys.clone());
-        Ok(AttendantState { settings, coordinator: None, jobs: BTreeMap::new(), talk: Talk::new(bus, keys), tasks })
+        Ok(AttendantState {
+            settings,
+            coordinator: None,
+            jobs: BTreeMap::new(),
+            talk: Talk::new(bus, keys),
+            outdated: 0,
+            tasks,
+        })
     }
 
     async fn handle(
@@ -130,8 +143,16 @@ impl Actor for Attendant {
             AttendantMessage::Asked(_, PersonState::Asked) => {}
             AttendantMessage::Asked(id, PersonState::Ended(result)) => state.person_ended(&myself, id, result).await,
             AttendantMessage::Reported(mission, role, answer) => {
-                if let ReportAnswer::Ended { .. } = answer {
-                    state.put_down(&(mission, role));
+                let key = (mission, role);
+                match answer {
+                    ReportAnswer::Ended { .. } => state.put_down(&key),
+                    ReportAnswer::Renewed { ended, .. } => {
+                        if let Some(job) = state.jobs.get_mut(&key) {
+                            job.sequencer.set_known(&ended);
+                            state.advance(&myself, &key).await;
+                        }
+                    }
+                    ReportAnswer::NotCoordinator { .. } => {}
                 }
             }
         }
@@ -143,11 +164,7 @@ impl AttendantState {
     async fn beat(&mut self, myself: &ActorRef<AttendantMessage>) {
         self.look(myself);
         for ((mission, _), job) in &self.jobs {
-            let to = myself.clone();
-            self.talk.ask(mission, &job.sequencer.awaiting(), &mut self.tasks, move |said| {
-                // An attendant that has stopped needs no answer.
-                let _ = to.cast(AttendantMessage::Said(said));
-            });
+            ask_around(&self.talk, &mut self.tasks, myself, mission, &job.sequencer);
             if let Some((id, _, ask)) = &job.ask {
                 ask_person(&self.settings, &mut self.tasks, myself, *id, Some(ask.clone()));
             }
@@ -193,18 +210,27 @@ impl AttendantState {
         }
         for LivePlan { mission, plan, ended, holders } in plans {
             let key = (mission.clone(), plan.role.clone());
+            if self.jobs.get(&key).is_some_and(|job| job.plan != plan) {
+                self.put_down(&key);
+            }
             if let Some(job) = self.jobs.get_mut(&key) {
+                job.sequencer.set_known(&ended);
                 if *job.sequencer.holders() != holders {
-                    job.sequencer.set_holders(holders);
+                    let robots = job.sequencer.robots();
+                    if job.sequencer.set_holders(holders) {
+                        ask_around(&self.talk, &mut self.tasks, myself, &mission, &job.sequencer);
+                    }
                     // Whoever was to be met is somebody else now: ask anew.
-                    if let Some((id, _, _)) = job.ask.take() {
+                    if robots != job.sequencer.robots()
+                        && let Some((id, _, _)) = job.ask.take()
+                    {
                         job.sequencer.break_off();
                         ask_person(&self.settings, &mut self.tasks, myself, id, None);
                     }
                 }
             } else {
                 let role = plan.role.clone();
-                let sequencer = match Sequencer::new(plan, &ended, holders) {
+                let sequencer = match Sequencer::new(plan.clone(), &ended, holders) {
                     Ok(sequencer) => sequencer,
                     Err(problem) => {
                         warn!(%mission, %role, %problem, "a plan that cannot be taken up");
@@ -212,12 +238,9 @@ impl AttendantState {
                     }
                 };
                 self.talk.begin(&mission, &role, Epoch::default(), sequencer.said().clone()).await?;
-                let to = myself.clone();
-                self.talk.ask(&mission, &sequencer.awaiting(), &mut self.tasks, move |said| {
-                    // An attendant that has stopped needs no answer.
-                    let _ = to.cast(AttendantMessage::Said(said));
-                });
-                self.jobs.insert(key.clone(), Job { sequencer, ask: None, failure: None });
+                ask_around(&self.talk, &mut self.tasks, myself, &mission, &sequencer);
+                let job = Job { plan, sequencer, ask: None, failure: None, outdated: BTreeSet::new() };
+                self.jobs.insert(key.clone(), job);
             }
             self.advance(myself, &key).await;
         }
@@ -227,8 +250,18 @@ impl AttendantState {
     async fn hear(&mut self, myself: &ActorRef<AttendantMessage>, said: &Said) {
         for signal in &said.signals {
             let key = (said.mission.clone(), signal.to.clone());
-            if self.jobs.get_mut(&key).is_some_and(|job| job.sequencer.hear(signal)) {
-                self.advance(myself, &key).await;
+            let Some(job) = self.jobs.get_mut(&key) else { continue };
+            match job.sequencer.hear(signal, said.epoch) {
+                Ok(true) => self.advance(myself, &key).await,
+                Ok(false) => {}
+                Err(Outdated { known }) => {
+                    self.outdated += 1;
+                    if job.outdated.insert((signal.clone(), said.epoch)) {
+                        let (mission, signal) = (said.mission.clone(), signal.clone());
+                        let (epoch, count) = (said.epoch, self.outdated);
+                        self.settings.events.tell(Happening::Outdated { mission, signal, epoch, known, count });
+                    }
+                }
             }
         }
     }
@@ -237,16 +270,17 @@ impl AttendantState {
         let asked = self.jobs.iter().find(|(_, job)| job.ask.as_ref().is_some_and(|(ask, _, _)| *ask == id));
         let Some(key) = asked.map(|(key, _)| key.clone()) else { return };
         let Some(job) = self.jobs.get_mut(&key) else { return };
-        let (Some((_, step, _)), Some(task)) = (job.ask.take(), job.sequencer.at().cloned()) else { return };
+        let (Some((_, spot, _)), Some(task)) = (job.ask.take(), job.sequencer.at().cloned()) else { return };
         let (mission, role) = key.clone();
         match result {
             Ok(()) => {
-                job.sequencer.end(step);
+                job.sequencer.end(spot);
                 self.settings.events.tell(Happening::TaskEnded { mission, role, task });
             }
             Err(problem) => {
                 let cause = problem.to_string();
-                job.failure = Some(TaskFailure { task: task.clone(), cause: cause.clone() });
+                let (failed, kind) = (Some(task.clone()), FailureKind::Task);
+                job.failure = Some(TaskFailure { task: failed, cause: cause.clone(), kind });
                 self.settings.events.tell(Happening::TaskFailed { mission, role, task, cause });
             }
         }
@@ -261,11 +295,11 @@ impl AttendantState {
             let Some(next) = job.sequencer.next_move() else { break };
             moved = true;
             match next {
-                Move::Perform { step, task, spec } => {
-                    let holders = job.sequencer.holders().clone();
+                Move::Perform { spot, task, spec } => {
+                    let holders = job.sequencer.robots();
                     let ask = PersonAsk { role: role.clone(), task: spec.clone(), holders };
                     let id = ask_id(mission, role, &task, &spec, &ask.holders);
-                    job.ask = Some((id, step, ask.clone()));
+                    job.ask = Some((id, spot, ask.clone()));
                     let (mission, role) = (mission.clone(), role.clone());
                     self.settings.events.tell(Happening::TaskBegan { mission, role, task });
                     ask_person(&self.settings, &mut self.tasks, myself, id, Some(ask));
@@ -299,6 +333,8 @@ impl AttendantState {
             epoch: Epoch::default(),
             ended: job.sequencer.ended().clone(),
             at: job.sequencer.at().cloned(),
+            place: None,
+            resumes: false,
             failure: job.failure.clone(),
         };
         let to_node = self.settings.keys.write(&Key::Report(beacon.node.clone()));
@@ -324,6 +360,21 @@ impl AttendantState {
             });
         }
     }
+}
+
+/// Asks those from whom something is awaited what they have said.
+fn ask_around(
+    talk: &Talk,
+    tasks: &mut Tasks,
+    myself: &ActorRef<AttendantMessage>,
+    mission: &MissionId,
+    sequencer: &Sequencer,
+) {
+    let to = myself.clone();
+    talk.ask(mission, &sequencer.awaiting(), tasks, move |said| {
+        // An attendant that has stopped needs no answer.
+        let _ = to.cast(AttendantMessage::Said(said));
+    });
 }
 
 fn ask_person(

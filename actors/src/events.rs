@@ -2,44 +2,60 @@
 
 use crate::bus::{Delivery, Encoding, SharedBus};
 use crate::clock::Clock;
+use crate::observe::SharedObserver;
 use bytes::Bytes;
 use consort_protocol::event::{Event, Happening};
 use consort_protocol::ids::NodeId;
 use consort_protocol::keys::{Key, Keys};
-use std::sync::Arc;
+use std::sync::{Arc, Mutex, PoisonError};
 use tokio::sync::mpsc::{UnboundedSender, unbounded_channel};
 use tracing::debug;
 
 /// Publishes what happens on this node, in order. Clones share one sequence; telling never waits.
 #[derive(Clone)]
-pub struct Events {
-    told: UnboundedSender<Happening>,
-    _task: Arc<tokio::task::JoinSet<()>>,
+pub struct Events(Arc<Shared>);
+
+struct Shared {
+    node: NodeId,
+    clock: Clock,
+    observer: Option<SharedObserver>,
+    told: Mutex<Told>,
+    _task: tokio::task::JoinSet<()>,
+}
+
+struct Told {
+    count: u64,
+    to: UnboundedSender<Event>,
 }
 
 impl Events {
-    /// Opens the stream.
-    pub fn open(node: NodeId, keys: &Keys, bus: SharedBus, clock: Clock) -> Events {
-        let (told, mut happened) = unbounded_channel();
+    /// Opens the stream. An observer is told first, at the instant of telling.
+    pub fn open(node: NodeId, keys: &Keys, bus: SharedBus, clock: Clock, observer: Option<SharedObserver>) -> Events {
+        let (to, mut happened) = unbounded_channel::<Event>();
         let key = keys.write(&Key::Events);
         let mut task = tokio::task::JoinSet::new();
         task.spawn(async move {
-            let mut sequence = 0;
-            while let Some(what) = happened.recv().await {
-                sequence += 1;
-                let event = Event { node: node.clone(), sequence, at_ms: clock.wall_ms(), what };
+            while let Some(event) = happened.recv().await {
                 let json = serde_json::to_vec(&event).expect("an event can be told in JSON");
                 if let Err(problem) = bus.publish(&key, Bytes::from(json), Encoding::Json, Delivery::Drop).await {
                     debug!(%problem, "an event was not published");
                 }
             }
         });
-        Events { told, _task: Arc::new(task) }
+        Events(Arc::new(Shared { node, clock, observer, told: Mutex::new(Told { count: 0, to }), _task: task }))
     }
 
     /// Tells of something that has just happened here.
     pub fn tell(&self, what: Happening) {
+        let Shared { node, clock, observer, told, .. } = &*self.0;
+        // Counted and sent as one, so that numbers stand in the order of the stream.
+        let mut told = told.lock().unwrap_or_else(PoisonError::into_inner);
+        told.count += 1;
+        let event = Event { node: node.clone(), sequence: told.count, at_ms: clock.wall_ms(), what };
+        if let Some(observer) = observer {
+            observer.told(&event);
+        }
         // The task behind the channel lives as long as any clone.
-        let _ = self.told.send(what);
+        let _ = told.to.send(event);
     }
 }

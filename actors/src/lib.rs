@@ -17,6 +17,7 @@ pub mod events;
 pub mod gossip;
 mod ledger;
 pub mod node;
+pub mod observe;
 pub mod replica;
 pub mod robot;
 pub mod store;

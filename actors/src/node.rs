@@ -15,9 +15,10 @@ use crate::clock::Clock;
 use crate::coordinator::{Coordinator, CoordinatorSettings};
 use crate::events::Events;
 use crate::gossip::{self, Gossip, GossipHandle, SharedKnowledge};
-use crate::replica::{Replica, ReplicaSettings, StartError};
-use crate::robot::{Robot, RobotMessage, RobotSettings};
-use crate::store::Store;
+use crate::observe::SharedObserver;
+use crate::replica::{Applied, Replica, ReplicaSettings, StartError};
+use crate::robot::{Patience, Robot, RobotMessage, RobotSettings};
+use crate::store::{Notebook, Store};
 use crate::tasks::Tasks;
 use crate::timing::Timing;
 use consort_protocol::auction::Limits;
@@ -26,7 +27,7 @@ use consort_protocol::ids::{FleetId, NodeId, RobotId};
 use consort_protocol::keys::{Key, Keys};
 use consort_protocol::knowledge::{Knowledge, Worker};
 use consort_protocol::lease::LeaseTerms;
-use consort_protocol::ledger::Ledger;
+use consort_protocol::ledger::{Command, Ledger};
 use consort_protocol::mission::Domain;
 use consort_skills::actions::BodyHost;
 use consort_skills::descriptor::Estimator;
@@ -34,7 +35,7 @@ use consort_skills::library::SkillLibrary;
 use ractor::{Actor, ActorProcessingErr, ActorRef, SpawnErr, SupervisionEvent};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
-use std::sync::Arc;
+use std::sync::{Arc, OnceLock};
 use std::time::Duration;
 use tokio::sync::watch;
 use tokio::task::JoinHandle;
@@ -55,6 +56,9 @@ pub struct FleetSettings {
     pub terms: LeaseTerms,
     /// How long an auction waits for a member that does not answer.
     pub window: Duration,
+    /// After how long a held role none of whose steps ends, although it waits for nobody, is taken from its holder; zero for
+    /// never.
+    pub stall_after: Duration,
     /// Nodes that may vote and must have met before the first election. All nodes that are started together count: a node
     /// that has met so many founds the fleet's ledger, with those it has met.
     pub bootstrap_expect: usize,
@@ -90,6 +94,8 @@ pub struct NodeSettings {
     pub robot: Option<RobotPart>,
     /// The bodies and people it hosts, if it does.
     pub host: Option<HostPart>,
+    /// Is told what happens on it, in place; none as a rule.
+    pub observer: Option<SharedObserver>,
 }
 
 /// A robot's part of a node.
@@ -137,6 +143,7 @@ pub struct NodeHandle {
     pub node: NodeId,
     root: ActorRef<NodeMessage>,
     ended: JoinHandle<()>,
+    cause: Arc<OnceLock<String>>,
     /// Its copy of the ledger, if it keeps one.
     pub replica: Option<Replica<Ledger>>,
     /// What it has heard.
@@ -155,12 +162,14 @@ impl NodeHandle {
     /// # Errors
     /// [`NodeError`]; nothing of the node runs then.
     pub async fn start(settings: NodeSettings, bus: SharedBus) -> Result<NodeHandle, NodeError> {
-        let (root, ended) = Actor::spawn(None, Root, settings.node.clone()).await?;
+        let cause = Arc::<OnceLock<String>>::default();
+        let (root, ended) = Actor::spawn(None, Root { cause: Arc::clone(&cause) }, settings.node.clone()).await?;
         match assemble(settings, bus, &root).await {
             Ok(Assembled { leaver, left, allegiance, tasks }) => Ok(NodeHandle {
                 node: leaver.node.clone(),
                 root,
                 ended,
+                cause,
                 replica: leaver.replica.clone(),
                 knowledge: leaver.knowledge.clone(),
                 allegiance,
@@ -208,13 +217,16 @@ impl NodeHandle {
         }
     }
 
-    /// Waits until the node has ended by itself (`None`), or has left for good because somebody asked it to on
-    /// `api/leave/{node}`; then it is to be [ended](Self::end).
-    pub async fn ended_or_left(&mut self) -> Option<Farewell> {
+    /// Waits until the node has left for good because somebody asked it to on `api/leave/{node}`, and is to be
+    /// [ended](Self::end); or until it has ended by itself, and says why as [`ended`](Self::ended) does.
+    ///
+    /// # Errors
+    /// Why it ended by itself.
+    pub async fn ended_or_left(&mut self) -> Result<Farewell, String> {
+        let mut left = self.left.clone();
         tokio::select! {
-            // See above.
-            _ = &mut self.ended => None,
-            Ok(farewell) = self.left.wait_for(Option::is_some) => farewell.clone(),
+            cause = self.ended() => Err(cause),
+            Ok(farewell) = left.wait_for(Option::is_some) => Ok(farewell.clone().expect("it was waited for")),
         }
     }
 
@@ -233,17 +245,40 @@ impl NodeHandle {
         let _ = self.ended.await;
     }
 
-    /// Waits until the node has ended by itself: an actor of it failed.
-    pub async fn ended(&mut self) {
+    /// Whether the node has ended by itself: an actor of it failed.
+    pub fn has_ended(&self) -> bool {
+        self.ended.is_finished()
+    }
+
+    /// Waits until the node has ended by itself, and says why: an actor of it failed, or its copy of the ledger did.
+    pub async fn ended(&mut self) -> String {
         // See above.
         let _ = (&mut self.ended).await;
+        self.cause.get().cloned().unwrap_or_else(|| "nobody said why".to_owned())
     }
 }
 
 /// Watches over a node's actors.
-struct Root;
+struct Root {
+    /// Why the node ended by itself, once it has.
+    cause: Arc<OnceLock<String>>,
+}
 
-enum NodeMessage {}
+enum NodeMessage {
+    /// The copy of the ledger can no longer be kept, and why.
+    LedgerFailed(String),
+}
+
+impl Root {
+    fn end(&self, myself: &ActorRef<NodeMessage>, cause: String) {
+        for child in myself.get_children() {
+            child.kill();
+        }
+        myself.stop(Some(cause.clone()));
+        // The first cause is the one that counts.
+        let _ = self.cause.set(cause);
+    }
+}
 
 #[ractor::async_trait]
 impl Actor for Root {
@@ -255,6 +290,18 @@ impl Actor for Root {
         Ok(node)
     }
 
+    async fn handle(
+        &self,
+        myself: ActorRef<NodeMessage>,
+        message: NodeMessage,
+        node: &mut NodeId,
+    ) -> Result<(), ActorProcessingErr> {
+        let NodeMessage::LedgerFailed(problem) = message;
+        error!(%node, %problem, "the copy of the ledger can no longer be kept: the node stops");
+        self.end(&myself, format!("its copy of the ledger can no longer be kept: {problem}"));
+        Ok(())
+    }
+
     async fn handle_supervisor_evt(
         &self,
         myself: ActorRef<NodeMessage>,
@@ -263,10 +310,7 @@ impl Actor for Root {
     ) -> Result<(), ActorProcessingErr> {
         if let SupervisionEvent::ActorFailed(who, problem) = event {
             error!(%node, actor = %who.get_id(), %problem, "an actor failed: the node stops");
-            for child in myself.get_children() {
-                child.kill();
-            }
-            myself.stop(Some(problem.to_string()));
+            self.end(&myself, format!("an actor of it failed, as the log says: {problem}"));
         }
         Ok(())
     }
@@ -284,15 +328,20 @@ async fn assemble(
     bus: SharedBus,
     root: &ActorRef<NodeMessage>,
 ) -> Result<Assembled, NodeError> {
-    let NodeSettings { fleet, node, incarnation, seed, store, clock, .. } = settings;
+    let NodeSettings { fleet, node, incarnation, seed, store, clock, observer, .. } = settings;
     let keys = Keys::new(&fleet.fleet);
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     let mut tasks = Tasks::default();
-    let events = Events::open(node.clone(), &keys, bus.clone(), clock);
+    let events = Events::open(node.clone(), &keys, bus.clone(), clock, observer.clone());
 
     let replica = if settings.may_vote {
         let replica_settings = ReplicaSettings::new(fleet.fleet.clone(), node.clone()).with_timing(fleet.timing);
-        Some(Replica::<Ledger>::start(replica_settings, bus.clone(), store.journal, rng.next_u64()).await?)
+        let applied = observer.map(|observer| {
+            let node = node.clone();
+            Arc::new(move |at, command: Option<&Command>| observer.applied(&node, at, command)) as Applied<Ledger>
+        });
+        let (bus, seed) = (bus.clone(), rng.next_u64());
+        Some(Replica::start_observed(replica_settings, bus, store.journal, seed, applied).await?)
     } else {
         None
     };
@@ -354,6 +403,7 @@ async fn assemble(
             limits: fleet.limits,
             terms: fleet.terms,
             window: fleet.window,
+            stall_after: fleet.stall_after,
             beat: times.beacon,
             cluster_seed: rng.next_u64(),
             voters: fleet.voters,
@@ -361,6 +411,12 @@ async fn assemble(
             near: times.election_max,
         };
         Actor::spawn_linked(None, Coordinator, coordinator, supervisor.clone()).await?;
+        let (watched, root) = (replica.clone(), root.clone());
+        tasks.spawn(async move {
+            let problem = watched.failed().await;
+            // A root that has gone needs not be told.
+            let _ = root.send_message(NodeMessage::LedgerFailed(problem));
+        });
         let founding = (replica.clone(), shared.clone(), fleet.bootstrap_expect, fleet.voters);
         let (replica, knowledge, expect, target) = founding;
         tasks.spawn(autopilot::bootstrap(node.clone(), replica, knowledge, expect, target));
@@ -398,6 +454,7 @@ async fn assemble(
             clock,
             events,
             gossip.clone(),
+            store.notebook,
             &supervisor,
             &mut tasks,
         )
@@ -450,6 +507,7 @@ async fn start_robot(
     clock: Clock,
     events: Events,
     gossip: GossipHandle,
+    notebook: Arc<dyn Notebook>,
     supervisor: &ractor::ActorCell,
     tasks: &mut Tasks,
 ) -> Result<ActorRef<RobotMessage>, NodeError> {
@@ -478,10 +536,14 @@ async fn start_robot(
         knowledge: gossip.shared().clone(),
         gossip,
         ensemble: Arc::clone(&fleet.ensemble),
+        limits: fleet.limits,
         terms: fleet.terms,
         estimator: part.estimator,
         library: part.library,
         body,
+        notebook,
+        patience: Patience::default(),
+        pause: Duration::from_millis(500),
         beat: Duration::from_millis(250),
         tick: Duration::from_millis(100),
     };

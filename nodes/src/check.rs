@@ -3,7 +3,7 @@
 use crate::config::{self, FleetConfig, Problem, Problems, RobotConfig, StationConfig, WorldConfig};
 use crate::{floor, source, wiring};
 use consort_protocol::ids::TaskId;
-use consort_protocol::mission::{Domain, Format, IhtnReading, MissionTemplate, TemplateKind, import_ihtn};
+use consort_protocol::mission::{Domain, Format, IhtnReading, Mission, MissionTemplate, TemplateKind, import_ihtn};
 use consort_protocol::plan::divide_and_check;
 use serde_json::Value;
 use std::collections::{BTreeMap, BTreeSet};
@@ -117,12 +117,16 @@ fn mission(text: &str, path: &Path, file: &str) -> Result<String, Problems> {
     };
     let given: BTreeMap<String, String> =
         open.map(|(name, parameter)| (name.clone(), sample(parameter.kind).to_owned())).collect();
-    let mission = template
-        .instantiate(&given, &Domain::hospital())
+    let (mission, recovery) = template
+        .instantiate_both(&given, &Domain::hospital())
         .map_err(|errors| Problems(errors.problems.iter().map(|problem| Problem::of(file, problem)).collect()))?;
-    let division = divide_and_check(&mission).map_err(|error| Problems::from(Problem::of(file, error)))?;
-    let steps: usize = division.plans.values().map(|plan| plan.steps.len()).sum();
-    Ok(format!("{}, {} roles, {steps} steps", template.name(), mission.roles.len()))
+    let size = |mission: &Mission| {
+        let division = divide_and_check(mission).map_err(|error| Problems::from(Problem::of(file, error)))?;
+        let steps: usize = division.plans.values().map(|plan| plan.steps.len()).sum();
+        Ok::<_, Problems>(format!("{} roles, {steps} steps", mission.roles.len()))
+    };
+    let of_recovery = recovery.as_ref().map(size).transpose()?.map(|size| format!(", recovery with {size}"));
+    Ok(format!("{}, {}{}", template.name(), size(&mission)?, of_recovery.unwrap_or_default()))
 }
 
 /// A flat iHTN does not say who is a person: `nurse` is taken for one.
@@ -196,6 +200,7 @@ fn recognise_toml(text: &str, file: &str) -> Result<Kind, Problems> {
                 "voters",
                 "dead_after_ms",
                 "link_lease_ms",
+                "stall_after_s",
                 "limits",
                 "lease",
                 "auction",

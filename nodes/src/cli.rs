@@ -1,6 +1,6 @@
 //! The command line.
 
-use crate::command::{cancel, check, dry_run, fleet, leave, missions, robot, station, submit, world};
+use crate::command::{cancel, chaos, check, dry_run, fleet, leave, missions, rescue, robot, station, submit, world};
 use crate::demo;
 use crate::exit::Failure;
 use crate::output;
@@ -54,10 +54,12 @@ enum Command {
     Submit(submit::Args),
     Missions(missions::Args),
     Cancel(cancel::Args),
+    Rescue(rescue::Args),
     Fleet(fleet::Args),
     Leave(leave::Args),
     Check(check::Args),
     DryRun(dry_run::Args),
+    Chaos(chaos::Args),
 }
 
 /// Runs the program.
@@ -70,10 +72,12 @@ pub fn run() -> ExitCode {
         Command::Submit(args) => submit::run(args),
         Command::Missions(args) => missions::run(args),
         Command::Cancel(args) => cancel::run(args),
+        Command::Rescue(args) => rescue::run(args),
         Command::Fleet(args) => fleet::run(args),
         Command::Leave(args) => leave::run(args),
         Command::Check(args) => check::run(args),
         Command::DryRun(args) => dry_run::run(args),
+        Command::Chaos(args) => chaos::run(&args),
     };
     match done {
         Ok(()) => ExitCode::SUCCESS,

@@ -20,9 +20,6 @@ const ONE_QUERY: Duration = Duration::from_secs(3);
 /// How long to wait before asking again.
 const AGAIN: Duration = Duration::from_millis(250);
 
-/// What the coordinator says at the end of a refusal that may pass: it could not commit just then.
-const MAY_PASS: &str = "the same request may be sent again";
-
 /// How to reach a fleet.
 #[derive(Debug, Clone, clap::Args)]
 #[command(next_help_heading = "Reaching the fleet")]
@@ -119,7 +116,7 @@ impl Client {
         match self.once(&self.keys.write(key), "", limit).await {
             Ok(value) => Ok(value),
             Err(Hindrance::Refused(problem)) => Err(Failure::Unsuccessful(problem)),
-            Err(Hindrance::MayPass(problem)) => Err(Failure::Unreached(format!("{node}: {problem}"))),
+            Err(Hindrance::MayPass(problem, _)) => Err(Failure::Unreached(format!("{node}: {problem}"))),
             Err(Hindrance::Silence) => Err(Failure::Unreached(format!(
                 "no node {node} answers in fleet {}; linked to {}. `consort fleet` names those that are there",
                 self.fleet, self.to
@@ -152,11 +149,13 @@ impl Client {
                     return Ok(value);
                 }
                 Err(Hindrance::Refused(problem)) => return Err(Failure::Unsuccessful(problem)),
-                Err(Hindrance::MayPass(problem)) => problem,
-                Err(Hindrance::Silence) if self.bus.links().await.is_empty() => "the link is down".to_owned(),
-                Err(Hindrance::Silence) => format!("no coordinator of fleet {} answers", self.fleet),
+                Err(Hindrance::MayPass(problem, after)) => (problem, after.max(AGAIN)),
+                Err(Hindrance::Silence) if self.bus.links().await.is_empty() => ("the link is down".to_owned(), AGAIN),
+                Err(Hindrance::Silence) => (format!("no coordinator of fleet {} answers yet", self.fleet), AGAIN),
             };
-            if Instant::now() + AGAIN >= until {
+            let (hindrance, after) = hindrance;
+            if Instant::now() + after >= until {
+                let hindrance = hindrance.trim_end_matches(" yet");
                 return Err(Failure::Unreached(format!(
                     "{hindrance}, and none did in {} s; linked to {}\n\
                      Is the fleet's name right (--fleet)? Are as many nodes up that may vote as its bootstrap_expect \
@@ -165,18 +164,19 @@ impl Client {
                     self.to
                 )));
             }
-            self.waiting.say(format_args!("{hindrance} yet; asking again"));
+            self.waiting.say(format_args!("{hindrance}: trying again in {:.1} s", after.as_secs_f64()));
             waited = true;
-            sleep(AGAIN).await;
+            sleep(after).await;
         }
     }
 
     async fn once(&self, key: &str, payload: &str, limit: Duration) -> Result<Value, Hindrance> {
         let asked = self.bus.query(key, Bytes::from(payload.to_owned()), limit).await;
-        let mut replies = asked.map_err(|problem| Hindrance::MayPass(problem.to_string()))?;
+        let mut replies = asked.map_err(|problem| Hindrance::MayPass(problem.to_string(), AGAIN))?;
         let mut hindrance = Hindrance::Silence;
-        // Whoever has just lost the coordination may answer too; the one who can act settles it.
-        while let Some(reply) = replies.recv().await {
+        // Whoever has just lost the coordination may answer too; the one who can act settles it, if it does soon.
+        let mut until = Instant::now() + limit;
+        while let Ok(Some(reply)) = tokio::time::timeout_at(until, replies.recv()).await {
             let answer = match reply.payload {
                 Ok(bytes) => serde_json::from_slice::<Value>(&bytes).map_err(|e| format!("not JSON: {e}")),
                 Err(refusal) => Err(refusal),
@@ -184,11 +184,18 @@ impl Client {
             match answer {
                 Ok(value) => match value.get("error").and_then(Value::as_str) {
                     None => return Ok(value),
-                    Some(problem) if problem.ends_with(MAY_PASS) => hindrance = Hindrance::MayPass(problem.to_owned()),
-                    Some(problem) => return Err(Hindrance::Refused(problem.to_owned())),
+                    Some(problem) => match value.get("retry_after_ms").and_then(Value::as_u64) {
+                        Some(after) => {
+                            let advice = format!(": retry after {after} ms");
+                            let problem = problem.strip_suffix(&advice).unwrap_or(problem).to_owned();
+                            hindrance = Hindrance::MayPass(problem, Duration::from_millis(after));
+                        }
+                        None => return Err(Hindrance::Refused(problem.to_owned())),
+                    },
                 },
-                Err(problem) => hindrance = Hindrance::MayPass(problem),
+                Err(problem) => hindrance = Hindrance::MayPass(problem, AGAIN),
             }
+            until = until.min(Instant::now() + AGAIN);
         }
         Err(hindrance)
     }
@@ -198,8 +205,8 @@ impl Client {
 enum Hindrance {
     /// The request is wrong; asking again would not help.
     Refused(String),
-    /// It may work in a moment.
-    MayPass(String),
+    /// It may work after that time.
+    MayPass(String, Duration),
     /// Nobody answered.
     Silence,
 }

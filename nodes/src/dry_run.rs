@@ -60,7 +60,9 @@ pub fn auction(
     let tenders: Vec<Tender> = workers.iter().map(|worker| tender(worker, &call, equipment)).collect();
     let expected: BTreeSet<RobotId> = workers.iter().map(|worker| worker.name.clone()).collect();
     let taken = BTreeMap::new();
-    let circumstances = Circumstances { expected: &expected, taken: &taken, limits, window_ms: 0, at_ms: 0 };
+    let excluded = BTreeMap::new();
+    let circumstances =
+        Circumstances { expected: &expected, taken: &taken, excluded: &excluded, limits, window_ms: 0, at_ms: 0 };
     let conclusion = conclude(&call, &tenders, &circumstances);
 
     let mut offers: BTreeMap<RoleId, Vec<Offer>> = BTreeMap::new();

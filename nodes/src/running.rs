@@ -93,18 +93,18 @@ async fn until_told(
     let mut left = None;
     let ended = node.ended_or_left();
     let signal = tokio::select! {
-        _ = terminate.recv() => Some("SIGTERM"),
-        _ = interrupt.recv() => Some("Ctrl-C"),
-        () = stdin_closed(until_stdin_closes) => Some("end of input"),
-        farewell = ended => {
-            left = farewell;
-            left.as_ref().map(|_| "it has left the fleet for good")
-        }
+        _ = terminate.recv() => Ok("SIGTERM"),
+        _ = interrupt.recv() => Ok("Ctrl-C"),
+        () = stdin_closed(until_stdin_closes) => Ok("end of input"),
+        ended = ended => match ended {
+            Ok(farewell) => {
+                left = Some(farewell);
+                Ok("it has left the fleet for good")
+            }
+            Err(cause) => Err(cause),
+        },
     };
-    let Some(signal) = signal else {
-        let what = format!("{name} stopped: an actor of it failed; the log says which, and why");
-        return Err(Failure::Unsuccessful(what));
-    };
+    let signal = signal.map_err(|cause| Failure::Unsuccessful(format!("{name} stopped: {cause}")))?;
     info!(node = %name, signal, "stops");
     let goodbye = async {
         match left {

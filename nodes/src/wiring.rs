@@ -6,7 +6,8 @@ use crate::floor::{self, Floor};
 use consort_actors::bus::ZenohSettings;
 use consort_actors::clock::Clock;
 use consort_actors::node::{FleetSettings, HostPart, NodeSettings, RobotPart};
-use consort_actors::store::Store;
+use consort_actors::replica::StoreIdentity;
+use consort_actors::store::{DurableStore, Owner, Store};
 use consort_protocol::auction::Limits;
 use consort_protocol::ensemble::Ensemble;
 use consort_protocol::ids::{NodeId, PlaceId};
@@ -21,30 +22,61 @@ use consort_skills::library::SkillLibrary;
 use rand::TryRng;
 use rand::rngs::SysRng;
 use std::collections::BTreeMap;
+use std::fmt::Display;
+use std::path::Path;
 use std::sync::Arc;
 use std::time::Duration;
+use tracing::warn;
 
 /// Which edition of the estimators this program has, as nodes tell one another.
 pub const ESTIMATOR: &str = concat!("standard-", env!("CARGO_PKG_VERSION"));
 
 /// What is particular to one life of a node.
-#[derive(Debug, Clone, Copy)]
+#[derive(Clone)]
 pub struct Life {
     /// Its clock.
     pub clock: Clock,
-    /// Larger than in any former life of the node: milliseconds since 1970 do.
+    /// Larger than in any former life of the node: milliseconds since 1970 do, unless the clock is put back.
     pub incarnation: u64,
     /// Where all its chance comes from.
     pub seed: u64,
+    /// What it remembers of former lives.
+    pub store: Store,
 }
 
 impl Life {
-    /// A life that begins now, on a real machine. Called within a tokio runtime.
-    pub fn real() -> Life {
+    /// A life of `node` that begins now, on a real machine, with what `data_dir` holds of former ones. Called within a
+    /// tokio runtime.
+    ///
+    /// # Errors
+    /// [`Problems`] of the data directory.
+    pub fn real(node: &NodeId, fleet: &FleetConfig, data_dir: Option<&Path>) -> Result<Life, Problems> {
         let clock = Clock::real();
-        let seed = SysRng.try_next_u64().expect("the system has random numbers");
-        Life { clock, incarnation: clock.wall_ms(), seed }
+        let seed = random();
+        let (store, incarnation) = match data_dir {
+            Some(folder) => {
+                let of = |problem: &dyn Display| Problems::from(Problem::of("data_dir", problem));
+                let owner = Owner { fleet: fleet.name.clone(), node: node.clone() };
+                let fresh = StoreIdentity(u128::from(random()) << 64 | u128::from(random()));
+                let store = DurableStore::open(folder, &owner, fresh).map_err(|problem| of(&problem))?;
+                let incarnation = store.begin_life(clock.wall_ms()).map_err(|problem| of(&problem))?;
+                (store.into_store(), incarnation)
+            }
+            None => {
+                warn!(
+                    %node,
+                    "no --data-dir: what this node promises is kept in its memory alone; when it ends it forgets all, \
+                     and comes back as a new member"
+                );
+                (Store::in_memory(seed), clock.wall_ms())
+            }
+        };
+        Ok(Life { clock, incarnation, seed, store })
     }
+}
+
+fn random() -> u64 {
+    SysRng.try_next_u64().expect("the system has random numbers")
 }
 
 /// What robots in one place price and carry out their work with; the same for all of them, so it may be shared.
@@ -74,6 +106,7 @@ pub fn fleet_settings(config: &FleetConfig) -> Result<FleetSettings, Problems> {
             grace: Duration::from_millis(config.lease.grace_ms),
         },
         window: config.times().window,
+        stall_after: Duration::from_secs(config.stall_after_s),
         bootstrap_expect: config.bootstrap_expect,
         timing: config.timing,
         voters: config.voters,
@@ -205,19 +238,20 @@ pub fn build_world(world: &WorldConfig, fleet: &FleetConfig) -> Result<World, Pr
 }
 
 fn bare_node(node: NodeId, fleet: &FleetConfig, life: Life, may_vote: bool) -> Result<NodeSettings, Problems> {
-    let Life { clock, incarnation, seed } = life;
+    let Life { clock, incarnation, seed, store } = life;
     Ok(NodeSettings {
         fleet: fleet_settings(fleet)?,
         node,
         incarnation,
         seed,
-        store: Store::in_memory(seed),
+        store,
         clock,
         may_vote,
         stationary: false,
         mains_powered: false,
         robot: None,
         host: None,
+        observer: None,
     })
 }
 

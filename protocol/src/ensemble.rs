@@ -14,9 +14,11 @@
 use crate::ids::{EnsembleId, NodeId, TaskType};
 use crate::knowledge::{Availability, Heard, Knowledge, KnowledgeBase};
 use crate::units::NodeTime;
-use cel::{Context, Program, Value};
+use cel::{Context, Env, Program, Value};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeSet;
+use std::fmt;
+use std::sync::Arc;
 use std::time::Duration;
 
 /// An ensemble as a fleet file declares it.
@@ -67,11 +69,18 @@ pub struct ConditionError {
 const CONDITION_MAX: usize = 1024;
 
 /// An ensemble ready to be evaluated.
-#[derive(Debug)]
 pub struct Ensemble {
     spec: EnsembleSpec,
     membership: Vec<Condition>,
     coordinator: Vec<Condition>,
+    /// CEL's own functions. They take longer to set up than any condition to evaluate, so this is done once.
+    functions: Arc<Env>,
+}
+
+impl fmt::Debug for Ensemble {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_tuple("Ensemble").field(&self.spec).finish()
+    }
 }
 
 #[derive(Debug)]
@@ -140,12 +149,15 @@ impl Ensemble {
     pub fn compile(spec: EnsembleSpec) -> Result<Ensemble, ConditionError> {
         let membership = compile_all(&spec, &spec.membership)?;
         let coordinator = compile_all(&spec, &spec.coordinator)?;
-        let ensemble = Ensemble { spec, membership, coordinator };
+        let ensemble = Ensemble { spec, membership, coordinator, functions: Arc::new(Env::stdlib()) };
         let example = NodeId::new("example").expect("a slug");
         let knowledge = example_knowledge();
+        let facts = ensemble.facts((&example, &knowledge), (&example, &knowledge)).expect("an example can be told");
         for condition in ensemble.membership.iter().chain(&ensemble.coordinator) {
-            ensemble.holds(condition, (&example, &knowledge), (&example, &knowledge)).map_err(|problem| {
-                ConditionError { ensemble: ensemble.spec.name.clone(), condition: condition.text.clone(), problem }
+            condition.holds(&facts).map_err(|problem| ConditionError {
+                ensemble: ensemble.spec.name.clone(),
+                condition: condition.text.clone(),
+                problem,
             })?;
         }
         Ok(ensemble)
@@ -170,10 +182,14 @@ impl Ensemble {
         let Some(head) = base.get(coordinator) else {
             return verdict(false, format!("nothing heard of the coordinator {coordinator}"));
         };
-        let (member, head) = ((node, &member.record.knowledge), (coordinator, &head.record.knowledge));
+        let facts = self.facts((node, &member.record.knowledge), (coordinator, &head.record.knowledge));
+        let facts = match facts {
+            Ok(facts) => facts,
+            Err(problem) => return verdict(false, format!("{node} cannot be judged: {problem}")),
+        };
         for (conditions, whose) in [(&self.coordinator, coordinator), (&self.membership, node)] {
             for condition in conditions {
-                match self.holds(condition, member, head) {
+                match condition.holds(&facts) {
                     Ok(true) => {}
                     Ok(false) => return verdict(false, format!("`{}` is false for {whose}", condition.text)),
                     Err(problem) => return verdict(false, format!("`{}` for {whose}: {problem}", condition.text)),
@@ -191,21 +207,22 @@ impl Ensemble {
     /// Whether a node may coordinate the ensemble, by what it says of itself: conditions on the coordinator see it in both
     /// places.
     pub fn may_coordinate(&self, node: &NodeId, heard: &Heard) -> Result<(), String> {
-        let facts = (node, &heard.record.knowledge);
+        let itself = (node, &heard.record.knowledge);
+        let facts = self.facts(itself, itself)?;
         for condition in &self.coordinator {
-            if !self.holds(condition, facts, facts)? {
+            if !condition.holds(&facts)? {
                 return Err(format!("`{}` is false for {node}", condition.text));
             }
         }
         Ok(())
     }
 
-    fn holds(
+    /// The variables that conditions may name.
+    fn facts(
         &self,
-        condition: &Condition,
         (member, knows): (&NodeId, &Knowledge),
         (coordinator, coordinator_knows): (&NodeId, &Knowledge),
-    ) -> Result<bool, String> {
+    ) -> Result<Context<'static, 'static>, String> {
         #[derive(Serialize)]
         struct Declared<'a> {
             name: &'a str,
@@ -213,7 +230,7 @@ impl Ensemble {
         }
         let declared =
             Declared { name: self.spec.name.as_str(), skills: self.spec.skills.iter().map(TaskType::as_str).collect() };
-        let mut context = Context::default();
+        let mut context = Context::with_env(Arc::clone(&self.functions));
         let mut set = |name: &str, value: Result<Value, _>| {
             context.add_variable_from_value(name, value.map_err(|e: cel::SerializationError| e.to_string())?);
             Ok::<(), String>(())
@@ -221,7 +238,13 @@ impl Ensemble {
         set("member", cel::to_value(Facts::of(member, knows)))?;
         set("coordinator", cel::to_value(Facts::of(coordinator, coordinator_knows)))?;
         set("ensemble", cel::to_value(declared))?;
-        match condition.program.execute(&context) {
+        Ok(context)
+    }
+}
+
+impl Condition {
+    fn holds(&self, facts: &Context<'static, 'static>) -> Result<bool, String> {
+        match self.program.execute(facts) {
             Ok(Value::Bool(holds)) => Ok(holds),
             Ok(other) => Err(format!("gives {other:?}, where true or false is needed")),
             Err(problem) => Err(problem.to_string()),

@@ -4,6 +4,7 @@ use crate::auction::{AuctionRecord, Bid};
 use crate::ids::{ClusterId, EnsembleId, MissionId, NodeId, RobotId, RoleId, TaskId};
 use crate::lease::{Ending, Epoch};
 use crate::ledger::MissionState;
+use crate::message::FailureKind;
 use crate::plan::Signal;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -212,5 +213,67 @@ pub enum Happening {
         role: RoleId,
         /// Why.
         reason: Ending,
+    },
+    /// An attempt at a task failed; it is made again.
+    TaskRetried {
+        /// The mission.
+        mission: MissionId,
+        /// The role.
+        role: RoleId,
+        /// The task.
+        task: TaskId,
+        /// How often it was tried so far.
+        attempt: u8,
+        /// Why it failed.
+        cause: String,
+    },
+    /// A task failed for good; the robot takes another way that its mission gives.
+    Alternative {
+        /// The mission.
+        mission: MissionId,
+        /// The role.
+        role: RoleId,
+        /// The task that failed.
+        task: TaskId,
+        /// The number of the alternative in the role's plan, from 0.
+        alternative: usize,
+        /// The tasks that are done instead.
+        tasks: Vec<TaskId>,
+        /// Why the task failed.
+        cause: String,
+    },
+    /// A robot cannot carry its role to its end, and asks for another to take it.
+    GaveUp {
+        /// The mission.
+        mission: MissionId,
+        /// The role.
+        role: RoleId,
+        /// What kind of failure it is.
+        kind: FailureKind,
+        /// Why, in words.
+        cause: String,
+    },
+    /// The battery will not last for the rest of the plan, and the robot goes on all the same: it may have something in its
+    /// hands, and nobody is helped if it is left on the way.
+    ChargeShort {
+        /// The mission.
+        mission: MissionId,
+        /// The role.
+        role: RoleId,
+        /// The forecast, in words.
+        cause: String,
+    },
+    /// Something said under an award that is no longer in force was not listened to.
+    Outdated {
+        /// The mission.
+        mission: MissionId,
+        /// What was said.
+        signal: Signal,
+        /// Under which award.
+        epoch: Epoch,
+        /// The latest award of that role which the hearer knows.
+        known: Epoch,
+        /// How often this has happened at this node since it started.
+        count: u64,
     },
 }

@@ -125,6 +125,8 @@ names! {
     TaskId, "task", SLUG;
     /// A kind of task (`navigation`, `operate_drawer`), which is also the name of the skill that realises it.
     TaskType, "task type", SLUG;
+    /// A thing that changes hands in a mission (`sample`).
+    ItemId, "item", SLUG;
     /// An ensemble, as the fleet file names it.
     EnsembleId, "ensemble", SLUG;
     /// A place on the map, as people write it (`IC Room 6`).

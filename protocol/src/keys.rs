@@ -126,6 +126,8 @@ words! {
         Submit = "submit",
         /// Withdraw a mission.
         Cancel = "cancel",
+        /// Say that a person has taken care of what a mission left in robots' hands.
+        Rescued = "rescued",
         /// Look at one mission.
         Get = "get",
         /// Look at all missions.

@@ -48,10 +48,49 @@ pub struct Award {
     /// What to do.
     pub plan: LocalPlan,
     /// Who holds the mission's managed roles.
-    pub holders: BTreeMap<RoleId, RobotId>,
+    pub holders: BTreeMap<RoleId, Holding>,
+}
+
+/// Who holds a role, and by which award: what is said in that role under an older one is not listened to.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Holding {
+    /// The robot.
+    pub robot: RobotId,
+    /// The award.
+    pub epoch: Epoch,
+}
+
+impl Holding {
+    /// The robots alone.
+    pub fn robots(holders: &BTreeMap<RoleId, Holding>) -> BTreeMap<RoleId, RobotId> {
+        holders.iter().map(|(role, holding)| (role.clone(), holding.robot.clone())).collect()
+    }
 }
 
 /// How long an award lasts without contact. Fleet-wide: all nodes must agree.
+///
+/// # Clocks
+///
+/// Leases are measured by each node's monotonic clock. Clocks need not agree on the time; they may even run at different
+/// rates, within a bound ([`drift_max`](LeaseTerms::drift_max)). Let the fastest clock of the fleet count `1 + d` seconds
+/// while the slowest counts one, and tell all times below in seconds of the slowest, which is the worst that the robot's
+/// and the first coordinator's can be. With lease `L`, grace `G`, and `r` for the robot's reaction (the time from the end of
+/// its lease until its body has come to rest: its beat, and its body's way to stop):
+///
+/// - The robot sends a report at `s`. If it is answered, and no later one is, it is at rest by `s + L + r`.
+/// - The coordinator answers at `a`, and `a >= s`. A majority had followed it at most `G / 2` before.
+/// - A later coordinator has been elected by a majority, one of whom had followed the former at that moment and voted
+///   afterwards: it takes over no earlier than `a - G / 2`, and counts from then on. On the fastest clock it has counted
+///   `L + G` after `(L + G) / (1 + d)`. It gives the role away no earlier than `a - G / 2 + (L + G) / (1 + d)`.
+///
+/// Nobody else acts in the role before the robot is at rest if, at worst with `s = a`,
+///
+/// ```text
+/// L + r <= (L + G) / (1 + d) - G / 2      that is      d <= (G / 2 - r) / (L + G / 2 + r)
+/// ```
+///
+/// With the defaults and a reaction of half a second this is 9 %; clocks in use differ by less than 0.1 %. A coordinator
+/// that stays counts from `a`, which leaves `d <= (G - r) / (L + r)`: 33 %.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub struct LeaseTerms {
     /// The robot suspends this long after it sent the last report that was answered. Raised: longer blackouts are
@@ -69,6 +108,15 @@ impl Default for LeaseTerms {
 }
 
 impl LeaseTerms {
+    /// By which part a fleet's fastest clock may be faster than its slowest, given a robot's reaction: how long after the
+    /// end of its lease its body is at rest. The derivation stands above. Nothing when the grace does not even cover the
+    /// reaction.
+    pub fn drift_max(&self, reaction: Duration) -> f64 {
+        let (lease, half, reaction) =
+            (self.lease.as_secs_f64(), self.grace.as_secs_f64() / 2.0, reaction.as_secs_f64());
+        ((half - reaction) / (lease + half + reaction)).max(0.0)
+    }
+
     /// How old a coordinator's last contact with a quorum may be for it to renew leases: half the grace. The other half
     /// is for drift.
     pub fn leadership_age_max(&self) -> Duration {
@@ -118,6 +166,10 @@ pub enum Ending {
     Over,
     /// Another award has replaced this one.
     Replaced,
+    /// The role was given up; another robot will take it over.
+    Released,
+    /// The mission waits for a person: something was left in a robot's hands.
+    Rescue,
 }
 
 /// Something for the holder to carry out, in the order given.
@@ -158,6 +210,9 @@ pub enum Declined {
         /// For whom it is.
         robot: RobotId,
     },
+    /// The robot takes nothing new: it is about to leave the fleet.
+    #[error("leaves the fleet")]
+    Leaving,
 }
 
 /// The robot's side of an award: at most one at a time.
@@ -182,6 +237,8 @@ struct Held {
 enum Phase {
     /// Heard, not confirmed.
     Heard,
+    /// Known from a former life, not confirmed in this one. Kept until the coordinator has said something.
+    Recalled,
     Active,
     Suspended,
 }
@@ -190,6 +247,14 @@ impl Tenure {
     /// No award yet.
     pub fn new(robot: RobotId, terms: LeaseTerms) -> Self {
         Tenure { robot, terms, held: None, latest: BTreeMap::new() }
+    }
+
+    /// Takes up an award that a former life of the robot's node had written down. Nothing is done under it before the
+    /// coordinator has confirmed it; until it has answered, the award is neither forgotten nor exchanged for another role's.
+    pub fn restore(robot: RobotId, terms: LeaseTerms, award: Award) -> Self {
+        let latest = BTreeMap::from([((award.mission.clone(), award.role.clone()), award.epoch)]);
+        let held = Some(Held { award, phase: Phase::Recalled, until: NodeTime::ZERO });
+        Tenure { robot, terms, held, latest }
     }
 
     /// The award held or about to be, if any.
@@ -202,14 +267,14 @@ impl Tenure {
         self.held.as_ref().is_some_and(|held| held.phase == Phase::Active && now < held.until)
     }
 
-    /// Whether the lease has run out and the plan is held up.
+    /// Whether the plan is held up: the lease has run out, or the award is a former life's and nobody has confirmed it yet.
     pub fn is_suspended(&self) -> bool {
-        self.held.as_ref().is_some_and(|held| held.phase == Phase::Suspended)
+        self.held.as_ref().is_some_and(|held| matches!(held.phase, Phase::Suspended | Phase::Recalled))
     }
 
-    /// When the lease ends; `None` without an award.
+    /// When the lease ends; `None` without an award, or with one of a former life that nobody has confirmed yet.
     pub fn until(&self) -> Option<NodeTime> {
-        self.held.as_ref().map(|held| held.until)
+        self.held.as_ref().filter(|held| held.phase != Phase::Recalled).map(|held| held.until)
     }
 
     /// Whether an award could be taken, and if not, why.
@@ -270,7 +335,7 @@ impl Tenure {
             return vec![]; // the answer took longer than the lease
         }
         match held.phase {
-            Phase::Heard => {
+            Phase::Heard | Phase::Recalled => {
                 held.phase = Phase::Active;
                 held.until = until;
                 vec![Action::Start(Box::new(held.award.clone()), ended)]
@@ -287,6 +352,7 @@ impl Tenure {
         }
     }
 
+    /// A robot that never acted has nothing to halt, and nothing to tell: it had told nobody that it began.
     fn revoke(&mut self, epoch: Epoch, reason: Ending) -> Vec<Action> {
         match self.held.take_if(|held| held.award.epoch == epoch) {
             Some(held) if held.phase == Phase::Heard => vec![],
@@ -311,7 +377,7 @@ impl Tenure {
                 held.phase = Phase::Suspended;
                 vec![Action::Suspend]
             }
-            Phase::Suspended => vec![],
+            Phase::Suspended | Phase::Recalled => vec![],
         }
     }
 }
@@ -376,7 +442,7 @@ mod tests {
             role: role.clone(),
             robot: RobotId::new("ada").unwrap(),
             epoch: Epoch { term: 1, index },
-            plan: LocalPlan { role, steps: vec![] },
+            plan: LocalPlan::of(role, vec![]),
             holders: BTreeMap::new(),
         }
     }
@@ -428,6 +494,87 @@ mod tests {
     }
 
     #[test]
+    fn what_comes_under_an_older_epoch_changes_nothing() {
+        let old = Epoch { term: 1, index: 4 };
+        let acting = || {
+            let mut ada = tenure();
+            ada.handle(Event::Heard(Box::new(award(5))), at(0));
+            ada.handle(renewed(5, 0), at(1));
+            ada
+        };
+        let suspended = || {
+            let mut ada = acting();
+            assert_eq!(ada.handle(Event::Tick, at(4000)), [Action::Suspend]);
+            ada
+        };
+        let recalled = || Tenure::restore(RobotId::new("ada").unwrap(), LeaseTerms::default(), award(5));
+        for (name, make) in
+            [("acting", &acting as &dyn Fn() -> Tenure), ("suspended", &suspended), ("recalled", &recalled)]
+        {
+            let events = [
+                Event::Heard(Box::new(award(4))),
+                renewed(4, 4000),
+                Event::Revoked { epoch: old, reason: Ending::Released },
+                Event::Settled { epoch: old },
+            ];
+            for event in events {
+                let mut ada = make();
+                let (acts, held_up, until) = (ada.may_act(at(2000)), ada.is_suspended(), ada.until());
+                assert_eq!(ada.handle(event.clone(), at(4001)), [], "{name}: {event:?}");
+                assert_eq!(ada.award().map(|award| award.epoch.index), Some(5), "{name}: {event:?}");
+                assert_eq!((ada.may_act(at(2000)), ada.is_suspended(), ada.until()), (acts, held_up, until), "{name}");
+            }
+        }
+    }
+
+    #[test]
+    fn a_robot_that_never_acted_has_nothing_to_halt() {
+        let mut ada = tenure();
+        ada.handle(Event::Heard(Box::new(award(5))), at(0));
+        assert_eq!(
+            ada.handle(Event::Revoked { epoch: Epoch { term: 1, index: 5 }, reason: Ending::Canceled }, at(1)),
+            []
+        );
+        assert_eq!(ada.award(), None);
+        assert_eq!(ada.handle(renewed(5, 0), at(2)), [], "the word that it no longer holds it was faster");
+    }
+
+    /// Whether, at any instant, the old holder may act while a later coordinator finds its lease over. The robot and the
+    /// coordinator that answered it have the slowest clocks; the other's counts `1 + drift` times as fast, and it took over
+    /// as early as it could. A robot is at rest `reaction` after the end of its lease.
+    fn overlaps(terms: LeaseTerms, drift: f64, reaction: Duration) -> bool {
+        let (epoch, robot) = (Epoch { term: 1, index: 5 }, RobotId::new("ada").unwrap());
+        let (mut ada, mut watch) = (Tenure::new(robot.clone(), terms), Watch::new(terms));
+        let slow = |us: u64| NodeTime::at(Duration::from_micros(us));
+        let fast = |us: u64| NodeTime::at(Duration::from_micros(us).mul_f64(1.0 + drift));
+        let answered = u64::try_from(terms.leadership_age_max().as_micros()).unwrap();
+        watch.meet(epoch, &robot, fast(0));
+        ada.handle(Event::Heard(Box::new(award(5))), slow(answered));
+        ada.handle(Event::Renewed { epoch, sent: slow(answered), ended: BTreeSet::new() }, slow(answered));
+        let reaction = u64::try_from(reaction.as_micros()).unwrap();
+        let instants = (0..20_000_000).step_by(1_000);
+        let mut both =
+            instants.filter(|us| ada.may_act(slow(us - reaction.min(*us))) && watch.is_over(epoch, &robot, fast(*us)));
+        both.next().is_some()
+    }
+
+    #[test]
+    fn clocks_that_drift_within_the_bound_never_let_two_act_and_beyond_it_they_do() {
+        let seconds = Duration::from_secs_f64;
+        let default = LeaseTerms::default();
+        assert!((default.drift_max(seconds(0.5)) - 1.0 / 11.0).abs() < 1e-12);
+        for terms in [default, LeaseTerms { lease: seconds(10.0), grace: seconds(3.0) }] {
+            for reaction in [0.0, 0.25, 0.5].map(seconds) {
+                let bound = terms.drift_max(reaction);
+                assert!(!overlaps(terms, bound, reaction), "{terms:?} {bound}");
+                assert!(overlaps(terms, bound + 0.01, reaction), "{terms:?}: the bound is tight");
+                assert!(overlaps(terms, 1.0, reaction), "{terms:?}");
+            }
+        }
+        assert_eq!(default.drift_max(seconds(1.5)), 0.0, "the grace does not even cover the reaction");
+    }
+
+    #[test]
     fn a_newer_award_of_the_same_role_replaces_the_old_one() {
         let mut ada = tenure();
         ada.handle(Event::Heard(Box::new(award(5))), at(0));
@@ -445,6 +592,29 @@ mod tests {
         ada.handle(Event::Settled { epoch: Epoch { term: 1, index: 5 } }, at(2));
         assert_eq!(ada.handle(Event::Heard(Box::new(award(5))), at(3)), []);
         assert_eq!(ada.award(), None);
+    }
+
+    #[test]
+    fn an_award_of_a_former_life_waits_for_the_coordinators_word_however_long_that_takes() {
+        let recalled = || Tenure::restore(RobotId::new("ada").unwrap(), LeaseTerms::default(), award(5));
+        let mut ada = recalled();
+        assert_eq!(ada.handle(Event::Tick, at(60_000)), []);
+        assert!(!ada.may_act(at(0)) && ada.until().is_none());
+        assert_eq!(ada.award().map(|award| award.epoch), Some(Epoch { term: 1, index: 5 }));
+        let actions = ada.handle(renewed(5, 60_000), at(60_010));
+        assert_eq!(actions, [Action::Start(Box::new(award(5)), BTreeSet::new())]);
+        assert!(ada.may_act(at(60_010)));
+
+        let mut ada = recalled();
+        let revoked = Event::Revoked { epoch: Epoch { term: 1, index: 5 }, reason: Ending::Released };
+        assert_eq!(ada.handle(revoked, at(10)), [Action::Halt(Ending::Released)]);
+        assert_eq!(ada.award(), None);
+
+        let mut ada = recalled();
+        assert!(matches!(ada.consider(&award(4)), Err(Declined::Stale { .. })));
+        assert_eq!(ada.handle(Event::Heard(Box::new(award(5))), at(1)), [Action::Report]);
+        let actions = ada.handle(Event::Heard(Box::new(award(6))), at(2));
+        assert_eq!(actions, [Action::Halt(Ending::Replaced), Action::Report]);
     }
 
     #[test]

@@ -15,9 +15,9 @@
 //!
 //! From `wire/beacon` on, what is published or asked is [`Within`] a cluster.
 
-use crate::ids::{ClusterId, MissionId, NodeId, RobotId, RoleId, TaskId};
+use crate::ids::{ClusterId, MissionId, NodeId, PlaceId, RobotId, RoleId, TaskId};
 use crate::knowledge::{Digest, Record};
-use crate::lease::{Award, Declined, Ending, Epoch};
+use crate::lease::{Award, Declined, Ending, Epoch, Holding};
 use crate::plan::{LocalPlan, Signal, StepIndex};
 use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, BTreeSet};
@@ -95,17 +95,42 @@ pub struct Report {
     pub ended: BTreeSet<StepIndex>,
     /// What it is at, to show.
     pub at: Option<TaskId>,
-    /// The task that failed for good, if one did.
+    /// Where the robot is, if it knows: where to look for what it carries, should it be lost.
+    pub place: Option<PlaceId>,
+    /// Whether this life of the node took the plan up from what the former one had written down. A life that did not knows
+    /// nothing of the plan.
+    pub resumes: bool,
+    /// Why the role cannot be carried to its end, if so.
     pub failure: Option<TaskFailure>,
 }
 
-/// A task that failed for good.
+/// A role that its holder cannot carry to its end, after all that it could try by itself.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct TaskFailure {
-    /// Which.
-    pub task: TaskId,
+    /// The task that failed for good, if it is one task's fault.
+    pub task: Option<TaskId>,
     /// Why, in words.
     pub cause: String,
+    /// What kind of failure it is.
+    pub kind: FailureKind,
+}
+
+/// Why a holder gives up.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum FailureKind {
+    /// The task's skill failed as often as it was to be tried, and no alternative was left.
+    Task,
+    /// The task's skill crashed.
+    Crash,
+    /// The task came to no end and made no progress.
+    NoProgress,
+    /// The battery will not last for the rest of the plan.
+    Battery,
+    /// The robot leaves the fleet.
+    Leaving,
+    /// The plan cannot be taken up.
+    Plan,
 }
 
 /// What the coordinator says to a report. What was reported is in the ledger before anything but `NotCoordinator` is said.
@@ -118,7 +143,7 @@ pub enum ReportAnswer {
         /// Steps that the ledger knows as ended.
         ended: BTreeSet<StepIndex>,
         /// Who holds the mission's managed roles now.
-        holders: BTreeMap<RoleId, RobotId>,
+        holders: BTreeMap<RoleId, Holding>,
     },
     /// The role is no longer the reporter's, or has been carried out.
     Ended {
@@ -126,6 +151,8 @@ pub enum ReportAnswer {
         epoch: Epoch,
         /// Why.
         reason: Ending,
+        /// The award of this role that is now in force, if there is one.
+        current: Option<Epoch>,
     },
     /// This node does not coordinate, or cannot be sure that it still does.
     NotCoordinator {
@@ -144,7 +171,7 @@ pub struct LivePlan {
     /// Steps that the ledger knows as ended.
     pub ended: BTreeSet<StepIndex>,
     /// Who holds the managed roles.
-    pub holders: BTreeMap<RoleId, RobotId>,
+    pub holders: BTreeMap<RoleId, Holding>,
 }
 
 /// Missions under way have changed: somebody who follows them should ask again.

@@ -7,13 +7,18 @@ use consort_protocol::auction::{
 use consort_protocol::codec::{LIMIT, decode, encode};
 use consort_protocol::ids::{ClusterId, MissionId, NodeId, PlaceId, RequestId, RobotId, RoleId, TaskId, TaskType};
 use consort_protocol::knowledge::{Availability, Digest, Knowledge, Record, Stamp, Worker};
-use consort_protocol::lease::{Award, Declined, Ending, Epoch};
-use consort_protocol::ledger::{Command, Ledger, MissionState, Outcome, Refused, Submission};
-use consort_protocol::message::{
-    AwardAnswer, AwardNotice, Beacon, Changed, Exchange, LivePlan, Report, ReportAnswer, Said, TaskFailure, Within,
+use consort_protocol::lease::{Award, Declined, Ending, Epoch, Holding};
+use consort_protocol::ledger::{
+    Command, Ledger, MissionState, Outcome, Priority, Recovery, Refused, Stranded, Submission,
 };
-use consort_protocol::mission::{Body, Method, Mission, Order, Role, RoleKind, TaskNode, TaskSpec};
-use consort_protocol::plan::{Division, LocalPlan, Signal, SignalKind, Step, StepAction};
+use consort_protocol::message::{
+    AwardAnswer, AwardNotice, Beacon, Changed, Exchange, FailureKind, LivePlan, Report, ReportAnswer, Said,
+    TaskFailure, Within,
+};
+use consort_protocol::mission::{
+    Body, Method, Mission, OnLoss, Order, OtherMethod, Role, RoleKind, TaskNode, TaskSpec,
+};
+use consort_protocol::plan::{Alternative, Division, LocalPlan, Signal, SignalKind, Step, StepAction};
 use consort_protocol::pose::Pose;
 use consort_protocol::units::{BatteryShare, MetresPerSecond, Seconds, SharePerSecond};
 use proptest::collection::{btree_map, btree_set, vec};
@@ -21,6 +26,7 @@ use proptest::option;
 use proptest::prelude::*;
 use serde::Serialize;
 use serde::de::DeserializeOwned;
+use std::collections::BTreeMap;
 use std::fmt::Debug;
 
 fn name<T: TryFrom<String, Error: Debug> + Debug>() -> impl Strategy<Value = T> {
@@ -52,8 +58,18 @@ fn seconds() -> impl Strategy<Value = Seconds> {
 }
 
 fn spec() -> impl Strategy<Value = TaskSpec> {
-    (name(), vec(name(), 1..3), btree_map(text(), text(), 0..3), btree_map(text(), text(), 0..2))
-        .prop_map(|(task_type, roles, parameters, reaches)| TaskSpec { task_type, roles, parameters, reaches })
+    let items = (btree_map(name(), name(), 0..2), btree_set(name(), 0..2), any::<u8>());
+    (name(), vec(name(), 1..3), btree_map(text(), text(), 0..3), btree_map(text(), text(), 0..2), items).prop_map(
+        |(task_type, roles, parameters, reaches, (acquires, releases, attempts))| TaskSpec {
+            task_type,
+            roles,
+            parameters,
+            reaches,
+            acquires,
+            releases,
+            attempts,
+        },
+    )
 }
 
 fn signal() -> impl Strategy<Value = Signal> {
@@ -70,18 +86,28 @@ fn plan() -> impl Strategy<Value = LocalPlan> {
         signal().prop_map(StepAction::Wait),
     ];
     let step = (action, vec(any::<u32>(), 0..3)).prop_map(|(action, after)| Step { action, after });
-    (name(), vec(step, 0..6)).prop_map(|(role, steps)| LocalPlan { role, steps })
+    let other = (btree_set(any::<u32>(), 0..3), vec((name(), spec()), 0..2))
+        .prop_map(|(replaces, tasks)| Alternative { replaces, tasks });
+    (name(), vec(step, 0..6), vec(other, 0..2), btree_set(any::<u32>(), 0..3))
+        .prop_map(|(role, steps, alternatives, guarded)| LocalPlan { role, steps, alternatives, guarded })
 }
 
 fn mission() -> impl Strategy<Value = Mission> {
     let kind = prop_oneof![Just(RoleKind::Managed), Just(RoleKind::Unmanaged)];
+    let on_loss = prop_oneof![Just(OnLoss::Fail), Just(OnLoss::Restart)];
     let order = prop_oneof![Just(Order::Sequential), Just(Order::Unordered)];
+    let other = vec((name(), spec()), 0..2).prop_map(|tasks| OtherMethod { tasks });
     let body = prop_oneof![
         spec().prop_map(Body::Elementary),
-        (order, vec(any::<u32>(), 0..4)).prop_map(|(order, children)| Body::Abstract(Method { order, children })),
+        (order, vec(any::<u32>(), 0..4), vec(other, 0..2))
+            .prop_map(|(order, children, alternatives)| { Body::Abstract(Method { order, children, alternatives }) }),
     ];
     let node = (name(), body).prop_map(|(id, body)| TaskNode { id, body });
-    (name(), btree_map(name(), kind.prop_map(|kind| Role { kind }), 0..4), vec(node, 0..6))
+    (
+        name(),
+        btree_map(name(), (kind, on_loss).prop_map(|(kind, on_loss)| Role { kind, on_loss }), 0..4),
+        vec(node, 0..6),
+    )
         .prop_map(|(name, roles, tasks)| Mission { name, roles, tasks })
 }
 
@@ -157,6 +183,8 @@ fn reason() -> impl Strategy<Value = RefusalReason> {
         text().prop_map(|problem| RefusalReason::OutOfService { problem }),
         (name(), text()).prop_map(|(ensemble, why)| RefusalReason::NotMember { ensemble, why }),
         any::<u64>().prop_map(|window_ms| RefusalReason::Silent { window_ms }),
+        (name(), name()).prop_map(|(item, mission)| RefusalReason::HandsFull { item, mission }),
+        text().prop_map(|cause| RefusalReason::Excluded { cause }),
     ]
 }
 
@@ -188,8 +216,21 @@ fn auction_record() -> impl Strategy<Value = AuctionRecord> {
 
 fn submission() -> impl Strategy<Value = Submission> {
     let division = btree_map(name(), plan(), 0..3).prop_map(|plans| Division { plans });
-    (name::<RequestId>(), mission(), division, btree_map(text(), text(), 0..3), any::<u64>()).prop_map(
-        |(request, mission, division, parameters, at_ms)| Submission { request, mission, division, parameters, at_ms },
+    let division = division.boxed();
+    let recovery = (mission(), division.clone()).prop_map(|(mission, division)| Recovery { mission, division });
+    let priority = (-100i64..=100).prop_map(|number| Priority::new(number).expect("a priority"));
+    let how = (option::of(recovery), priority, option::of(any::<u64>()));
+    (name::<RequestId>(), mission(), division, btree_map(text(), text(), 0..3), how, any::<u64>()).prop_map(
+        |(request, mission, division, parameters, (recovery, priority, deadline_ms), at_ms)| Submission {
+            request,
+            mission,
+            division,
+            parameters,
+            recovery,
+            priority,
+            deadline_ms,
+            at_ms,
+        },
     )
 }
 
@@ -201,8 +242,8 @@ fn command() -> impl Strategy<Value = Command> {
         (name(), btree_map(name(), name(), 0..3), auction_record())
             .prop_map(|(mission, holders, auction)| Command::Award { mission, holders, auction }),
         (name(), auction_record()).prop_map(|(mission, auction)| Command::Defer { mission, auction }),
-        (held(), any::<u64>()).prop_map(|((mission, role, epoch), incarnation)| {
-            Command::Accept { mission, role, epoch, incarnation }
+        (held(), any::<u64>(), any::<bool>()).prop_map(|((mission, role, epoch), incarnation, resumes)| {
+            Command::Accept { mission, role, epoch, incarnation, resumes }
         }),
         (held(), btree_set(any::<u32>(), 0..5)).prop_map(|((mission, role, epoch), ended)| Command::Progress {
             mission,
@@ -210,10 +251,29 @@ fn command() -> impl Strategy<Value = Command> {
             epoch,
             ended
         }),
-        (held(), text()).prop_map(|((mission, role, epoch), cause)| Command::Release { mission, role, epoch, cause }),
-        (name(), text()).prop_map(|(mission, cause)| Command::Fail { mission, cause }),
-        (name(), text()).prop_map(|(mission, by)| Command::Cancel { mission, by }),
+        (held(), text(), any::<bool>(), option::of(place())).prop_map(
+            |((mission, role, epoch), cause, blamed, place)| Command::Release {
+                mission,
+                role,
+                epoch,
+                cause,
+                blamed,
+                place
+            }
+        ),
+        (name(), text(), places()).prop_map(|(mission, cause, places)| Command::Fail { mission, cause, places }),
+        (name(), text(), places()).prop_map(|(mission, by, places)| Command::Cancel { mission, by, places }),
+        (name(), text()).prop_map(|(mission, by)| Command::Rescued { mission, by }),
     ]
+}
+
+fn places() -> impl Strategy<Value = BTreeMap<RobotId, PlaceId>> {
+    btree_map(name(), place(), 0..3)
+}
+
+fn stranded() -> impl Strategy<Value = Stranded> {
+    (name(), name(), name(), option::of(place()), any::<bool>())
+        .prop_map(|(item, role, robot, place, certain)| Stranded { item, role, robot, place, certain })
 }
 
 fn outcome() -> impl Strategy<Value = Outcome> {
@@ -224,6 +284,15 @@ fn outcome() -> impl Strategy<Value = Outcome> {
         (name(), text()).prop_map(|(mission, cause)| {
             Outcome::Refused(Refused::Over { mission, state: MissionState::Failed { cause } })
         }),
+        (name(), text(), vec(stranded(), 0..3)).prop_map(|(mission, cause, items)| {
+            Outcome::Refused(Refused::Over { mission, state: MissionState::NeedsRescue { cause, items } })
+        }),
+        (name(), name(), name()).prop_map(|(robot, item, mission)| Outcome::Refused(Refused::HandsFull {
+            robot,
+            item,
+            mission
+        })),
+        (name(), text()).prop_map(|(mission, state)| Outcome::Refused(Refused::NoRescue { mission, state })),
         (name(), name(), option::of(epoch())).prop_map(|(mission, role, held)| Outcome::Refused(Refused::Epoch {
             mission,
             role,
@@ -233,11 +302,22 @@ fn outcome() -> impl Strategy<Value = Outcome> {
 }
 
 fn ending() -> impl Strategy<Value = Ending> {
-    prop_oneof![Just(Ending::Canceled), Just(Ending::Failed), Just(Ending::Over), Just(Ending::Replaced)]
+    prop_oneof![
+        Just(Ending::Canceled),
+        Just(Ending::Failed),
+        Just(Ending::Over),
+        Just(Ending::Replaced),
+        Just(Ending::Released),
+        Just(Ending::Rescue),
+    ]
+}
+
+fn holders() -> impl Strategy<Value = BTreeMap<RoleId, Holding>> {
+    btree_map(name(), (name(), epoch()).prop_map(|(robot, epoch)| Holding { robot, epoch }), 0..3)
 }
 
 fn notice() -> impl Strategy<Value = AwardNotice> {
-    let award = (name(), name(), name(), epoch(), plan(), btree_map(name(), name(), 0..3))
+    let award = (name(), name(), name(), epoch(), plan(), holders())
         .prop_map(|(mission, role, robot, epoch, plan, holders)| Award { mission, role, robot, epoch, plan, holders });
     prop_oneof![
         award.prop_map(|award| AwardNotice::Awarded(Box::new(award))),
@@ -255,10 +335,19 @@ fn award_answer() -> impl Strategy<Value = AwardAnswer> {
 }
 
 fn report() -> impl Strategy<Value = Report> {
-    let failure = (name(), text()).prop_map(|(task, cause)| TaskFailure { task, cause });
+    let kind = prop_oneof![
+        Just(FailureKind::Task),
+        Just(FailureKind::Crash),
+        Just(FailureKind::NoProgress),
+        Just(FailureKind::Battery),
+        Just(FailureKind::Leaving),
+        Just(FailureKind::Plan),
+    ];
+    let failure = (option::of(name()), text(), kind).prop_map(|(task, cause, kind)| TaskFailure { task, cause, kind });
     let who = (name::<RobotId>(), any::<u64>(), name(), name(), epoch());
-    (who, btree_set(any::<u32>(), 0..5), option::of(name::<TaskId>()), option::of(failure)).prop_map(
-        |((robot, incarnation, mission, role, epoch), ended, at, failure)| Report {
+    let how = (option::of(place()), any::<bool>(), option::of(failure));
+    (who, btree_set(any::<u32>(), 0..5), option::of(name::<TaskId>()), how).prop_map(
+        |((robot, incarnation, mission, role, epoch), ended, at, (place, resumes, failure))| Report {
             robot,
             incarnation,
             mission,
@@ -266,6 +355,8 @@ fn report() -> impl Strategy<Value = Report> {
             epoch,
             ended,
             at,
+            place,
+            resumes,
             failure,
         },
     )
@@ -273,9 +364,16 @@ fn report() -> impl Strategy<Value = Report> {
 
 fn report_answer() -> impl Strategy<Value = ReportAnswer> {
     prop_oneof![
-        (epoch(), btree_set(any::<u32>(), 0..5), btree_map(name(), name(), 0..3))
-            .prop_map(|(epoch, ended, holders)| ReportAnswer::Renewed { epoch, ended, holders }),
-        (epoch(), ending()).prop_map(|(epoch, reason)| ReportAnswer::Ended { epoch, reason }),
+        (epoch(), btree_set(any::<u32>(), 0..5), holders()).prop_map(|(epoch, ended, holders)| ReportAnswer::Renewed {
+            epoch,
+            ended,
+            holders
+        }),
+        (epoch(), ending(), option::of(epoch())).prop_map(|(epoch, reason, current)| ReportAnswer::Ended {
+            epoch,
+            reason,
+            current
+        }),
         option::of(name()).prop_map(|coordinator| ReportAnswer::NotCoordinator { coordinator }),
     ]
 }
@@ -333,7 +431,7 @@ proptest! {
     fn what_roles_and_coordinators_say_survives(
         mission in name::<MissionId>(), epoch in epoch(), signals in btree_set(signal(), 0..4), node in name::<NodeId>(),
         term in any::<u64>(), voters in btree_set(name::<NodeId>(), 0..4), plan in plan(),
-        ended in btree_set(any::<u32>(), 0..4), holders in btree_map(name(), name(), 0..3)
+        ended in btree_set(any::<u32>(), 0..4), holders in holders()
     ) {
         survives(&Within { cluster: Some(ClusterId(term)), said: vec![1, 2, 3] })?;
         survives(&Said { mission: mission.clone(), epoch, signals })?;

@@ -83,6 +83,15 @@ impl SkillLibrary {
         library
     }
 
+    /// The trees of the skills that come with Consort, by task type: to build others on.
+    pub fn shipped() -> BTreeMap<TaskType, TreeSpec> {
+        let tree = |skill: &crate::skill::Shipped| {
+            let task_type = TaskType::new(skill.task_type).expect("the names of our own skills are slugs");
+            (task_type, read_xml(&format!("{}.xml", skill.task_type), skill.xml).expect("our own trees load"))
+        };
+        SHIPPED.iter().map(tree).collect()
+    }
+
     /// Adds a skill, in place of any for the same task type. The task's parameters are set on the keys of the main
     /// tree that bear their names; a key that the tree reads and nothing writes is a parameter the task must have.
     ///

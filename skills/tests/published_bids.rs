@@ -30,12 +30,8 @@ fn tell(note: &str) {
 
 fn task(id: &str, task_type: &str, parameters: &[(&str, &str)]) -> StepAction {
     let parameters = parameters.iter().map(|(name, value)| (name.to_string(), value.to_string())).collect();
-    let spec = TaskSpec {
-        task_type: TaskType::new(task_type).unwrap(),
-        roles: vec![RoleId::new("r1").unwrap()],
-        parameters,
-        reaches: [].into(),
-    };
+    let spec =
+        TaskSpec { parameters, ..TaskSpec::of(TaskType::new(task_type).unwrap(), vec![RoleId::new("r1").unwrap()]) };
     StepAction::Task { id: TaskId::new(id).unwrap(), spec }
 }
 
@@ -63,7 +59,7 @@ fn plan(room: &str) -> LocalPlan {
     ];
     let step =
         |(index, action): (u32, StepAction)| Step { action, after: if index == 0 { vec![] } else { vec![index - 1] } };
-    LocalPlan { role: RoleId::new("r1").unwrap(), steps: (0..).zip(actions).map(step).collect() }
+    LocalPlan::of(RoleId::new("r1").unwrap(), (0..).zip(actions).map(step).collect())
 }
 
 fn close(ours: f64, theirs: f64) -> bool {
@@ -99,6 +95,7 @@ fn robot<'s>(scenario: &'s Value, name: &Value) -> &'s Value {
 
 fn context(robot: &Value) -> Context {
     Context {
+        pose: None,
         place: PlaceId::new(robot["location"].as_str().unwrap()).unwrap(),
         speed: MetresPerSecond::new(robot["avg_speed"].as_f64().unwrap()).unwrap(),
         discharge: SharePerSecond::new(robot["battery_discharge_rate"].as_f64().unwrap()).unwrap(),

@@ -92,7 +92,12 @@ impl Scene {
     fn conclude(&self, tenders: &[Tender]) -> Conclusion {
         let taken = BTreeMap::new();
         let (expected, limits) = (&self.expected, &self.limits);
-        conclude(&self.call, tenders, &Circumstances { expected, taken: &taken, limits, window_ms: 200, at_ms: 0 })
+        let excluded = BTreeMap::new();
+        conclude(
+            &self.call,
+            tenders,
+            &Circumstances { expected, taken: &taken, excluded: &excluded, limits, window_ms: 200, at_ms: 0 },
+        )
     }
 
     /// The estimates and the choice alone.
@@ -101,7 +106,7 @@ impl Scene {
         let bid = |(robot, circumstance): (&RobotId, &Circumstance<'_>)| {
             let worker = circumstance.worker;
             let (place, speed, discharge) = (worker.place.clone(), worker.speed?, worker.discharge);
-            let parts = self.estimator.price(plan, &Context { place, speed, discharge }).ok()?;
+            let parts = self.estimator.price(plan, &Context { place, pose: None, speed, discharge }).ok()?;
             let energy: f64 = parts.iter().map(|part| part.energy).sum();
             let bid = Bid {
                 robot: robot.clone(),

@@ -1,11 +1,18 @@
 //! All that happened in a fleet, as each node told it at its own place: faults between nodes hide nothing.
 
+use consort_actors::observe::Observer;
+use consort_actors::replica::Reign;
+use consort_protocol::codec;
 use consort_protocol::event::{Event, Happening};
 use consort_protocol::ids::{MissionId, NodeId, RobotId, RoleId};
+use consort_protocol::lease::Epoch;
+use consort_protocol::ledger::Command;
 use std::collections::BTreeMap;
+use std::hash::{DefaultHasher, Hasher};
 use std::sync::{Arc, Mutex, MutexGuard};
 use std::time::Duration;
 use tokio::sync::watch;
+use tokio::time::Instant;
 
 /// Something that happened, or that the test did to a node.
 #[derive(Debug, Clone, PartialEq)]
@@ -19,6 +26,33 @@ pub enum Entry {
         /// What.
         what: &'static str,
     },
+    /// What a node believes of who leads has changed.
+    Believes {
+        /// Which node.
+        node: NodeId,
+        /// Its term.
+        term: u64,
+        /// Whether it leads itself, and in which reign.
+        leads: Option<Reign>,
+    },
+    /// A client's request was acknowledged.
+    Acknowledged {
+        /// The client.
+        node: NodeId,
+        /// The request.
+        request: String,
+        /// The mission that it stands for.
+        mission: MissionId,
+    },
+    /// A node's copy of the ledger took in an entry.
+    Applied {
+        /// Which node.
+        node: NodeId,
+        /// The entry's place.
+        at: Epoch,
+        /// A digest of its command; `None` for an entry of Raft's own.
+        digest: Option<u64>,
+    },
 }
 
 impl Entry {
@@ -26,7 +60,7 @@ impl Entry {
     pub fn happening(&self) -> Option<&Happening> {
         match self {
             Entry::Told(event) => Some(&event.what),
-            Entry::Done { .. } => None,
+            _ => None,
         }
     }
 
@@ -34,7 +68,10 @@ impl Entry {
     pub fn node(&self) -> &NodeId {
         match self {
             Entry::Told(event) => &event.node,
-            Entry::Done { node, .. } => node,
+            Entry::Done { node, .. }
+            | Entry::Believes { node, .. }
+            | Entry::Acknowledged { node, .. }
+            | Entry::Applied { node, .. } => node,
         }
     }
 }
@@ -42,17 +79,24 @@ impl Entry {
 /// The record; clones are one.
 #[derive(Clone)]
 pub struct Chronicle {
+    started: Instant,
     entries: Arc<Mutex<Vec<(Duration, Entry)>>>,
     grown: watch::Sender<usize>,
 }
 
 impl Chronicle {
     pub(crate) fn new() -> Chronicle {
-        Chronicle { entries: Arc::default(), grown: watch::Sender::new(0) }
+        Chronicle { started: Instant::now(), entries: Arc::default(), grown: watch::Sender::new(0) }
     }
 
-    pub(crate) fn add(&self, at: Duration, entry: Entry) {
-        self.lock().push((at, entry));
+    /// How long it has been kept, in virtual time.
+    pub(crate) fn elapsed(&self) -> Duration {
+        self.started.elapsed()
+    }
+
+    /// Adds what has just happened.
+    pub(crate) fn add(&self, entry: Entry) {
+        self.lock().push((self.elapsed(), entry));
         self.grown.send_modify(|count| *count += 1);
     }
 
@@ -67,6 +111,11 @@ impl Chronicle {
     /// Everything, in order.
     pub fn entries(&self) -> Vec<(Duration, Entry)> {
         self.lock().clone()
+    }
+
+    /// What was added after the first `count` entries, in order.
+    pub fn since(&self, count: usize) -> Vec<(Duration, Entry)> {
+        self.lock().get(count..).map_or(vec![], <[_]>::to_vec)
     }
 
     /// How much there is.
@@ -93,15 +142,25 @@ impl Chronicle {
 
     /// Everything, a line each, for a person who looks for the reason.
     pub fn tale(&self) -> String {
+        let told = |entry: &Entry| !matches!(entry, Entry::Believes { .. });
+        self.tale_of(told).into_iter().map(|(_, line)| line + "\n").collect()
+    }
+
+    /// What of it is worth telling, with its time.
+    pub fn tale_of(&self, told: impl Fn(&Entry) -> bool) -> Vec<(Duration, String)> {
         let line = |(at, entry): &(Duration, Entry)| {
             let mut what = match entry {
                 Entry::Told(event) => format!("{:?}", event.what),
                 Entry::Done { what, .. } => format!("*** {what}"),
+                Entry::Acknowledged { request, mission, .. } => format!("*** {request} acknowledged as {mission}"),
+                Entry::Believes { term, leads: Some(reign), .. } => format!("leads in reign {reign} (term {term})"),
+                Entry::Believes { term, leads: None, .. } => format!("does not lead (term {term})"),
+                Entry::Applied { .. } => return None,
             };
             what.truncate(what.char_indices().nth(260).map_or(what.len(), |(index, _)| index));
-            format!("{:8.3} {:>8} {what}\n", at.as_secs_f64(), entry.node().to_string())
+            Some((*at, format!("{:8.3} {:>8} {what}", at.as_secs_f64(), entry.node().to_string())))
         };
-        self.lock().iter().map(line).collect()
+        self.lock().iter().filter(|(_, entry)| told(entry)).filter_map(line).collect()
     }
 
     /// By task of a mission: at which nodes it was begun, and at which it ended well, in order.
@@ -151,10 +210,25 @@ impl Chronicle {
                         spell.to = Some(*at);
                     }
                 }
-                Entry::Done { .. } => {}
+                _ => {}
             }
         }
         spells
+    }
+}
+
+impl Observer for Chronicle {
+    fn told(&self, event: &Event) {
+        self.add(Entry::Told(event.clone()));
+    }
+
+    fn applied(&self, node: &NodeId, at: Epoch, command: Option<&Command>) {
+        let digest = command.map(|command| {
+            let mut hasher = DefaultHasher::new();
+            hasher.write(&codec::encode_record(command).expect("it was read from bytes"));
+            hasher.finish()
+        });
+        self.add(Entry::Applied { node: node.clone(), at, digest });
     }
 }
 

@@ -4,16 +4,16 @@ use crate::chronicle::{Chronicle, Entry};
 use crate::member::Member;
 use crate::slug;
 use consort_actors::autopilot;
-use consort_actors::bus::{Bus, LinkModel, VirtualBus, VirtualNetwork};
+use consort_actors::bus::{LinkModel, VirtualBus, VirtualNetwork};
 use consort_actors::clock::Clock;
 use consort_actors::node::{FleetSettings, HostPart, NodeHandle, NodeSettings, RobotPart};
 use consort_actors::store::Store;
 use consort_actors::timing::Timing;
 use consort_protocol::auction::Limits;
 use consort_protocol::ensemble::{Ensemble, EnsembleSpec};
-use consort_protocol::event::{Event, Happening};
+use consort_protocol::event::Happening;
 use consort_protocol::ids::{EnsembleId, FleetId, NodeId, TaskType};
-use consort_protocol::keys::{Key, Keys};
+use consort_protocol::keys::Keys;
 use consort_protocol::lease::LeaseTerms;
 use consort_protocol::mission::Domain;
 use consort_sim::map::{self, Map};
@@ -24,6 +24,7 @@ use consort_skills::library::SkillLibrary;
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 use std::time::Duration;
+use tokio::task::AbortHandle;
 use tokio::time::Instant;
 
 /// The fleet.
@@ -43,9 +44,16 @@ pub struct Fleet {
     pub(crate) client: VirtualBus,
     /// What happened in the world, as far as it was looked at.
     pub(crate) journal: Vec<JournalEntry>,
-    started: Instant,
     lives: u64,
+    /// What the latest life of each node left behind.
+    stores: BTreeMap<String, Store>,
+    adjust: Adjust,
+    /// Those who write down what nodes believe.
+    followers: BTreeMap<String, AbortHandle>,
 }
+
+/// Changes what a node is to be, each time before it starts.
+pub type Adjust = Box<dyn FnMut(&mut NodeSettings)>;
 
 impl Fleet {
     /// The hospital with a nurse in each of the rooms named, an arm in the laboratory, and these mobile robots; a station
@@ -54,6 +62,17 @@ impl Fleet {
     /// The first voters are up to five, an odd number: the arm and the stations before the mobile robots, and by name.
     /// The first of them by name founds the ledger and, as a rule, is the first to coordinate.
     pub async fn hospital(seed: u64, members: Vec<Member>, stations: &[&'static str], rooms: &[&'static str]) -> Fleet {
+        Fleet::adjusted_hospital(seed, members, stations, rooms, Box::new(|_| ())).await
+    }
+
+    /// The same, with nodes that are changed before they start.
+    pub async fn adjusted_hospital(
+        seed: u64,
+        members: Vec<Member>,
+        stations: &[&'static str],
+        rooms: &[&'static str],
+        adjust: Adjust,
+    ) -> Fleet {
         let mut all = members;
         if all.iter().all(|member| member.speed.is_some()) {
             all.push(Member::arm("lab-arm", "Laboratory"));
@@ -84,6 +103,7 @@ impl Fleet {
             limits: Limits::default(),
             terms: LeaseTerms::default(),
             window: Duration::from_millis(200),
+            stall_after: Duration::from_secs(15 * 60),
             bootstrap_expect: all.iter().filter(|member| !member.late).count() + stations.len(),
             timing: Timing::Lan,
             voters: autopilot::VOTERS,
@@ -101,13 +121,12 @@ impl Fleet {
             nodes: BTreeMap::new(),
             client,
             journal: vec![],
-            started: Instant::now(),
             lives: 0,
+            stores: BTreeMap::new(),
+            adjust,
+            followers: BTreeMap::new(),
         };
-        let host = HostPart { world: Box::new(world), speed: 10.0 };
-        let mut settings = fleet.node("world", false, None);
-        settings.host = Some(host);
-        fleet.start(settings).await;
+        fleet.start_world().await;
         for station in stations {
             fleet.start_station(station).await;
         }
@@ -118,14 +137,29 @@ impl Fleet {
         fleet
     }
 
-    /// Starts the node of a station, for the first time or again.
+    /// Starts the node that hosts the bodies and the people, for the first time or again. The world itself goes on in any
+    /// case.
+    pub async fn start_world(&mut self) {
+        let host = HostPart { world: Box::new(self.world.clone()), speed: 10.0 };
+        let settings = NodeSettings { host: Some(host), ..self.node("world", false, None) };
+        self.start(settings).await;
+    }
+
+    /// Starts the node of a station, for the first time or again with an empty memory.
     pub async fn start_station(&mut self, name: &str) {
+        self.stores.remove(name);
         let settings = self.node(name, true, None);
         self.start(settings).await;
     }
 
-    /// Starts a robot's node, for the first time or again.
+    /// Starts a robot's node, for the first time or again with an empty memory.
     pub async fn start_robot(&mut self, name: &'static str) {
+        self.stores.remove(name);
+        self.restart(name).await;
+    }
+
+    /// Starts a robot's node again with what its former life had written down.
+    pub async fn restart(&mut self, name: &'static str) {
         let member = self.members.get(name).expect("a robot of this fleet").clone();
         let robot = self.world.with(|world| {
             let map = world.map();
@@ -141,7 +175,8 @@ impl Fleet {
             }
         });
         let settings = self.node(name, true, Some(robot));
-        self.start(settings).await;
+        let clock = settings.clock.drifting(member.clock_rate);
+        self.start(NodeSettings { clock, ..settings }).await;
     }
 
     fn node(&mut self, name: &str, may_vote: bool, robot: Option<RobotPart>) -> NodeSettings {
@@ -153,41 +188,79 @@ impl Fleet {
             node: slug(name),
             incarnation: self.lives,
             seed,
-            store: Store::in_memory(seed),
+            store: self.stores.entry(name.to_owned()).or_insert_with(|| Store::in_memory(seed)).clone(),
             clock: Clock::virtual_at(0),
             may_vote,
             stationary,
             mains_powered: stationary,
             robot,
             host: None,
+            observer: Some(Arc::new(self.chronicle.clone())),
         }
     }
 
-    async fn start(&mut self, settings: NodeSettings) {
+    async fn start(&mut self, mut settings: NodeSettings) {
+        (self.adjust)(&mut settings);
         let bus = Arc::new(self.network.bus(settings.node.clone()));
         let name = settings.node.to_string();
-        self.listen_at(&bus).await;
         let node = NodeHandle::start(settings, bus).await.expect("a virtual node starts");
         self.nodes.insert(name, node);
     }
 
-    /// Writes down what a node tells, where it tells it.
-    async fn listen_at(&self, bus: &VirtualBus) {
-        let mut heard = bus.subscribe(&self.keys.write(&Key::Events)).await.expect("a virtual bus");
-        let (chronicle, started, node) = (self.chronicle.clone(), self.started, bus.node().clone());
-        tokio::spawn(async move {
-            while let Some(sample) = heard.recv().await {
-                let event: Event = serde_json::from_slice(&sample.payload).expect("an event");
-                if event.node == node {
-                    chronicle.add(started.elapsed(), Entry::Told(event));
+    /// Writes down from now on what a node believes of who leads, until it ends.
+    pub(crate) fn follow_beliefs(&mut self, name: &str) {
+        let Some(replica) = self.nodes.get(name).and_then(|node| node.replica.as_ref()) else { return };
+        let (mut leadership, chronicle, node) = (replica.leadership(), self.chronicle.clone(), slug::<NodeId>(name));
+        let follower = tokio::spawn(async move {
+            let mut told = None;
+            loop {
+                let (term, leads) = {
+                    let now = leadership.borrow_and_update();
+                    (now.term, now.reign.filter(|_| now.is_me))
+                };
+                if told != Some((term, leads)) {
+                    told = Some((term, leads));
+                    chronicle.add(Entry::Believes { node: node.clone(), term, leads });
+                }
+                if leadership.changed().await.is_err() {
+                    return;
                 }
             }
         });
+        self.followers.insert(name.to_owned(), follower.abort_handle());
+    }
+
+    /// Whether a node is a robot's.
+    pub fn is_robot(&self, node: &NodeId) -> bool {
+        self.members.contains_key(node.as_str())
+    }
+
+    /// A bus of somebody who is no node.
+    pub fn client(&self) -> &VirtualBus {
+        &self.client
+    }
+
+    /// The fleet's keys.
+    pub fn keys(&self) -> &Keys {
+        &self.keys
+    }
+
+    /// What a robot has written down.
+    pub async fn notebook(&self, name: &str) -> Option<Vec<u8>> {
+        self.stores[name].notebook.read().await.expect("a notebook in memory")
+    }
+
+    /// Puts something else there while the robot is not running.
+    pub async fn forge_notebook(&self, name: &str, page: Vec<u8>) {
+        self.stores[name].notebook.write(Some(page)).await.expect("a notebook in memory");
     }
 
     /// Ends a node as SIGKILL would.
     pub async fn kill(&mut self, name: &str) {
-        self.chronicle.add(self.elapsed(), Entry::Done { node: slug(name), what: "killed" });
+        self.chronicle.add(Entry::Done { node: slug(name), what: "killed" });
+        if let Some(follower) = self.followers.remove(name) {
+            follower.abort();
+        }
         self.network.crash(&slug(name));
         self.nodes.remove(name).expect("a node that runs").kill().await;
     }
@@ -202,7 +275,7 @@ impl Fleet {
     /// Nodes that hear only one another, and whom nobody else hears, until the network is healed.
     pub fn cut_off(&self, names: &[&str]) {
         for name in names {
-            self.chronicle.add(self.elapsed(), Entry::Done { node: slug(name), what: "cut off" });
+            self.chronicle.add(Entry::Done { node: slug(name), what: "cut off" });
         }
         self.network.partition([names.iter().map(|name| slug(name)).collect::<Vec<NodeId>>()]);
     }
@@ -210,7 +283,7 @@ impl Fleet {
     /// Ends all faults of the network.
     pub fn heal(&self) {
         self.network.heal();
-        self.chronicle.add(self.elapsed(), Entry::Done { node: slug("client"), what: "all faults healed" });
+        self.chronicle.add(Entry::Done { node: slug("client"), what: "all faults healed" });
     }
 
     /// Lets virtual time pass until `done` says so. Looks whenever something happens, and every ten milliseconds.
@@ -261,7 +334,7 @@ impl Fleet {
 
     /// How long the fleet has run, in virtual time.
     pub fn elapsed(&self) -> Duration {
-        self.started.elapsed()
+        self.chronicle.elapsed()
     }
 
     /// Everything that happened, a line each, for a person who looks for the reason.

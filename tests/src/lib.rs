@@ -1,15 +1,17 @@
 //! Whole-fleet stories: the harness that they are told with.
 
+pub mod chaos;
 mod checks;
 mod chronicle;
 mod client;
+pub mod disk;
 mod fleet;
 mod look;
 mod member;
 mod stations;
 
 pub use chronicle::{Chronicle, Entry, Spell};
-pub use fleet::{Fleet, topology};
+pub use fleet::{Adjust, Fleet, topology};
 pub use member::Member;
 pub use stations::Stations;
 

@@ -4,6 +4,7 @@ use crate::{Fleet, slug};
 use consort_actors::node::NodeHandle;
 use consort_protocol::event::Happening;
 use consort_protocol::ids::{MissionId, NodeId, RobotId};
+use consort_protocol::knowledge::Worker;
 use consort_protocol::ledger::{Ledger, MissionState};
 use consort_sim::world::{JournalEntry, Keeper};
 use consort_skills::actions::BodyHost;
@@ -115,6 +116,12 @@ impl Fleet {
     pub fn tasks(&self, mission: &MissionId) -> BTreeMap<String, (usize, usize)> {
         let doers = self.chronicle.doers(mission);
         doers.into_iter().map(|(task, (began, ended))| (task, (began.len(), ended.len()))).collect()
+    }
+
+    /// What a node knows of a robot.
+    pub fn knowledge_of(&self, node: &str, robot: &NodeId) -> Option<Worker> {
+        let knowledge = &self.nodes.get(node)?.knowledge;
+        knowledge.read(|base| base.get(robot)?.record.knowledge.worker.clone())
     }
 
     /// Where a robot's body is, in metres.

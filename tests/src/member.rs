@@ -26,18 +26,42 @@ pub struct Member {
     pub trained: Option<fn(&mut SkillLibrary)>,
     /// Whether its node is started only when the test says so.
     pub late: bool,
+    /// How many times as fast as it admits its battery empties.
+    pub thirst: f64,
+    /// Seconds that its node's clock counts in one.
+    pub clock_rate: f64,
 }
 
 impl Member {
     /// A robot with a drawer, as lab samples need one.
     pub fn carrier(name: &'static str, place: &'static str) -> Member {
         let skills = vec!["navigation", "approach_person", "authenticate_person", "operate_drawer", "approach_robot"];
-        Member { name, place, speed: Some(0.6), battery: 0.9, skills, trained: None, late: false }
+        Member {
+            name,
+            place,
+            speed: Some(0.6),
+            battery: 0.9,
+            skills,
+            trained: None,
+            late: false,
+            thirst: 1.0,
+            clock_rate: 1.0,
+        }
     }
 
     /// An arm that takes samples out of drawers.
     pub fn arm(name: &'static str, place: &'static str) -> Member {
-        Member { name, place, speed: None, battery: 1.0, skills: vec!["pick_up"], trained: None, late: false }
+        Member {
+            name,
+            place,
+            speed: None,
+            battery: 1.0,
+            skills: vec!["pick_up"],
+            trained: None,
+            late: false,
+            thirst: 1.0,
+            clock_rate: 1.0,
+        }
     }
 
     /// The same robot with another speed, in metres per second.
@@ -65,13 +89,24 @@ impl Member {
         Member { late: true, ..self }
     }
 
+    /// The same robot with a battery that empties so many times as fast as its estimates reckon with.
+    pub fn thirsty(self, thirst: f64) -> Member {
+        Member { thirst, ..self }
+    }
+
+    /// The same robot, whose node's clock counts so many seconds in one.
+    pub fn with_clock(self, clock_rate: f64) -> Member {
+        Member { clock_rate, ..self }
+    }
+
     pub(crate) fn body(&self) -> RobotBody {
         let (id, place) = (slug(self.name), slug(self.place));
         match self.speed {
             Some(speed) => {
                 let speed = MetresPerSecond::new(speed).expect("a speed");
                 let battery = BatteryShare::new(self.battery).expect("a share");
-                RobotBody::carrier(id, place, speed, battery, self.discharge())
+                let discharge = SharePerSecond::new(self.discharge().get() * self.thirst).expect("a rate");
+                RobotBody::carrier(id, place, speed, battery, discharge)
             }
             None => RobotBody::arm(id, place),
         }

@@ -49,6 +49,7 @@ impl Stations {
             limits: Limits::default(),
             terms: LeaseTerms::default(),
             window: Duration::from_millis(200),
+            stall_after: Duration::from_secs(15 * 60),
             bootstrap_expect: expect,
             timing: Timing::Lan,
             voters: VOTERS,
@@ -114,6 +115,7 @@ impl Stations {
             mains_powered: fixed,
             robot: None,
             host: None,
+            observer: None,
         };
         let bus = Arc::new(self.network.bus(slug(name)));
         self.listen_at(&bus).await;
@@ -171,7 +173,7 @@ impl Stations {
         self.leaders().remove(0)
     }
 
-    /// Waits until `done`, looking every virtual millisecond. At no moment may two lead one cluster.
+    /// Waits until `done`, looking every two virtual milliseconds. At no moment may two lead one cluster.
     ///
     /// # Panics
     /// When it has not happened within two minutes, or two lead.
@@ -187,7 +189,7 @@ impl Stations {
                 self.happenings()
             );
             self.one_leader_per_cluster();
-            tokio::time::sleep(Duration::from_millis(1)).await;
+            tokio::time::sleep(Duration::from_millis(2)).await;
         }
     }
 

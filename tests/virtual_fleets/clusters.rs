@@ -37,7 +37,7 @@ fn missions(fleet: &Stations, names: &[&str]) -> Vec<Vec<String>> {
 
 #[test]
 fn two_that_were_founded_apart_do_not_merge_and_both_say_so() {
-    tell(1..5, async |seed| {
+    tell(1..3, async |seed| {
         let mut fleet = halves(seed).await;
         fleet.submit("basil", "of-one").await;
         fleet.submit("elder", "of-the-other").await;
@@ -95,7 +95,7 @@ fn a_node_that_hears_of_a_cluster_founds_none() {
 
 #[test]
 fn a_newcomer_that_two_clusters_court_belongs_to_one_of_them() {
-    tell(1..9, async |seed| {
+    tell(1..4, async |seed| {
         let mut fleet = halves(seed).await;
         fleet.network.heal();
         fleet.start("gorse").await;

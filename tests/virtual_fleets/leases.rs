@@ -1,11 +1,11 @@
 //! A role has one active holder at most, whatever the network does.
 
 use consort_protocol::event::Happening;
-use consort_protocol::ids::MissionId;
+use consort_protocol::ids::{MissionId, NodeId};
 use consort_protocol::lease::{Ending, LeaseTerms};
 use consort_sim::world::{Happening as InWorld, JournalEntry};
 use consort_skills::actions::Goal;
-use consort_tests::{Fleet, Member, tell};
+use consort_tests::{Fleet, Member, slug, tell};
 use std::time::Duration;
 
 const SEEDS: [u64; 3] = [81, 82, 83];
@@ -32,7 +32,15 @@ fn replaced(what: &Happening) -> bool {
 
 /// One of the two carriers is on its long way to the room, and has told nobody anything.
 async fn under_way(seed: u64) -> (Fleet, MissionId) {
-    let robots = vec![Member::carrier("fern", "Dock"), Member::carrier("gorse", "PC Room 8").at_speed(0.7)];
+    with_clocks(seed, 1.0, [0.6, 0.7]).await
+}
+
+/// The same; the clocks of the carriers count so many seconds in one, all others are right.
+async fn with_clocks(seed: u64, rate: f64, speeds: [f64; 2]) -> (Fleet, MissionId) {
+    let [fern, gorse] = speeds;
+    let robots =
+        [Member::carrier("fern", "Dock").at_speed(fern), Member::carrier("gorse", "PC Room 8").at_speed(gorse)];
+    let robots = robots.into_iter().map(|robot| robot.with_clock(rate)).collect();
     let mut fleet = Fleet::hospital(seed, robots, &["aster", "basil", "clove"], &[ROOM]).await;
     assert_eq!(fleet.coordinator().await.as_str(), "aster", "seed {seed}: who coordinates");
     let mission = fleet.submit("a", ROOM).await;
@@ -46,10 +54,11 @@ fn holder(fleet: &Fleet, mission: &MissionId) -> (String, String) {
     (holder, other.to_owned())
 }
 
-/// At no instant of the world did both carriers drive.
-fn never_two_driven(fleet: &Fleet) {
+/// Whether at some instant of the world both carriers drove, and when.
+fn two_drove(fleet: &Fleet) -> Option<String> {
     let mut driving: Vec<(String, u64)> = vec![];
     let mut drives = 0;
+    let mut clash = None;
     for JournalEntry { time, what } in fleet.journal() {
         match what {
             InWorld::GoalBegan { robot, id, goal: Goal::NavigateToPose { .. } } => {
@@ -60,14 +69,30 @@ fn never_two_driven(fleet: &Fleet) {
             _ => {}
         }
         let first = driving.first().map(|(robot, _)| robot);
-        assert!(
-            driving.iter().all(|(robot, _)| Some(robot) == first),
-            "seed {}: {driving:?} at {time:?}\n{}",
-            fleet.seed,
-            fleet.tale()
-        );
+        if driving.iter().any(|(robot, _)| Some(robot) != first) {
+            clash.get_or_insert_with(|| format!("{driving:?} at {time:?}"));
+        }
     }
     assert!(drives > 1, "seed {}: {drives} drives in the journal", fleet.seed);
+    clash
+}
+
+/// Only the host of its body hears a robot any more, so that nothing but its own lease stops it.
+fn leave_its_body_alone(fleet: &Fleet, robot: &str) {
+    for node in fleet.running().iter().filter(|node| **node != robot && *node != "world") {
+        let (robot, node) = (slug::<NodeId>(robot), slug::<NodeId>(node));
+        fleet.network.cut(robot.clone(), node.clone());
+        fleet.network.cut(node, robot);
+    }
+}
+
+/// How many goals the body of a robot has begun and ended, as the world's own journal says.
+fn goals_of(fleet: &Fleet, body: &str) -> (usize, usize) {
+    fleet.journal().iter().fold((0, 0), |(began, ended), entry| match &entry.what {
+        InWorld::GoalBegan { robot, .. } if robot.as_str() == body => (began + 1, ended),
+        InWorld::GoalEnded { robot, .. } if robot.as_str() == body => (began, ended + 1),
+        _ => (began, ended),
+    })
 }
 
 /// The holder suspends in time, the role goes to the other only afterwards, and only one ends the mission.
@@ -94,7 +119,7 @@ async fn replaced_in_time(fleet: &mut Fleet, mission: &MissionId, latest: Durati
     fleet.completes(mission).await;
     fleet.sample_delivered(ROOM);
     fleet.one_role_one_robot();
-    never_two_driven(fleet);
+    assert_eq!(two_drove(fleet), None, "seed {seed}\n{}", fleet.tale());
     let doers = &fleet.chronicle.doers(mission)["navto_room"];
     assert_eq!(*doers, (vec![old, new.clone()], vec![new]), "seed {seed}\n{}", fleet.tale());
 }
@@ -114,12 +139,7 @@ fn a_robot_that_still_reaches_its_body_stops_it_all_the_same() {
     tell(SEEDS, async |seed| {
         let (mut fleet, mission) = under_way(seed).await;
         let (old, _) = holder(&fleet, &mission);
-        // Only the host of its body hears it, so that nothing but its own lease stops it.
-        for node in fleet.running().iter().filter(|node| **node != old && *node != "world") {
-            let (old, node) = (old.parse().expect("a name"), node.parse().expect("a name"));
-            fleet.network.cut(Clone::clone(&old), Clone::clone(&node));
-            fleet.network.cut(node, old);
-        }
+        leave_its_body_alone(&fleet, &old);
         replaced_in_time(&mut fleet, &mission, LeaseTerms::default().lease).await;
     });
 }
@@ -152,5 +172,59 @@ fn a_coordinator_cut_off_with_a_holder_stops_renewing_its_lease() {
         assert_ne!(coordinator.as_str(), "aster", "seed {seed}");
         let down = fleet.chronicle.count(|what| matches!(what, Happening::SteppedDown { .. }));
         assert_eq!(down, 1, "seed {seed}: the former coordinator knows\n{}", fleet.tale());
+    });
+}
+
+/// How long a robot may take from the end of its lease until its body is at rest: its beat, and the crossing of the network
+/// to its body.
+const REACTION: Duration = Duration::from_millis(500);
+
+#[test]
+fn an_isolated_robots_body_is_at_rest_within_the_bound_on_drift_and_never_moves_before_it_was_confirmed() {
+    let terms = LeaseTerms::default();
+    let drift = terms.drift_max(REACTION);
+    for (seed, rate) in [(84, 1.0), (85, 1.0 / (1.0 + drift)), (86, 1.0 + drift)] {
+        tell([seed], async |seed| {
+            let (mut fleet, mission) = with_clocks(seed, rate, [0.6, 0.7]).await;
+            let (old, new) = holder(&fleet, &mission);
+            leave_its_body_alone(&fleet, &old);
+            let cut = fleet.elapsed();
+            let at_rest = |fleet: &Fleet| goals_of(fleet, &old).0 == goals_of(fleet, &old).1;
+            // Between two legs of its way it is at rest, too.
+            fleet.until("the suspension", SOON, |fleet| fleet.happened(suspended)).await;
+            fleet.until("its body to be at rest", SOON, at_rest).await;
+            let rested = fleet.elapsed() - cut;
+            let latest = terms.lease.mul_f64(1.0 + drift) + REACTION;
+            assert!(rested <= latest, "seed {seed}: at rest only after {rested:?}\n{}", fleet.tale());
+            assert!(!fleet.happened(released), "seed {seed}: given away before\n{}", fleet.tale());
+            let goals = goals_of(&fleet, &old);
+            fleet
+                .until("the other to be done with the room", SOON, |fleet| {
+                    let done = &fleet.chronicle.doers(&mission)["navto_room"].1;
+                    *done == [new.clone()]
+                })
+                .await;
+            assert_eq!(goals_of(&fleet, &old), goals, "seed {seed}: it never moved again\n{}", fleet.tale());
+            assert_eq!(two_drove(&fleet), None, "seed {seed}\n{}", fleet.tale());
+            fleet.heal();
+            fleet.completes(&mission).await;
+            fleet.sample_delivered(ROOM);
+            fleet.one_role_one_robot();
+        });
+    }
+}
+
+#[test]
+fn a_clock_far_beyond_the_bound_lets_two_drive_which_this_check_finds() {
+    tell([87], async |seed| {
+        let (mut fleet, mission) = with_clocks(seed, 0.3, [0.15, 0.16]).await;
+        let (old, new) = holder(&fleet, &mission);
+        leave_its_body_alone(&fleet, &old);
+        fleet
+            .until("the other to begin", SOON, |fleet| {
+                fleet.spells_of(&mission, "r1").last().is_some_and(|spell| spell.robot.as_str() == new)
+            })
+            .await;
+        fleet.until("two to drive", SOON, |fleet| two_drove(fleet).is_some()).await;
     });
 }

@@ -7,9 +7,9 @@ use bytes::Bytes;
 use consort_protocol::codec;
 use consort_protocol::ids::RobotId;
 use consort_protocol::keys::{BodyCall, Key, Keys};
-use consort_skills::actions::{Goal, GoalId, GoalStatus, RobotActions, Telemetry};
+use consort_skills::actions::{ActionError, ErrorCode, Goal, GoalId, GoalStatus, RobotActions, Telemetry};
 use ractor::{Actor, ActorCell, ActorProcessingErr, ActorRef};
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 use tokio::sync::watch;
@@ -48,6 +48,8 @@ struct Mirror {
     telemetry: Option<Telemetry>,
     /// When it was heard.
     heard_at: Option<Instant>,
+    /// Since when there is a mirror.
+    since: Instant,
     number: u64,
     goals: BTreeMap<GoalId, GoalStatus>,
     /// Orders that the host has not answered, in the order given.
@@ -103,6 +105,18 @@ impl Body {
     pub fn telemetry_age_ms(&self) -> u64 {
         let heard = self.lock().heard_at;
         heard.map_or(0, |at| u64::try_from(at.elapsed().as_millis()).unwrap_or(u64::MAX))
+    }
+
+    /// How long the body has reported nothing.
+    pub fn silent_for(&self) -> Duration {
+        let mirror = self.lock();
+        mirror.heard_at.unwrap_or(mirror.since).elapsed()
+    }
+
+    /// Whether the body has been heard of and has nothing under way, neither of this life of its driver nor of a former one.
+    pub fn is_at_rest(&self) -> bool {
+        let mirror = self.lock();
+        mirror.telemetry.is_some() && mirror.goals.values().all(GoalStatus::is_final)
     }
 
     /// Cancels every goal under way: the body stops safely.
@@ -172,19 +186,38 @@ impl Mirror {
         }
     }
 
-    fn take(&mut self, state: BodyState) {
+    /// Takes in what the host reports. True if there is something to order at once.
+    fn take(&mut self, state: BodyState) -> bool {
         if state.number <= self.number && self.number - state.number < 1 << 32 {
-            return; // overtaken by a later one; a number far below is a host that started anew
+            return false; // overtaken by a later one; a number far below is a host that started anew
         }
         self.number = state.number;
         self.telemetry = Some(state.telemetry);
         self.heard_at = Some(Instant::now());
+        let told: BTreeSet<GoalId> = state.goals.iter().map(|(id, _)| *id).collect();
+        let mut strangers = false;
         for (id, status) in state.goals {
-            if let Some(known) = self.goals.get_mut(&id).filter(|known| !known.is_final()) {
-                *known = status;
+            match self.goals.get_mut(&id) {
+                Some(known) if known.is_final() => {}
+                Some(known) => *known = status,
+                // A former life of this node set it going, and nobody watches over it any more.
+                None if !status.is_final() => {
+                    self.goals.insert(id, status);
+                    self.call_off(id);
+                    strangers = true;
+                }
+                None => {}
             }
         }
+        // A host tells of what is under way: one that has started anew knows nothing of it.
+        let unanswered: BTreeSet<GoalId> = self.unanswered.iter().map(Order::goal).collect();
+        let known = |id: &GoalId| told.contains(id) || unanswered.contains(id);
+        for (id, status) in self.goals.iter_mut().filter(|(id, status)| !status.is_final() && !known(id)) {
+            let message = format!("the host of the body no longer knows of goal {}", id.0);
+            *status = GoalStatus::Aborted(ActionError { code: ErrorCode::Unknown, message });
+        }
         self.changed.send_modify(|count| *count += 1);
+        strangers
     }
 }
 
@@ -203,6 +236,7 @@ impl Actor for BodyLink {
             next: settings.first_goal,
             telemetry: None,
             heard_at: None,
+            since: Instant::now(),
             number: 0,
             goals: BTreeMap::new(),
             unanswered: vec![],
@@ -272,9 +306,74 @@ impl BodyLinkState {
 
     fn hear(&mut self, payload: &[u8]) {
         match codec::decode::<BodyState>(payload) {
-            Ok(state) if state.robot == self.settings.robot => self.body.lock().take(state),
+            Ok(state) if state.robot == self.settings.robot => {
+                if self.body.lock().take(state) {
+                    self.body.send_orders();
+                }
+            }
             Ok(state) => warn!(robot = %self.settings.robot, other = %state.robot, "a state of another body"),
             Err(problem) => warn!(robot = %self.settings.robot, %problem, "a state that cannot be read"),
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use consort_protocol::pose::Pose;
+    use consort_protocol::units::{BatteryShare, Seconds, WorldTime};
+    use consort_skills::actions::Feedback;
+
+    fn mirror() -> Mirror {
+        Mirror {
+            next: 100,
+            telemetry: None,
+            heard_at: None,
+            since: Instant::now(),
+            number: 0,
+            goals: BTreeMap::new(),
+            unanswered: vec![],
+            changed: watch::Sender::new(0),
+        }
+    }
+
+    fn executing() -> GoalStatus {
+        let distance_remaining = consort_protocol::units::Metres::ZERO;
+        GoalStatus::Executing(Feedback { distance_remaining, time_remaining: Seconds::ZERO })
+    }
+
+    fn state(number: u64, goals: &[(u64, GoalStatus)]) -> BodyState {
+        let telemetry = Telemetry {
+            time: WorldTime::ZERO,
+            pose: Pose::default(),
+            place: "Dock".parse().unwrap(),
+            battery: BatteryShare::FULL,
+            able: true,
+        };
+        let goals = goals.iter().map(|(id, status)| (GoalId(*id), status.clone())).collect();
+        BodyState { robot: "ada".parse().unwrap(), number, telemetry, goals }
+    }
+
+    #[test]
+    fn what_a_former_life_set_going_is_called_off() {
+        let mut mirror = mirror();
+        assert!(mirror.take(state(1, &[(6, GoalStatus::Succeeded), (7, executing())])));
+        assert_eq!(mirror.unanswered, [Order::Cancel { id: GoalId(7) }]);
+        assert!(!mirror.goals[&GoalId(7)].is_final());
+        mirror.unanswered.clear();
+        assert!(!mirror.take(state(2, &[(6, GoalStatus::Succeeded), (7, GoalStatus::Canceled)])));
+        assert!(mirror.goals.values().all(GoalStatus::is_final));
+    }
+
+    #[test]
+    fn a_host_that_started_anew_has_lost_what_was_under_way_and_not_what_it_has_yet_to_hear_of() {
+        let mut mirror = mirror();
+        mirror.goals = BTreeMap::from([(GoalId(100), executing()), (GoalId(101), GoalStatus::Sent)]);
+        mirror.unanswered = vec![Order::Start { id: GoalId(101), goal: Goal::Wait { time: Seconds::ZERO } }];
+        assert!(!mirror.take(state(1, &[(100, executing())])));
+        assert_eq!(mirror.goals[&GoalId(100)], executing());
+        assert!(!mirror.take(state(2, &[])));
+        assert!(matches!(&mirror.goals[&GoalId(100)], GoalStatus::Aborted(error) if error.code == ErrorCode::Unknown));
+        assert_eq!(mirror.goals[&GoalId(101)], GoalStatus::Sent);
     }
 }

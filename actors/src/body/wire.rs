@@ -28,6 +28,15 @@ pub enum Order {
     },
 }
 
+impl Order {
+    /// The goal that it is about.
+    pub fn goal(&self) -> GoalId {
+        match self {
+            Order::Start { id, .. } | Order::Cancel { id } => *id,
+        }
+    }
+}
+
 /// How a body is and what has become of its latest goals. Answer to each command; also published.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct BodyState {

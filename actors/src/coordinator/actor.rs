@@ -1,6 +1,8 @@
 //! The actor that coordinates while its node leads the ledger, and does nothing otherwise.
 
+use super::interregnum::nobody_yet;
 use super::reign::Reign;
+use crate::answer;
 use crate::autopilot::Done;
 use crate::bus::{BusError, Query, SharedBus};
 use crate::clock::Clock;
@@ -51,6 +53,9 @@ pub struct CoordinatorSettings {
     /// How long an auction waits for a member that does not answer. Raised: slow links still win roles, silent robots
     /// hold up everybody for longer. Default 200 ms.
     pub window: Duration,
+    /// After how long a held role none of whose steps ends, although it waits for nobody, is taken from its holder; zero for
+    /// never. Raised: longer drives are left alone, robots that do nothing keep their roles for longer.
+    pub stall_after: Duration,
     /// How often the coordinator says that it is there and looks after its duties. Default 250 ms.
     pub beat: Duration,
     /// What the ledger's identity is drawn from, should this node be the first to coordinate.
@@ -149,6 +154,8 @@ impl Actor for Coordinator {
         tasks.spawn(
             async move { while applied.changed().await.is_ok() && to.cast(CoordinatorMessage::Ledger).is_ok() {} },
         );
+        let requests = settings.bus.serve(&settings.keys.any_api()).await?;
+        tasks.forward(requests, &myself, CoordinatorMessage::Api);
         tasks.beat(settings.beat, &myself, || CoordinatorMessage::Beat);
         Ok(CoordinatorState { settings, reign: None, _tasks: tasks })
     }
@@ -162,7 +169,12 @@ impl Actor for Coordinator {
         if let CoordinatorMessage::Leadership = message {
             return Ok(state.follow_leadership(&myself).await?);
         }
-        let Some(reign) = &mut state.reign else { return Ok(()) };
+        let Some(reign) = &mut state.reign else {
+            if let CoordinatorMessage::Api(query) = message {
+                state.put_off(&query).await;
+            }
+            return Ok(());
+        };
         let settings = &state.settings;
         match message {
             CoordinatorMessage::Leadership => {}
@@ -180,7 +192,7 @@ impl Actor for Coordinator {
                 reign.say_so(settings).await;
             }
             CoordinatorMessage::Closed { call, expected, tenders } => {
-                reign.close(settings, &myself, &call, &expected, &tenders);
+                reign.close(settings, &myself, *call, expected, tenders);
             }
             CoordinatorMessage::Decided { auction, outcome } => {
                 reign.decided(settings, &auction, outcome);
@@ -190,7 +202,7 @@ impl Actor for Coordinator {
             CoordinatorMessage::Noticed { mission, role, robot, epoch, answer } => {
                 if let AwardAnswer::Declined(why) = answer {
                     let cause = format!("{robot} declined: {why}");
-                    reign.give_up(settings, mission, role, robot, epoch, cause);
+                    reign.give_up(settings, mission, role, &robot, epoch, cause, false);
                 }
             }
             CoordinatorMessage::Report(query) => reign.report(settings, &myself, query).await,
@@ -203,6 +215,15 @@ impl Actor for Coordinator {
 }
 
 impl CoordinatorState {
+    /// Answers a request while this node does not coordinate, if it is for this node to answer.
+    async fn put_off(&self, query: &Query) {
+        let CoordinatorSettings { node, replica, knowledge, .. } = &self.settings;
+        let leadership = replica.leadership().borrow().clone();
+        if let Some(said) = nobody_yet(node, &leadership, knowledge) {
+            answer::json(query, &query.key, &said).await;
+        }
+    }
+
     async fn follow_leadership(&mut self, myself: &ActorRef<CoordinatorMessage>) -> Result<(), BusError> {
         let leadership = self.settings.replica.leadership().borrow().clone();
         let term = leadership.is_me.then_some(leadership.term);

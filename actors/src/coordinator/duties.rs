@@ -1,30 +1,52 @@
 //! What a coordinator has to do next, as a value.
 
+use consort_protocol::auction::{CallForBids, RefusalReason, Tender};
 use consort_protocol::ids::{MissionId, RobotId, RoleId};
 use consort_protocol::lease::{Epoch, Watch};
-use consort_protocol::ledger::{Ledger, RolePhase};
+use consort_protocol::ledger::{Ledger, MissionEntry, RolePhase};
 use consort_protocol::units::NodeTime;
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
 
 /// An auction of a mission's open roles, as far as this coordinator has come with it.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq)]
 pub(super) struct Round {
     /// How many rounds this coordinator has called for the mission.
     pub(super) number: u32,
+    /// When this one was called.
+    pub(super) called: NodeTime,
+    /// How many rounds in a row have shown that nobody is left for some role.
+    pub(super) hopeless: u32,
     /// Where this one stands.
     pub(super) phase: Phase,
 }
 
 /// Where a round stands.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq)]
 pub(super) enum Phase {
     /// Bids are coming in.
     Calling,
+    /// All bids are in; missions that are served before this one may yet want the same robots.
+    Closed(Box<Closed>),
     /// These robots are being given roles; the ledger has not said yes yet.
     Proposing(BTreeMap<RoleId, RobotId>),
-    /// It came to nothing; the next is called then.
-    Waiting(NodeTime),
+    /// It came to nothing.
+    Waiting {
+        /// When the next is called.
+        until: NodeTime,
+        /// When it did.
+        since: NodeTime,
+    },
+}
+
+/// An auction whose bids are in.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct Closed {
+    pub(super) call: CallForBids,
+    pub(super) expected: BTreeSet<RobotId>,
+    pub(super) tenders: Vec<Tender>,
+    /// How long it waits for others at most.
+    pub(super) until: NodeTime,
 }
 
 /// Something to do.
@@ -36,6 +58,8 @@ pub(super) enum Duty {
     Tell { mission: MissionId, role: RoleId, robot: RobotId, epoch: Epoch },
     /// Take a role from a robot that has certainly stopped acting on it.
     GiveUp { mission: MissionId, role: RoleId, robot: RobotId, epoch: Epoch, cause: String },
+    /// Give a mission up.
+    Fail { mission: MissionId, cause: String },
 }
 
 /// How long to wait after the n-th round in a row that came to nothing: 0.25 s, doubled each time, 5 s at most. Raised:
@@ -47,20 +71,26 @@ pub(super) fn back_off(rounds: u32) -> Duration {
 /// How often a robot is told of an award that it has not confirmed.
 const TELL_AGAIN: Duration = Duration::from_millis(500);
 
-/// All that is to be done now, in the order in which missions were submitted.
-pub(super) fn duties(
-    ledger: &Ledger,
-    watch: &Watch,
-    rounds: &BTreeMap<MissionId, Round>,
-    told: &BTreeMap<(Epoch, RoleId), NodeTime>,
-    now: NodeTime,
-) -> Vec<Duty> {
+/// What is remembered of a reign.
+pub(super) struct Memory<'a> {
+    pub(super) watch: &'a Watch,
+    pub(super) rounds: &'a BTreeMap<MissionId, Round>,
+    pub(super) told: &'a BTreeMap<(Epoch, RoleId), NodeTime>,
+}
+
+/// All that is to be done now, in the order in which missions are served.
+pub(super) fn duties(ledger: &Ledger, memory: &Memory<'_>, now: NodeTime, wall_ms: u64) -> Vec<Duty> {
+    let Memory { watch, rounds, told } = memory;
     let mut duties = vec![];
     for entry in ledger.live() {
+        if entry.submission.deadline_ms.is_some_and(|deadline| deadline <= wall_ms) {
+            duties.push(Duty::Fail { mission: entry.id.clone(), cause: past_deadline(entry) });
+            continue;
+        }
         let due = match rounds.get(&entry.id).map(|round| &round.phase) {
             None => true,
-            Some(Phase::Waiting(until)) => *until <= now,
-            Some(Phase::Calling | Phase::Proposing(_)) => false,
+            Some(Phase::Waiting { until, .. }) => *until <= now,
+            Some(Phase::Calling | Phase::Closed(_) | Phase::Proposing(_)) => false,
         };
         if due && !entry.open_roles().is_empty() {
             duties.push(Duty::Call(entry.id.clone()));
@@ -81,20 +111,38 @@ pub(super) fn duties(
     duties
 }
 
-/// Robots that hold a role or are about to, and which.
-pub(super) fn taken(ledger: &Ledger, rounds: &BTreeMap<MissionId, Round>) -> BTreeMap<RobotId, (MissionId, RoleId)> {
+fn past_deadline(entry: &MissionEntry) -> String {
+    let why = entry.auction.as_ref().and_then(|auction| auction.failure.as_ref());
+    match (entry.open_roles().is_empty(), why) {
+        (true, _) => {
+            let (done, steps) = entry.progress();
+            format!("its deadline passed after {done} of {steps} steps")
+        }
+        (false, Some(why)) => format!("its deadline passed while it waited: {why}"),
+        (false, None) => "its deadline passed before an auction was held".to_owned(),
+    }
+}
+
+/// Robots that are given no role, and why: they hold one or are about to, or carry something of another mission.
+pub(super) fn taken(ledger: &Ledger, rounds: &BTreeMap<MissionId, Round>) -> BTreeMap<RobotId, RefusalReason> {
+    let busy =
+        |mission: &MissionId, role: &RoleId| RefusalReason::Busy { mission: mission.clone(), role: role.clone() };
+    let full = ledger.stranded().map(|(entry, kept)| {
+        let (item, mission) = (kept.item.clone(), entry.id.clone());
+        (kept.robot.clone(), RefusalReason::HandsFull { item, mission })
+    });
     let held = ledger.live().into_iter().flat_map(|entry| {
         let holding =
             entry.roles.iter().filter(|(_, held)| matches!(held.phase, RolePhase::Awarded | RolePhase::Active));
-        holding.filter_map(|(role, held)| Some((held.holder.as_ref()?.robot.clone(), (entry.id.clone(), role.clone()))))
+        holding.filter_map(|(role, held)| Some((held.holder.as_ref()?.robot.clone(), busy(&entry.id, role))))
     });
     let about_to = rounds.iter().flat_map(|(mission, round)| match &round.phase {
         Phase::Proposing(holders) => {
-            holders.iter().map(|(role, robot)| (robot.clone(), (mission.clone(), role.clone()))).collect()
+            holders.iter().map(|(role, robot)| (robot.clone(), busy(mission, role))).collect::<Vec<_>>()
         }
-        Phase::Calling | Phase::Waiting(_) => vec![],
+        Phase::Calling | Phase::Closed(_) | Phase::Waiting { .. } => vec![],
     });
-    held.chain(about_to).collect()
+    full.chain(held).chain(about_to).collect()
 }
 
 /// The awards that are in force, and whose they are.

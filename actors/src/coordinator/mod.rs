@@ -15,9 +15,13 @@
 mod actor;
 mod api;
 mod auctioneer;
+mod auctions;
 mod duties;
+mod interregnum;
+mod pace;
 mod reign;
 mod reports;
 mod view;
+mod whereabouts;
 
 pub use actor::{Coordinator, CoordinatorMessage, CoordinatorSettings};

@@ -2,23 +2,23 @@
 
 use super::actor::{CoordinatorMessage, CoordinatorSettings};
 use super::api::Desk;
-use super::auctioneer;
-use super::duties::{Duty, Phase, Round, awards, back_off, duties, taken};
+use super::duties::{Duty, Memory, Phase, Round, awards, duties};
+use super::pace::{Pace, Stalled};
 use super::reports;
 use super::view::Window;
+use super::whereabouts::{place, places};
 use crate::answer;
 use crate::autopilot::{Autopilot, Done, perform};
 use crate::bus::{BusError, Delivery, Encoding, Query, Token};
-use crate::replica::{Leadership, ProposeError};
+use crate::replica::Leadership;
 use crate::tasks::Tasks;
 use bytes::Bytes;
-use consort_protocol::auction::{Answer, AuctionId, AuctionRecord, CallForBids, Circumstances, Tender, conclude};
 use consort_protocol::codec;
 use consort_protocol::event::Happening;
 use consort_protocol::ids::{ClusterId, MissionId, NodeId, RobotId, RoleId};
 use consort_protocol::keys::Key;
-use consort_protocol::lease::{Award, Ending, Epoch, Watch};
-use consort_protocol::ledger::{Command, MissionEntry, MissionState, Outcome, RolePhase};
+use consort_protocol::lease::{Award, Ending, Epoch, Holding, Watch};
+use consort_protocol::ledger::{Branch, Command, MissionEntry, MissionState, Outcome, Released, RoleEntry, RolePhase};
 use consort_protocol::message::{AwardAnswer, AwardNotice, Beacon, Changed, LivePlan, Report};
 use consort_protocol::mission::RoleKind;
 use consort_protocol::units::NodeTime;
@@ -29,15 +29,24 @@ use std::time::Duration;
 use tracing::{debug, error, info, warn};
 use zenoh_keyexpr::keyexpr;
 
-/// How long the ledger may take to accept an award.
-const AWARD_LIMIT: Duration = Duration::from_secs(2);
+/// How long the ledger may take to accept that a role or a mission is given up.
+const GIVE_UP_LIMIT: Duration = Duration::from_secs(1);
+
+/// How long the ledger may take to accept its identity.
+const FOUND_LIMIT: Duration = Duration::from_secs(2);
+
+/// How long to wait before a mission that should have been given up is given up again.
+const FAIL_AGAIN: Duration = Duration::from_secs(2);
 
 /// What lasts as long as this node coordinates. Dropping it withdraws all declarations and ends all work under way.
 pub(super) struct Reign {
     pub(super) term: u64,
     since: NodeTime,
     watch: Watch,
-    rounds: BTreeMap<MissionId, Round>,
+    pub(super) rounds: BTreeMap<MissionId, Round>,
+    pace: Pace,
+    /// Missions that are being given up, and since when.
+    failing: BTreeMap<MissionId, NodeTime>,
     told: BTreeMap<(Epoch, RoleId), NodeTime>,
     /// How missions stood when last looked at, to tell what has changed.
     seen: BTreeMap<MissionId, Seen>,
@@ -48,7 +57,7 @@ pub(super) struct Reign {
     autopilot: Autopilot,
     /// Other clusters of this fleet's name, and a node of each.
     foreign: BTreeMap<ClusterId, NodeId>,
-    tasks: Tasks,
+    pub(super) tasks: Tasks,
     _token: Token,
 }
 
@@ -56,6 +65,10 @@ pub(super) struct Reign {
 struct Seen {
     state: MissionState,
     done: usize,
+    /// The awards in force.
+    holdings: BTreeMap<RoleId, Holding>,
+    /// How often a role was taken from a robot.
+    released: u32,
     /// When this coordinator first saw the mission.
     since: NodeTime,
 }
@@ -72,7 +85,6 @@ impl Reign {
         let report = keys.write(&Key::Report(node.clone()));
         tasks.forward(bus.serve(&report).await?, myself, CoordinatorMessage::Report);
         tasks.forward(bus.serve(&keys.write(&Key::Live(node.clone()))).await?, myself, CoordinatorMessage::Live);
-        tasks.forward(bus.serve(&keys.any_api()).await?, myself, CoordinatorMessage::Api);
         tasks.forward(bus.serve(&keys.any_view()).await?, myself, CoordinatorMessage::View);
         let token = bus.announce(&keys.write(&Key::AliveCoordinator(term, node.clone()))).await?;
         let since = settings.clock.now();
@@ -83,7 +95,7 @@ impl Reign {
             let (replica, cluster) = (settings.replica.clone(), ClusterId(settings.cluster_seed));
             tasks.spawn(async move {
                 // Should it fail, this node no longer leads, and the next one does it.
-                match replica.propose(Command::Found { cluster }, AWARD_LIMIT).await {
+                match replica.propose(Command::Found { cluster }, FOUND_LIMIT).await {
                     Ok(_) => info!(%cluster, "founded the ledger"),
                     Err(problem) => debug!(%cluster, %problem, "did not found the ledger"),
                 }
@@ -98,6 +110,8 @@ impl Reign {
             since,
             watch: Watch::new(settings.terms),
             rounds: BTreeMap::new(),
+            pace: Pace::new(settings.stall_after),
+            failing: BTreeMap::new(),
             told: BTreeMap::new(),
             seen,
             members: BTreeSet::new(),
@@ -184,7 +198,7 @@ impl Reign {
         if !free.is_subset(&self.free) {
             // Those who wait for a robot need not sit out their back-off.
             for round in self.rounds.values_mut() {
-                if let Phase::Waiting(until) = &mut round.phase {
+                if let Phase::Waiting { until, .. } = &mut round.phase {
                     *until = now;
                 }
             }
@@ -197,7 +211,8 @@ impl Reign {
     pub(super) fn attend(&mut self, settings: &CoordinatorSettings, myself: &ActorRef<CoordinatorMessage>) {
         let now = settings.clock.now();
         self.follow_missions(settings, now);
-        let todo = settings.replica.read(|ledger| {
+        let wall_ms = settings.clock.wall_ms();
+        let (todo, stalled) = settings.replica.read(|ledger| {
             let awards = awards(ledger);
             for (epoch, robot) in &awards {
                 self.watch.meet(*epoch, robot, now);
@@ -206,8 +221,13 @@ impl Reign {
             self.watch.retain(&epochs);
             self.told.retain(|(epoch, _), _| epochs.contains(epoch));
             self.rounds.retain(|mission, _| ledger.mission(mission).is_some_and(|entry| !entry.state.is_end()));
-            duties(ledger, &self.watch, &self.rounds, &self.told, now)
+            self.failing.retain(|mission, _| ledger.mission(mission).is_some_and(|entry| !entry.state.is_end()));
+            let memory = Memory { watch: &self.watch, rounds: &self.rounds, told: &self.told };
+            (duties(ledger, &memory, now, wall_ms), self.pace.look(ledger, now))
         });
+        for Stalled { mission, role, robot, epoch, cause } in stalled {
+            self.give_up(settings, mission, role, &robot, epoch, cause, true);
+        }
         for duty in todo {
             match duty {
                 Duty::Call(mission) => self.call(settings, myself, &mission, now),
@@ -215,10 +235,19 @@ impl Reign {
                     self.tell(settings, myself, mission, role, robot, epoch, now);
                 }
                 Duty::GiveUp { mission, role, robot, epoch, cause } => {
-                    self.give_up(settings, mission, role, robot, epoch, cause);
+                    self.give_up(settings, mission, role, &robot, epoch, cause, false);
+                }
+                Duty::Fail { mission, cause } => {
+                    if self.failing.get(&mission).is_none_or(|at| now.since(*at) >= FAIL_AGAIN) {
+                        self.failing.insert(mission.clone(), now);
+                        let places =
+                            settings.replica.read(|ledger| places(&settings.knowledge, ledger.mission(&mission)));
+                        propose(settings, &mut self.tasks, Command::Fail { mission, cause, places });
+                    }
                 }
             }
         }
+        self.settle(settings, myself);
     }
 
     fn follow_missions(&mut self, settings: &CoordinatorSettings, now: NodeTime) {
@@ -242,9 +271,18 @@ impl Reign {
                     let (done, steps) = entry.progress();
                     settings.events.tell(Happening::Progress { mission: mission.clone(), done, steps });
                 }
+                let given_up = known.map_or(0, |known| seen.released.saturating_sub(known.released)) as usize;
+                for Released { role, cause, .. } in entry.releases.iter().rev().take(given_up).rev() {
+                    let (mission, role, cause) = (mission.clone(), role.clone(), cause.clone());
+                    settings.events.tell(Happening::Released { mission, role, cause });
+                }
                 if known.is_none_or(|known| known.state != seen.state) {
                     settings.events.tell(Happening::Mission { mission: mission.clone(), state: seen.state.clone() });
-                    revoked.extend(to_revoke(entry));
+                }
+                let former = known.into_iter().flat_map(|known| &known.holdings);
+                for (role, held) in former.filter(|(role, held)| seen.holdings.get(*role) != Some(held)) {
+                    let reason = ending(entry, role, held.epoch);
+                    revoked.extend(reason.map(|reason| (held.robot.clone(), held.epoch, reason)));
                 }
                 self.seen.insert(mission, seen);
             }
@@ -257,124 +295,6 @@ impl Reign {
             self.tasks.spawn(async move {
                 publish(&settings, &Key::Changed, &Changed { node: settings.node.clone(), term }).await;
             });
-        }
-    }
-
-    fn call(
-        &mut self,
-        settings: &CoordinatorSettings,
-        myself: &ActorRef<CoordinatorMessage>,
-        mission: &MissionId,
-        now: NodeTime,
-    ) {
-        let number = self.rounds.get(mission).map_or(1, |round| round.number + 1);
-        let roles = settings.replica.read(|ledger| {
-            let entry = ledger.mission(mission)?;
-            let plans = entry.open_roles().into_iter().map(|role| Some((role.clone(), entry.plan(&role)?.clone())));
-            plans.collect::<Option<BTreeMap<_, _>>>()
-        });
-        let Some(roles) = roles.filter(|roles| !roles.is_empty()) else { return };
-        let auction = AuctionId { mission: mission.clone(), term: self.term, round: number };
-        let call = CallForBids { auction, ensemble: settings.ensemble.spec().name.clone(), roles };
-        let expected: BTreeSet<RobotId> = members(settings, now).into_iter().map(RobotId::from).collect();
-        settings.events.tell(Happening::Called {
-            mission: mission.clone(),
-            roles: call.roles.keys().cloned().collect(),
-            round: number,
-            asked: expected.len(),
-        });
-        self.rounds.insert(mission.clone(), Round { number, phase: Phase::Calling });
-        let (bus, keys, window, to) = (settings.bus.clone(), settings.keys.clone(), settings.window, myself.clone());
-        self.tasks.spawn(async move {
-            let tenders = auctioneer::collect(bus, keys, call.clone(), expected.clone(), window).await;
-            // A coordinator that has stopped needs no bids.
-            let _ = to.cast(CoordinatorMessage::Closed { call: Box::new(call), expected, tenders });
-        });
-    }
-
-    pub(super) fn close(
-        &mut self,
-        settings: &CoordinatorSettings,
-        myself: &ActorRef<CoordinatorMessage>,
-        call: &CallForBids,
-        expected: &BTreeSet<RobotId>,
-        tenders: &[Tender],
-    ) {
-        let mission = &call.auction.mission;
-        let current = |round: &Round| round.number == call.auction.round && round.phase == Phase::Calling;
-        if !self.rounds.get(mission).is_some_and(current) {
-            return; // the mission has ended, or another round has begun
-        }
-        for bid in tenders.iter().flat_map(|tender| &tender.answers) {
-            if let Answer::Bid(bid) = bid {
-                settings.events.tell(Happening::Bid { mission: mission.clone(), bid: bid.clone() });
-            }
-        }
-        let taken = settings.replica.read(|ledger| taken(ledger, &self.rounds));
-        let circumstances = Circumstances {
-            expected,
-            taken: &taken,
-            limits: &settings.limits,
-            window_ms: u64::try_from(settings.window.as_millis()).unwrap_or(u64::MAX),
-            at_ms: settings.clock.wall_ms(),
-        };
-        let conclusion = conclude(call, tenders, &circumstances);
-        settings.events.tell(Happening::Closed { mission: mission.clone(), record: conclusion.record.clone() });
-        let mission = mission.clone();
-        let (phase, command) = match conclusion.holders {
-            Some(holders) => {
-                let command =
-                    Command::Award { mission: mission.clone(), holders: holders.clone(), auction: conclusion.record };
-                (Phase::Proposing(holders), Some(command))
-            }
-            None => {
-                let news = settings.replica.read(|ledger| {
-                    let known = ledger.mission(&mission).and_then(|entry| entry.auction.as_ref());
-                    known.is_none_or(|known| tells_otherwise(known, &conclusion.record))
-                });
-                let command = news.then(|| Command::Defer { mission: mission.clone(), auction: conclusion.record });
-                (Phase::Waiting(settings.clock.now() + back_off(call.auction.round)), command)
-            }
-        };
-        if let Some(round) = self.rounds.get_mut(&mission) {
-            round.phase = phase;
-        }
-        let Some(command) = command else { return };
-        let (replica, auction, to) = (settings.replica.clone(), call.auction.clone(), myself.clone());
-        self.tasks.spawn(async move {
-            let outcome = replica.propose(command, AWARD_LIMIT).await;
-            // A coordinator that has stopped leaves the award to the next one: it is in the ledger or it is not.
-            let _ = to.cast(CoordinatorMessage::Decided { auction, outcome });
-        });
-    }
-
-    pub(super) fn decided(
-        &mut self,
-        settings: &CoordinatorSettings,
-        auction: &AuctionId,
-        outcome: Result<Outcome, ProposeError>,
-    ) {
-        let now = settings.clock.now();
-        let mission = &auction.mission;
-        let Some(round) = self.rounds.get_mut(mission).filter(|round| round.number == auction.round) else { return };
-        let Phase::Proposing(holders) = &round.phase else { return };
-        match outcome {
-            Ok(Outcome::Awarded { epoch }) => {
-                let since = self.seen.get(mission).map(|seen| now.since(seen.since).as_secs_f64() * 1000.0);
-                let (mission, holders) = (mission.clone(), holders.clone());
-                settings.events.tell(Happening::Awarded { mission, holders, epoch, after_ms: since });
-                // Should a role of it be released, the rounds begin anew.
-                self.rounds.remove(&auction.mission);
-            }
-            Ok(outcome) => {
-                debug!(%mission, ?outcome, "the award no longer fits the ledger");
-                round.phase = Phase::Waiting(now + back_off(1));
-            }
-            Err(problem) => {
-                // Whether it will be committed is unknown; the next look at the ledger tells.
-                debug!(%mission, %problem, "the award was not committed");
-                round.phase = Phase::Waiting(now + back_off(round.number));
-            }
         }
     }
 
@@ -391,7 +311,7 @@ impl Reign {
     ) {
         let award = settings.replica.read(|ledger| {
             let entry = ledger.mission(&mission)?;
-            let (plan, holders) = (entry.plan(&role)?.clone(), entry.holders());
+            let (plan, holders) = (entry.plan(&role)?.clone(), entry.holdings());
             Some(Award { mission: mission.clone(), role: role.clone(), robot: robot.clone(), epoch, plan, holders })
         });
         let Some(award) = award else { return };
@@ -425,23 +345,25 @@ impl Reign {
         });
     }
 
+    #[expect(clippy::too_many_arguments, reason = "they name one award and why it ends")]
     pub(super) fn give_up(
         &mut self,
         settings: &CoordinatorSettings,
         mission: MissionId,
         role: RoleId,
-        robot: RobotId,
+        robot: &RobotId,
         epoch: Epoch,
         cause: String,
+        blamed: bool,
     ) {
-        let (replica, events) = (settings.replica.clone(), settings.events.clone());
-        self.tasks.spawn(async move {
-            let released = (mission.clone(), role.clone(), cause.clone());
-            if reports::give_up(replica, mission, role, robot, epoch, cause).await {
-                let (mission, role, cause) = released;
-                events.tell(Happening::Released { mission, role, cause });
-            }
-        });
+        let place = place(&settings.knowledge, robot);
+        let command = Command::Release { mission, role, epoch, cause, blamed, place };
+        propose(settings, &mut self.tasks, command);
+    }
+
+    /// How long this coordinator has known of a mission.
+    pub(super) fn known_for(&self, mission: &MissionId, now: NodeTime) -> Option<Duration> {
+        self.seen.get(mission).map(|seen| now.since(seen.since))
     }
 
     pub(super) async fn report(
@@ -451,9 +373,14 @@ impl Reign {
         query: Query,
     ) {
         let Some(report) = answer::read::<Report>(&query).await else { return };
-        let (replica, to, age) = (settings.replica.clone(), myself.clone(), settings.terms.leadership_age_max());
+        let desk = reports::Desk {
+            replica: settings.replica.clone(),
+            knowledge: settings.knowledge.clone(),
+            leadership_age_max: settings.terms.leadership_age_max(),
+            coordinator: myself.clone(),
+        };
         self.tasks.spawn(async move {
-            let said = reports::answer(replica, report, age, to).await;
+            let said = desk.answer(report).await;
             answer::wire(&query, &query.key, &said).await;
         });
     }
@@ -476,6 +403,7 @@ impl Reign {
         self.requests += 1;
         let desk = Desk {
             replica: settings.replica.clone(),
+            knowledge: settings.knowledge.clone(),
             domain: Arc::clone(&settings.domain),
             request_prefix: format!(
                 "unnamed-{}-{}",
@@ -515,12 +443,26 @@ impl Reign {
 
 impl Seen {
     fn of(entry: &MissionEntry, since: NodeTime) -> Seen {
-        Seen { state: entry.state.clone(), done: entry.progress().0, since }
+        let in_force = |role: &RoleEntry| matches!(role.phase, RolePhase::Awarded | RolePhase::Active);
+        let mut holdings = if entry.state.is_end() { BTreeMap::new() } else { entry.holdings() };
+        holdings.retain(|role, _| entry.roles.get(role).is_some_and(in_force));
+        Seen { state: entry.state.clone(), done: entry.progress().0, holdings, released: entry.released, since }
     }
 }
 
+/// Lets the ledger hear something whose outcome it will show.
+pub(super) fn propose(settings: &CoordinatorSettings, tasks: &mut Tasks, command: Command) {
+    let replica = settings.replica.clone();
+    tasks.spawn(async move {
+        let outcome = replica.propose(command.clone(), GIVE_UP_LIMIT).await;
+        if !matches!(outcome, Ok(Outcome::Done)) {
+            debug!(?command, ?outcome, "not done");
+        }
+    });
+}
+
 /// The members of the ensemble that are believed to be alive.
-fn members(settings: &CoordinatorSettings, now: NodeTime) -> BTreeSet<NodeId> {
+pub(super) fn members(settings: &CoordinatorSettings, now: NodeTime) -> BTreeSet<NodeId> {
     let members = settings.knowledge.read(|base| settings.ensemble.members(&settings.node, base, now));
     let own = *settings.replica.cluster().borrow();
     let ours = settings.knowledge.read(|base| {
@@ -533,26 +475,19 @@ fn members(settings: &CoordinatorSettings, now: NodeTime) -> BTreeSet<NodeId> {
     ours.into_iter().filter(|node| settings.knowledge.alive(node)).collect()
 }
 
-/// Whether a record says anything that the former one did not, times and counters aside.
-fn tells_otherwise(known: &AuctionRecord, record: &AuctionRecord) -> bool {
-    let gist = |record: &AuctionRecord| {
-        let verdicts = record
-            .entries
-            .iter()
-            .map(|entry| (entry.role.clone(), entry.robot.clone(), std::mem::discriminant(&entry.verdict)));
-        (record.failure.clone(), verdicts.collect::<Vec<_>>())
-    };
-    gist(known) != gist(record)
-}
-
-fn to_revoke(entry: &MissionEntry) -> Vec<(RobotId, Epoch, Ending)> {
-    let reason = match entry.state {
-        MissionState::Canceled { .. } => Ending::Canceled,
-        MissionState::Failed { .. } => Ending::Failed,
-        MissionState::Completed | MissionState::Pending | MissionState::Running => return vec![],
-    };
-    let held = entry.roles.values().filter(|role| matches!(role.phase, RolePhase::Awarded | RolePhase::Active));
-    held.filter_map(|role| role.holder.as_ref()).map(|holder| (holder.robot.clone(), holder.epoch, reason)).collect()
+/// Why a robot that held a role no longer does; nothing if it carried the role out.
+fn ending(entry: &MissionEntry, role: &RoleId, epoch: Epoch) -> Option<Ending> {
+    match &entry.state {
+        MissionState::Canceled { .. } => Some(Ending::Canceled),
+        MissionState::Failed { .. } => Some(Ending::Failed),
+        MissionState::NeedsRescue { .. } => Some(Ending::Rescue),
+        MissionState::Completed => Some(Ending::Over),
+        MissionState::Pending | MissionState::Running => match entry.roles.get(role) {
+            Some(RoleEntry { holder: Some(holder), phase: RolePhase::Ended, .. }) if holder.epoch == epoch => None,
+            Some(RoleEntry { holder: None, .. }) if entry.branch == Branch::Main => Some(Ending::Released),
+            Some(_) | None => Some(Ending::Replaced),
+        },
+    }
 }
 
 fn unmanaged(entry: &MissionEntry) -> Vec<LivePlan> {
@@ -560,7 +495,7 @@ fn unmanaged(entry: &MissionEntry) -> Vec<LivePlan> {
     roles
         .filter_map(|(id, role)| {
             let (mission, plan) = (entry.id.clone(), entry.plan(id)?.clone());
-            Some(LivePlan { mission, plan, ended: role.ended.clone(), holders: entry.holders() })
+            Some(LivePlan { mission, plan, ended: role.ended.clone(), holders: entry.holdings() })
         })
         .collect()
 }

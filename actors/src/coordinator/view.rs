@@ -6,7 +6,7 @@ use consort_protocol::ensemble::Ensemble;
 use consort_protocol::ids::{NodeId, RobotId};
 use consort_protocol::keys::{Key, Keys};
 use consort_protocol::knowledge::Heard;
-use consort_protocol::ledger::{Ledger, MissionEntry};
+use consort_protocol::ledger::{Ledger, MissionEntry, MissionState, Stranded};
 use consort_protocol::plan::{LocalPlan, StepAction, StepIndex};
 use consort_protocol::units::NodeTime;
 use serde_json::{Value, json};
@@ -83,7 +83,10 @@ impl Window<'_> {
             let nodes: Vec<Value> = base.iter().map(|(node, heard)| self.node(node, heard, &statuses)).collect();
             let members = base.iter().map(|(node, _)| {
                 let verdict = self.ensemble.judge(node, self.node, base, self.now);
-                json!({ "node": node, "member": verdict.member, "reason": verdict.reason, "age_ms": verdict.age_ms })
+                // Whoever is judged down is asked for no bids, however fresh the last that was heard of it.
+                let down = verdict.member && !statuses.get(node).is_some_and(Status::is_alive);
+                let reason = if down { "judged down" } else { &verdict.reason };
+                json!({ "node": node, "member": verdict.member && !down, "reason": reason, "age_ms": verdict.age_ms })
             });
             json!({
                 "seen_by": self.node,
@@ -105,7 +108,8 @@ impl Window<'_> {
         });
         json!({
             "node": node,
-            "alive": matches!(statuses.get(node), Some(Status::Alive { .. })),
+            "alive": statuses.get(node).is_some_and(Status::is_alive),
+            "status": statuses.get(node).unwrap_or(&Status::Unknown).word(),
             "age_ms": heard.age(self.now).as_millis(),
             "seen_by": self.node,
             "incarnation": record.stamp.incarnation,
@@ -131,6 +135,10 @@ pub(super) fn missions(ledger: &Ledger) -> Value {
             "mission": entry.id,
             "state": entry.state.word(),
             "detail": entry.state,
+            "priority": entry.submission.priority,
+            "deadline_at_ms": entry.submission.deadline_ms,
+            "branch": entry.branch,
+            "items": items(entry),
             "why_pending": entry.auction.as_ref().and_then(|auction| auction.failure.clone()),
             "parameters": entry.submission.parameters,
             "holders": entry.holders(),
@@ -163,13 +171,28 @@ pub(super) fn mission(entry: &MissionEntry) -> Value {
         "state": entry.state.word(),
         "detail": entry.state,
         "parameters": entry.submission.parameters,
-        "tasks": entry.submission.mission.tasks,
+        "priority": entry.submission.priority,
+        "deadline_at_ms": entry.submission.deadline_ms,
+        "branch": entry.branch,
+        "items": items(entry),
+        "released": entry.released,
+        "releases": entry.releases,
+        "tasks": entry.mission().tasks,
         "roles": roles.collect::<Vec<_>>(),
         "done": done,
         "steps": steps,
         "auction": entry.auction,
         "submitted_at_ms": entry.submission.at_ms,
     })
+}
+
+/// What is in robots' keeping, or waits for a person.
+fn items(entry: &MissionEntry) -> Vec<Stranded> {
+    match &entry.state {
+        MissionState::NeedsRescue { items, .. } => items.clone(),
+        MissionState::Pending | MissionState::Running => entry.custody(),
+        MissionState::Completed | MissionState::Failed { .. } | MissionState::Canceled { .. } => vec![],
+    }
 }
 
 fn steps(plan: &LocalPlan, ended: &BTreeSet<StepIndex>) -> Vec<Value> {

@@ -7,7 +7,7 @@ use super::shared::{Known, Status};
 use super::swim::{Suspicion, Swim, SwimAction, Timer};
 use bytes::Bytes;
 use consort_protocol::ids::NodeId;
-use consort_protocol::knowledge::{Knowledge, Record, Stamp};
+use consort_protocol::knowledge::{Digest, Knowledge, Record, Stamp};
 use consort_protocol::message::Exchange;
 use consort_protocol::units::NodeTime;
 use rand::{RngExt, SeedableRng};
@@ -58,7 +58,8 @@ enum Due {
     Swim(Timer),
     /// A node whose token vanished should have answered by now; the number tells this question from earlier ones.
     Answer(NodeId, u64),
-    Condemn(Suspicion, NodeId),
+    /// It was suspected then, and should have answered that by now.
+    Condemn(Suspicion, NodeId, u64),
 }
 
 /// A round of anti-entropy under way.
@@ -168,7 +169,12 @@ impl Gossiper {
         let what = self.swim.leave().unwrap_or_default();
         let send = |action| match action {
             SwimAction::Send(to, bytes) => Some(Action::Send(to, bytes)),
-            SwimAction::After(..) | SwimAction::Up(_) | SwimAction::Down(_) | SwimAction::Returned => None,
+            SwimAction::After(..)
+            | SwimAction::Up(_)
+            | SwimAction::Down(_)
+            | SwimAction::Suspected(_)
+            | SwimAction::Cleared(_)
+            | SwimAction::Returned => None,
         };
         what.into_iter().filter_map(send).collect()
     }
@@ -219,17 +225,49 @@ impl Gossiper {
             Heard::Again => {}
             Heard::News => self.changed = true,
             Heard::Mine(stamp) => {
-                tracing::warn!(node = %owner, ?stamp, "others know a later record of this node than it wrote: an earlier \
-                    incarnation was higher, or another node has the same name");
-                self.memory.overtake(stamp, known, now);
-                actions.push(self.publish(known));
-                let what = self.swim.overtake(stamp.incarnation)?;
-                self.obey(what, known, now, actions);
+                self.overtake(stamp, known, now, actions)?;
                 return Ok(false);
             }
         }
         self.meet(owner, known, now);
         Ok(true)
+    }
+
+    /// Others know something later of this node than it says itself.
+    fn overtake(
+        &mut self,
+        stamp: Stamp,
+        known: &mut Known,
+        now: NodeTime,
+        actions: &mut Vec<Action>,
+    ) -> Result<(), String> {
+        tracing::warn!(node = %self.settings.node, ?stamp, "others know a later record of this node than it wrote: an \
+            earlier incarnation was higher, or another node has the same name");
+        self.memory.overtake(stamp, known, now);
+        actions.push(self.publish(known));
+        let what = self.swim.overtake(stamp.incarnation)?;
+        self.obey(what, known, now, actions);
+        Ok(())
+    }
+
+    /// Takes in what a peer handed over. True if any of it was news.
+    fn take_in(
+        &mut self,
+        records: Vec<Record>,
+        digest: &Digest,
+        known: &mut Known,
+        now: NodeTime,
+        actions: &mut Vec<Action>,
+    ) -> Result<bool, String> {
+        let mut news = false;
+        for record in records {
+            news |= self.hear(record, known, now, actions)?;
+        }
+        // Nobody hands over records of the dead, which this node is to those who remember a later life of it.
+        if let Some(stamp) = digest.get(&self.settings.node).filter(|stamp| **stamp > self.memory.own().stamp) {
+            self.overtake(*stamp, known, now, actions)?;
+        }
+        Ok(news)
     }
 
     fn token(
@@ -267,11 +305,10 @@ impl Gossiper {
         now: NodeTime,
         actions: &mut Vec<Action>,
     ) -> Result<(), String> {
-        for record in exchange.records {
-            self.hear(record, known, now, actions)?;
-        }
+        self.take_in(exchange.records, &exchange.digest, known, now, actions)?;
         known.counters.answered += 1;
-        let answer = self.turns.compose(known.base.digest(), &self.memory.lacking(known, &exchange.digest));
+        let digest = self.memory.digest_for(known, &exchange.digest);
+        let answer = self.turns.compose(digest, &self.memory.lacking(known, &exchange.digest));
         actions.push(Action::Answer(answer));
         Ok(())
     }
@@ -284,10 +321,7 @@ impl Gossiper {
         now: NodeTime,
         actions: &mut Vec<Action>,
     ) -> Result<(), String> {
-        let mut news = false;
-        for record in exchange.records {
-            news |= self.hear(record, known, now, actions)?;
-        }
+        let news = self.take_in(exchange.records, &exchange.digest, known, now, actions)?;
         let Some(mut round) = self.round.take_if(|round| round.number == number) else { return Ok(()) };
         let mut lacking = self.memory.lacking(known, &exchange.digest);
         lacking.retain(|record| !round.handed.contains(&(record.owner.clone(), record.stamp)));
@@ -321,12 +355,15 @@ impl Gossiper {
                 }
                 Due::Greet => self.greet(known, now, actions)?,
                 Due::Swim(timer) => {
-                    let what = self.swim.wake(timer)?;
+                    let spoke = self.settings.beat * 3;
+                    let speaks = |node: &NodeId| known.base.get(node).is_some_and(|heard| heard.age(now) < spoke);
+                    let what = self.swim.wake(timer, speaks)?;
                     self.obey(what, known, now, actions);
                 }
                 Due::Answer(node, number) => self.unanswered(node, number, known, now, actions)?,
-                Due::Condemn(suspicion, node) => {
-                    if !self.tokens.contains(&node) {
+                Due::Condemn(suspicion, node, number) => {
+                    if self.questioned.get(&node) == Some(&number) {
+                        self.questioned.remove(&node);
                         let what = self.swim.condemn(&suspicion)?;
                         self.obey(what, known, now, actions);
                     }
@@ -348,11 +385,20 @@ impl Gossiper {
         if self.questioned.get(&node) != Some(&number) {
             return Ok(());
         }
-        self.questioned.remove(&node);
-        if let Some((suspicion, what)) = self.swim.suspect(&node)? {
-            self.at(now + self.settings.suspicion_when_vanished, Due::Condemn(suspicion, node));
-            self.obey(what, known, now, actions);
-        }
+        // That half of all vanished at once says more about this node than about them.
+        let others = known.status.values().filter(|status| status.is_alive()).count().saturating_sub(1);
+        let many = self.questioned.len() > 1 && self.questioned.len() * 2 >= others;
+        let suspected = if many || self.swim.doubts_itself() { None } else { self.swim.suspect(&node)? };
+        let Some((suspicion, what)) = suspected else {
+            self.questioned.remove(&node);
+            return Ok(());
+        };
+        self.obey(what, known, now, actions);
+        // The question or its answer may have been lost. Whatever it says from now on clears it here.
+        let what = self.swim.greet(&node)?;
+        self.obey(what, known, now, actions);
+        let pause = self.settings.suspicion_when_vanished * suspicion.patience();
+        self.at(now + pause, Due::Condemn(suspicion, node, number));
         Ok(())
     }
 
@@ -431,7 +477,17 @@ impl Gossiper {
                 SwimAction::Down(node) => {
                     tracing::info!(node = %self.settings.node, other = %node, "is down");
                     self.memory.down(&node, now);
+                    known.counters.downs += 1;
                     known.status.insert(node, Status::Down { since: now });
+                    self.changed = true;
+                }
+                SwimAction::Suspected(node) => {
+                    tracing::debug!(node = %self.settings.node, other = %node, "is suspected");
+                    known.status.insert(node, Status::Suspect { since: now });
+                    self.changed = true;
+                }
+                SwimAction::Cleared(node) => {
+                    known.status.insert(node, Status::Alive { since: now });
                     self.changed = true;
                 }
                 SwimAction::Returned => {

@@ -154,6 +154,16 @@ impl Memory {
         self.absent.keys().chain(self.forgotten.keys())
     }
 
+    /// What this node has, and besides it the last stamps of forgotten nodes of which the other has an older one: a node
+    /// that comes back with its clock set back learns from it how far it was.
+    pub(super) fn digest_for(&self, known: &Known, other: &Digest) -> Digest {
+        let mut digest = known.base.digest();
+        let last = self.forgotten.iter().map(|(node, (stamp, _))| (node, *stamp));
+        let later = last.filter(|(node, stamp)| other.get(*node).is_some_and(|theirs| theirs < stamp));
+        digest.extend(later.map(|(node, stamp)| (node.clone(), stamp)));
+        digest
+    }
+
     /// What to hand to a node with this digest. Records of nodes that are not alive are not handed on: so the dead are
     /// forgotten everywhere, whoever asks meanwhile.
     pub(super) fn lacking<'a>(&self, known: &'a Known, digest: &Digest) -> Vec<&'a Record> {
@@ -245,6 +255,18 @@ mod tests {
         assert!(memory.forget(after, &mut known, NodeTime::at(after * 2)));
         memory.up(&node("bob"));
         assert_eq!(memory.hear(record("bob", 2, 0), &mut known, then), Heard::News);
+    }
+
+    #[test]
+    fn the_stamp_of_the_forgotten_is_told_to_whom_it_concerns() {
+        let (mut memory, mut known) = ada();
+        memory.hear(record("bob", 9, 1), &mut known, T0);
+        assert!(memory.forget(Duration::ZERO, &mut known, T0));
+        let last = Stamp { incarnation: 9, version: 1 };
+        let told = |has| memory.digest_for(&known, &Digest::from([(node("bob"), has)])).get(&node("bob")).copied();
+        assert_eq!(told(Stamp { incarnation: 3, version: 70 }), Some(last));
+        assert_eq!(told(last), None);
+        assert_eq!(memory.digest_for(&known, &Digest::new()).get(&node("bob")), None);
     }
 
     #[test]

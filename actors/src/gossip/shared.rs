@@ -12,8 +12,14 @@ use tokio::sync::watch;
 pub enum Status {
     /// Not met yet, or forgotten.
     Unknown,
-    /// Alive, or at least not judged down yet.
+    /// Alive, as far as anybody has said.
     Alive {
+        /// Since when, on this node's clock.
+        since: NodeTime,
+    },
+    /// Somebody waits in vain for its answer. It counts as alive until it is judged down; if it hears of the suspicion and
+    /// is heard, it is alive again.
+    Suspect {
         /// Since when, on this node's clock.
         since: NodeTime,
     },
@@ -22,6 +28,26 @@ pub enum Status {
         /// Since when, on this node's clock.
         since: NodeTime,
     },
+}
+
+impl Status {
+    /// Whether it counts as alive: it was met, and not judged down.
+    pub fn is_alive(&self) -> bool {
+        match self {
+            Status::Alive { .. } | Status::Suspect { .. } => true,
+            Status::Unknown | Status::Down { .. } => false,
+        }
+    }
+
+    /// In a word, for people: `unknown`, `alive`, `suspect` or `down`.
+    pub fn word(&self) -> &'static str {
+        match self {
+            Status::Unknown => "unknown",
+            Status::Alive { .. } => "alive",
+            Status::Suspect { .. } => "suspect",
+            Status::Down { .. } => "down",
+        }
+    }
 }
 
 /// What gossip has done so far.
@@ -41,6 +67,8 @@ pub struct Counters {
     pub unsent: u64,
     /// Times that others judged this node down wrongly and it came back.
     pub returned: u64,
+    /// Times that this node came to believe another down.
+    pub downs: u64,
 }
 
 /// All that there is to read.
@@ -53,7 +81,7 @@ pub(super) struct Known {
 
 impl Known {
     pub(super) fn alive(&self, node: &NodeId) -> bool {
-        matches!(self.status.get(node), Some(Status::Alive { .. }))
+        self.status.get(node).is_some_and(Status::is_alive)
     }
 }
 
@@ -83,7 +111,7 @@ impl SharedKnowledge {
         self.changes.subscribe()
     }
 
-    /// Whether a node is alive; this one always is.
+    /// Whether a node counts as alive, suspected or not; this one always does.
     pub fn alive(&self, node: &NodeId) -> bool {
         self.lock().alive(node)
     }

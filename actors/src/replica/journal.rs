@@ -43,6 +43,11 @@ pub trait Journal: Send + Sync + 'static {
     /// This store's name. The raft id follows from it.
     fn identity(&self) -> StoreIdentity;
 
+    /// Where it is, for people to read.
+    fn place(&self) -> String {
+        "this process's memory".to_owned()
+    }
+
     /// All that was recorded.
     async fn load(&self) -> io::Result<Recorded>;
 

@@ -40,4 +40,5 @@ pub use journal::{Journal, MemoryJournal, Recorded, StoreIdentity};
 pub use replica::{BootstrapError, HandOverError, Leadership, MemberError, ProposeError, Replica, StartError};
 pub use runtime::{SeededRuntime, seed_elections};
 pub use settings::{ReplicaSettings, SettingsError};
+pub use store::Applied;
 pub use types::{Epoch, Peer, RaftId, Reign, StateMachine};

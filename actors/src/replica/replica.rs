@@ -6,7 +6,7 @@ use super::network::{Heard, Switchboard};
 use super::runtime::seed_elections;
 use super::serve::Service;
 use super::settings::{ReplicaSettings, SettingsError};
-use super::store::{self, MachineStore};
+use super::store::{self, Applied, MachineStore};
 use super::succession::{self, Resigned, Succession};
 use super::types::{Epoch, Peer, Raft, RaftId, Reign, StateMachine, epoch_of, reign_of};
 use crate::bus::{BusError, SharedBus};
@@ -68,9 +68,14 @@ pub enum StartError {
     /// Our own mistake, or that of the configuration.
     #[error(transparent)]
     Settings(#[from] SettingsError),
-    /// The journal cannot be read, or is of another release.
-    #[error("the journal cannot be read: {0}")]
-    Journal(#[from] std::io::Error),
+    /// The journal cannot be read, is not whole, or is of another release.
+    #[error("the journal in {place} cannot be taken up: {problem}")]
+    Journal {
+        /// Where it is.
+        place: String,
+        /// What is wrong.
+        problem: std::io::Error,
+    },
     /// The bus is closed.
     #[error(transparent)]
     Bus(#[from] BusError),
@@ -233,9 +238,25 @@ impl<S: StateMachine> Replica<S> {
         journal: Arc<dyn Journal>,
         seed: u64,
     ) -> Result<Self, StartError> {
+        Replica::start_observed(settings, bus, journal, seed, None).await
+    }
+
+    /// The same, and tells `applied` of every entry that this copy takes in.
+    ///
+    /// # Errors
+    /// As [`Replica::start`].
+    pub async fn start_observed(
+        settings: ReplicaSettings,
+        bus: SharedBus,
+        journal: Arc<dyn Journal>,
+        seed: u64,
+        applied: Option<Applied<S>>,
+    ) -> Result<Self, StartError> {
         let config = settings.to_config()?;
         let id = RaftId::of(&settings.node, journal.identity());
-        let (log, machine) = store::open::<S>(journal).await?;
+        let place = journal.place();
+        let opened = store::open::<S>(journal, applied).await;
+        let (log, machine) = opened.map_err(|problem| StartError::Journal { place, problem })?;
         let keys = Keys::new(&settings.fleet);
         let queries = bus.serve(&keys.any_raft(id.0)).await?;
         let heard = Arc::<Heard>::default();
@@ -537,6 +558,23 @@ impl<S: StateMachine> Replica<S> {
             (all_shunned || !shunned.contains(*name)) && matched >= latest.last_log_index
         });
         ready.map(|(id, _)| *id).min()
+    }
+
+    /// Waits until this replica has given up for good, and says why: its journal could not be read or written. After an
+    /// ordinary [`shutdown`](Replica::shutdown), it waits for ever.
+    pub async fn failed(&self) -> String {
+        let mut metrics = self.inner.raft.metrics();
+        loop {
+            match &metrics.borrow_and_update().running_state {
+                Ok(()) => {}
+                Err(Fatal::Stopped) => break,
+                Err(problem) => return problem.to_string(),
+            }
+            if metrics.changed().await.is_err() {
+                return "its task has died".to_owned();
+            }
+        }
+        std::future::pending().await
     }
 
     /// Stops taking part. The journal is at rest when it returns.

@@ -21,9 +21,13 @@ fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
+/// Is told of each entry that a copy of the state machine takes in; `None` for those that are Raft's own.
+pub type Applied<S> = Arc<dyn Fn(Epoch, Option<&<S as StateMachine>::Command>) + Send + Sync>;
+
 /// Opens what `journal` holds: the log, and the state machine as of the last snapshot. openraft applies the rest.
 pub(super) async fn open<S: StateMachine>(
     journal: Arc<dyn Journal>,
+    observer: Option<Applied<S>>,
 ) -> Result<(LogStore<S>, MachineStore<S>), std::io::Error> {
     let Recorded { vote, committed, purged, entries, snapshot } = journal.load().await?;
     let read = |bytes: Option<Vec<u8>>| bytes.as_deref().map(read_record).transpose();
@@ -36,26 +40,22 @@ pub(super) async fn open<S: StateMachine>(
             .map(|(index, bytes)| Ok((*index, read_record(bytes)?)))
             .collect::<Result<_, std::io::Error>>()?,
     };
+    check_continuity(&log)?;
     let mut machine =
         Machine { state: S::default(), applied: None, membership: StoredMembership::default(), snapshot: None };
     if let Some(bytes) = snapshot {
         let kept: Kept = read_record(&bytes)?;
         machine.restore(read_record(&kept.state)?, kept);
     }
-    let cluster = watch::Sender::new(machine.state.cluster());
-    let applied = watch::Sender::new(machine.applied.as_ref().map(epoch_of).unwrap_or_default());
+    if log.purged > machine.applied {
+        let (purged, held) = (shown(log.purged.as_ref()), shown(machine.applied.as_ref()));
+        return Err(unsound(format!("its log begins after {purged}, and its snapshot ends with {held}")));
+    }
+    let cluster = Arc::new(watch::Sender::new(machine.state.cluster()));
+    let applied = Arc::new(watch::Sender::new(machine.applied.as_ref().map(epoch_of).unwrap_or_default()));
     let log = LogStore { journal: Arc::clone(&journal), log: Arc::new(Mutex::new(log)) };
     let machine = Arc::new(Mutex::new(machine));
-    Ok((
-        log,
-        MachineStore {
-            journal,
-            machine,
-            applied: Arc::new(applied),
-            cluster: Arc::new(cluster),
-            snapshots: Arc::default(),
-        },
-    ))
+    Ok((log, MachineStore { journal, machine, applied, cluster, observer, snapshots: Arc::default() }))
 }
 
 fn read_record<T: serde::de::DeserializeOwned>(bytes: &[u8]) -> std::io::Result<T> {
@@ -64,6 +64,28 @@ fn read_record<T: serde::de::DeserializeOwned>(bytes: &[u8]) -> std::io::Result<
 
 fn write_record<T: Serialize>(value: &T) -> std::io::Result<Vec<u8>> {
     codec::encode_record(value).map_err(|error| std::io::Error::new(std::io::ErrorKind::InvalidData, error.to_string()))
+}
+
+fn unsound(what: String) -> std::io::Error {
+    std::io::Error::new(std::io::ErrorKind::InvalidData, what)
+}
+
+fn shown(log_id: Option<&LogId>) -> String {
+    log_id.map_or_else(|| "nothing".to_owned(), |log_id| epoch_of(log_id).to_string())
+}
+
+/// Whether each entry stands where it says it does, right after the one before; the first, right after what was purged.
+fn check_continuity<S: StateMachine>(log: &Log<S>) -> std::io::Result<()> {
+    let mut last = log.purged;
+    for (index, entry) in &log.entries {
+        let expected = last.map_or(0, |last| last.index + 1);
+        if *index != expected || entry.log_id.index != expected || last >= Some(entry.log_id) {
+            let (found, last) = (epoch_of(&entry.log_id), shown(last.as_ref()));
+            return Err(unsound(format!("its log has entry {found} at place {index}, right after {last}")));
+        }
+        last = Some(entry.log_id);
+    }
+    Ok(())
 }
 
 /// The log as openraft reads it; the journal holds the same, durably.
@@ -197,6 +219,7 @@ pub(super) struct MachineStore<S: StateMachine> {
     machine: Arc<Mutex<Machine<S>>>,
     applied: Arc<watch::Sender<Epoch>>,
     cluster: Arc<watch::Sender<Option<ClusterId>>>,
+    observer: Option<Applied<S>>,
     /// Held while a snapshot goes to the journal: openraft builds one while it installs another.
     snapshots: Arc<tokio::sync::Mutex<()>>,
 }
@@ -208,6 +231,7 @@ impl<S: StateMachine> Clone for MachineStore<S> {
             machine: Arc::clone(&self.machine),
             applied: Arc::clone(&self.applied),
             cluster: Arc::clone(&self.cluster),
+            observer: self.observer.clone(),
             snapshots: Arc::clone(&self.snapshots),
         }
     }
@@ -259,6 +283,10 @@ impl<S: StateMachine> RaftStateMachine<Types<S>> for MachineStore<S> {
         let mut machine = lock(&self.machine);
         for Entry { log_id, payload } in entries {
             machine.applied = Some(log_id);
+            if let Some(observer) = &self.observer {
+                let command = if let EntryPayload::Normal(command) = &payload { Some(command) } else { None };
+                observer(epoch_of(&log_id), command);
+            }
             outcomes.push(match payload {
                 EntryPayload::Blank => None,
                 EntryPayload::Normal(command) => Some(machine.state.apply(epoch_of(&log_id), command)),

@@ -1,12 +1,13 @@
 //! A robot prices its own work.
 
+use super::forecast::context;
 use consort_protocol::auction::{Answer, Bid, CallForBids, Refusal, RefusalReason, Tender};
 use consort_protocol::ensemble::Membership;
 use consort_protocol::ids::{RobotId, RoleId, TaskType};
 use consort_protocol::knowledge::{Availability, Worker};
 use consort_protocol::plan::LocalPlan;
-use consort_protocol::units::{MetresPerSecond, Seconds};
-use consort_skills::descriptor::{Context, Estimator};
+use consort_protocol::units::Seconds;
+use consort_skills::descriptor::Estimator;
 use std::collections::BTreeSet;
 use std::sync::Arc;
 
@@ -74,10 +75,7 @@ impl Bidder {
         if !missing.is_empty() {
             return Err(RefusalReason::MissingSkills { skills: missing });
         }
-        // A robot that does not drive has no navigation task to price: its speed plays no part.
-        let speed = worker.speed.unwrap_or(MetresPerSecond::new(1.0).expect("1 m/s is a speed"));
-        let context = Context { place: worker.place.clone(), speed, discharge: worker.discharge };
-        let parts = self.estimator.price(plan, &context).map_err(|problem| RefusalReason::NotFeasible {
+        let parts = self.estimator.price(plan, &context(worker)).map_err(|problem| RefusalReason::NotFeasible {
             task: problem.task.clone(),
             problem: problem.to_string(),
         })?;

@@ -1,8 +1,13 @@
 //! Which step of its local plan a role takes next (Algorithm 2 of the thesis), as a value.
 
 use consort_protocol::ids::{RobotId, RoleId, TaskId};
+use consort_protocol::lease::{Epoch, Holding};
 use consort_protocol::mission::TaskSpec;
-use consort_protocol::plan::{LocalPlan, PlanProgress, ProgressError, Signal, StepAction, StepIndex};
+use consort_protocol::plan::{
+    Alternative, LocalPlan, PlanProgress, ProgressError, Signal, SignalKind, Step, StepAction, StepIndex,
+};
+use serde::{Deserialize, Serialize};
+use std::cmp::Ordering;
 use std::collections::{BTreeMap, BTreeSet};
 
 /// A plan on its way: what has ended, what is under way, what comes next.
@@ -10,13 +15,39 @@ use std::collections::{BTreeMap, BTreeSet};
 pub struct Sequencer {
     progress: PlanProgress,
     /// The task under way.
-    running: Option<StepIndex>,
+    running: Option<Spot>,
+    detours: Detours,
+    /// Steps that the ledger is known to hold.
+    known: BTreeSet<StepIndex>,
     /// Who holds the mission's managed roles.
-    holders: BTreeMap<RoleId, RobotId>,
-    /// Roles that somebody has held: one of them that nobody holds now is being given to another.
-    cast: BTreeSet<RoleId>,
+    holders: BTreeMap<RoleId, Holding>,
+    /// Roles that somebody has held, and the latest award of each: one that nobody holds now is being given to another.
+    cast: BTreeMap<RoleId, Epoch>,
     /// What this role has told others.
     said: BTreeSet<Signal>,
+}
+
+/// Where a task stands in a plan.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Spot {
+    /// A step of it.
+    Step(StepIndex),
+    /// A task of one of its alternatives.
+    Aside {
+        /// Which alternative.
+        alternative: usize,
+        /// Which of its tasks.
+        task: usize,
+    },
+}
+
+/// The alternatives that a role has resorted to.
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Detours {
+    /// Those begun so far: none is begun twice.
+    begun: BTreeSet<usize>,
+    /// The one under way, and how many of its tasks have ended.
+    under_way: Option<(usize, usize)>,
 }
 
 /// What to do next.
@@ -24,8 +55,8 @@ pub struct Sequencer {
 pub enum Move {
     /// Begin a task.
     Perform {
-        /// Which step it is.
-        step: StepIndex,
+        /// Where it stands.
+        spot: Spot,
         /// Its name.
         task: TaskId,
         /// What is to be achieved.
@@ -37,54 +68,97 @@ pub enum Move {
     Heard(Signal),
 }
 
+/// Something said under an award that is no longer in force. Nobody goes by it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Outdated {
+    /// The latest award of that role which is known.
+    pub known: Epoch,
+}
+
 impl Sequencer {
-    /// Takes up a plan of which some steps have ended already.
+    /// Takes up a plan of which some steps have ended already, as the ledger says.
     ///
     /// # Errors
     /// [`ProgressError`] when those steps cannot have ended so.
     pub fn new(
         plan: LocalPlan,
         ended: &BTreeSet<StepIndex>,
-        holders: BTreeMap<RoleId, RobotId>,
+        holders: BTreeMap<RoleId, Holding>,
     ) -> Result<Sequencer, ProgressError> {
+        Sequencer::resume(plan, ended, &BTreeSet::new(), Detours::default(), holders)
+    }
+
+    /// Takes up a plan where a former life left it: it may have come further than the ledger knows, or less far than it
+    /// had written down.
+    ///
+    /// # Errors
+    /// As for [`new`](Sequencer::new).
+    pub fn resume(
+        plan: LocalPlan,
+        known: &BTreeSet<StepIndex>,
+        own: &BTreeSet<StepIndex>,
+        mut detours: Detours,
+        holders: BTreeMap<RoleId, Holding>,
+    ) -> Result<Sequencer, ProgressError> {
+        let ended: BTreeSet<StepIndex> = known.union(own).copied().collect();
         let said = ended.iter().filter_map(|step| match &plan.steps.get(*step as usize)?.action {
             StepAction::Send(signal) => Some(signal.clone()),
             StepAction::Wait(_) | StepAction::Task { .. } => None,
         });
         let said = said.collect();
-        let progress = PlanProgress::restore(plan, ended.clone(), BTreeSet::new())?;
-        let cast = holders.keys().cloned().collect();
-        Ok(Sequencer { progress, running: None, holders, cast, said })
+        let progress = PlanProgress::restore(plan, ended, BTreeSet::new())?;
+        detours.under_way = detours.under_way.filter(|(alternative, _)| {
+            let detour = progress.plan().alternatives.get(*alternative);
+            detour.is_some_and(|detour| !detour.replaces.is_subset(progress.ended()))
+        });
+        let cast = holders.iter().map(|(role, holding)| (role.clone(), holding.epoch)).collect();
+        Ok(Sequencer { progress, running: None, detours, known: known.clone(), holders, cast, said })
     }
 
     /// The next thing to do, which the caller does at once; `None` while a task is under way or all is waiting, be it for
-    /// a signal or, in a task that names another role, for somebody to hold that role. Telling
+    /// a signal, for the ledger or, in a task that names another role, for somebody to hold that role. Telling
     /// and hearing end with being returned; a task ends with [`end`](Sequencer::end).
     pub fn next_move(&mut self) -> Option<Move> {
         if self.running.is_some() {
             return None;
         }
-        let (step, action) = self.progress.next().map(|(index, step)| (index, step.action.clone()))?;
-        match action {
-            StepAction::Task { spec, .. } if self.names_a_vacancy(&spec) => None,
-            StepAction::Task { id, spec } => {
-                self.running = Some(step);
-                Some(Move::Perform { step, task: id, spec })
-            }
-            StepAction::Send(signal) => {
-                self.finish(step);
-                self.said.insert(signal.clone());
-                Some(Move::Tell(signal))
-            }
-            StepAction::Wait(signal) => {
+        let next = self.progress.next_given(&self.known).map(|(index, step)| (index, step.action.clone()));
+        match next {
+            Some((step, StepAction::Send(signal))) if signal.kind == SignalKind::Done => Some(self.tell(step, signal)),
+            Some((step, StepAction::Wait(signal))) => {
                 self.finish(step);
                 Some(Move::Heard(signal))
             }
+            // A detour takes the place of all tasks until it has ended.
+            _ if self.detours.under_way.is_some() => self.next_aside(),
+            Some((step, StepAction::Send(signal))) => Some(self.tell(step, signal)),
+            Some((step, StepAction::Task { id, spec })) => self.perform(Spot::Step(step), id, spec),
+            None => None,
         }
     }
 
+    fn tell(&mut self, step: StepIndex, signal: Signal) -> Move {
+        self.finish(step);
+        self.said.insert(signal.clone());
+        Move::Tell(signal)
+    }
+
+    fn next_aside(&mut self) -> Option<Move> {
+        let (alternative, task) = self.detours.under_way?;
+        let (id, spec) = self.alternative(alternative)?.tasks.get(task)?.clone();
+        self.perform(Spot::Aside { alternative, task }, id, spec)
+    }
+
+    fn perform(&mut self, spot: Spot, task: TaskId, spec: TaskSpec) -> Option<Move> {
+        if self.names_a_vacancy(&spec) {
+            return None;
+        }
+        self.running = Some(spot);
+        Some(Move::Perform { spot, task, spec })
+    }
+
     fn names_a_vacancy(&self, spec: &TaskSpec) -> bool {
-        let mut vacant = self.cast.iter().filter(|role| !self.holders.contains_key(*role));
+        let mut vacant = self.cast.keys().filter(|role| !self.holders.contains_key(*role));
         vacant.any(|role| spec.roles.contains(role) || spec.parameters.values().any(|value| value == role.as_str()))
     }
 
@@ -92,10 +166,25 @@ impl Sequencer {
         self.progress.end(step).expect("a step that was given out may end");
     }
 
+    fn alternative(&self, number: usize) -> Option<&Alternative> {
+        self.progress.plan().alternatives.get(number)
+    }
+
     /// The task under way has ended well.
-    pub fn end(&mut self, step: StepIndex) {
-        if self.running.take_if(|running| *running == step).is_some() {
-            self.finish(step);
+    pub fn end(&mut self, spot: Spot) {
+        if self.running.take_if(|running| *running == spot).is_none() {
+            return;
+        }
+        match spot {
+            Spot::Step(step) => self.finish(step),
+            Spot::Aside { alternative, task } => {
+                let tasks = self.alternative(alternative).map_or(0, |detour| detour.tasks.len());
+                self.detours.under_way = Some((alternative, task + 1));
+                if task + 1 >= tasks {
+                    self.detours.under_way = None;
+                    self.progress.replace(alternative).expect("tasks of one of which was under way may end");
+                }
+            }
         }
     }
 
@@ -104,17 +193,91 @@ impl Sequencer {
         self.running = None;
     }
 
-    /// Another role has said this. True if it was awaited and is news.
-    pub fn hear(&mut self, signal: &Signal) -> bool {
-        self.progress.hear(signal)
+    /// The task under way failed for good: the first alternative to it that was not begun before, in the order of the plan,
+    /// takes its place. Its number; `None` when there is none, and the task is merely broken off.
+    pub fn turn_aside(&mut self) -> Option<usize> {
+        let failed = self.running.take()?;
+        let in_place_of = match failed {
+            Spot::Step(step) => BTreeSet::from([step]),
+            Spot::Aside { alternative, .. } => self.alternative(alternative)?.replaces.clone(),
+        };
+        let mut others = self.progress.alternatives_for(*in_place_of.first()?);
+        let (number, _) = others
+            .find(|(number, other)| !self.detours.begun.contains(number) && in_place_of.is_subset(&other.replaces))?;
+        self.detours.begun.insert(number);
+        self.detours.under_way = Some((number, 0));
+        Some(number)
     }
 
-    /// The task under way.
-    pub fn at(&self) -> Option<&TaskId> {
-        match &self.progress.step(self.running?)?.action {
-            StepAction::Task { id, .. } => Some(id),
-            StepAction::Send(_) | StepAction::Wait(_) => None,
+    /// Another role has said this under the award of `epoch`. True if it was awaited and is news.
+    ///
+    /// # Errors
+    /// [`Outdated`] when a later award of that role is known: it is somebody else's by now. Nothing is changed.
+    pub fn hear(&mut self, signal: &Signal, epoch: Epoch) -> Result<bool, Outdated> {
+        // Unmanaged roles are nobody's award.
+        if let Some(known) = self.cast.get_mut(&signal.from) {
+            match epoch.cmp(known) {
+                Ordering::Less => return Err(Outdated { known: *known }),
+                Ordering::Equal => {}
+                // The word of a successor before word of it.
+                Ordering::Greater => {
+                    *known = epoch;
+                    self.progress.forget(&signal.from);
+                }
+            }
         }
+        Ok(self.progress.hear(signal))
+    }
+
+    /// The task under way, and what is to be achieved.
+    pub fn under_way(&self) -> Option<(Spot, &TaskId, &TaskSpec)> {
+        let spot = self.running?;
+        let (id, spec) = match spot {
+            Spot::Step(step) => match &self.progress.step(step)?.action {
+                StepAction::Task { id, spec } => (id, spec),
+                StepAction::Send(_) | StepAction::Wait(_) => return None,
+            },
+            Spot::Aside { alternative, task } => {
+                let (id, spec) = self.alternative(alternative)?.tasks.get(task)?;
+                (id, spec)
+            }
+        };
+        Some((spot, id, spec))
+    }
+
+    /// The name of the task under way.
+    pub fn at(&self) -> Option<&TaskId> {
+        self.under_way().map(|(_, id, _)| id)
+    }
+
+    /// What is still to be done, the task under way included, as a plan of its own to be priced.
+    pub fn rest(&self) -> LocalPlan {
+        let plan = self.progress.plan();
+        let (aside, replaced) = match self.detours.under_way {
+            Some((number, done)) => self.alternative(number).map_or((&[][..], None), |detour| {
+                (detour.tasks.get(done..).unwrap_or_default(), Some(&detour.replaces))
+            }),
+            None => (&[][..], None),
+        };
+        let first = aside.iter().map(|(id, spec)| StepAction::Task { id: id.clone(), spec: spec.clone() });
+        let open = plan.steps.iter().zip(0..).filter(|(_, step)| {
+            !self.progress.ended().contains(step) && replaced.is_none_or(|replaced| !replaced.contains(step))
+        });
+        let actions = first.chain(open.map(|(step, _)| step.action.clone()));
+        let steps = actions.map(|action| Step { action, after: vec![] }).collect();
+        LocalPlan::of(plan.role.clone(), steps)
+    }
+
+    /// Whether an item may have come into the hands of this role: a guarded step has ended. Said of the past: what was
+    /// handed on since still counts, since the plan does not tell who received it.
+    pub fn may_have_custody(&self) -> bool {
+        !self.progress.plan().guarded.is_disjoint(self.progress.ended())
+    }
+
+    /// The tasks of an alternative, by its number.
+    pub fn tasks_of(&self, alternative: usize) -> Vec<TaskId> {
+        let tasks = self.alternative(alternative).map_or(&[][..], |detour| &detour.tasks);
+        tasks.iter().map(|(id, _)| id.clone()).collect()
     }
 
     /// Signals that this role will yet need and has not heard.
@@ -122,9 +285,25 @@ impl Sequencer {
         self.progress.awaiting().into_iter().cloned().collect()
     }
 
+    /// Whether something could be done if only the ledger were known to hold what has ended.
+    pub fn awaits_ledger(&self) -> bool {
+        self.running.is_none()
+            && self.progress.permitted().iter().any(|step| !self.progress.guard_is_met(*step, &self.known))
+    }
+
+    /// The ledger holds these steps of the plan as ended.
+    pub fn set_known(&mut self, ended: &BTreeSet<StepIndex>) {
+        self.known.extend(ended);
+    }
+
     /// Steps that have ended.
     pub fn ended(&self) -> &BTreeSet<StepIndex> {
         self.progress.ended()
+    }
+
+    /// The alternatives that were begun.
+    pub fn detours(&self) -> &Detours {
+        &self.detours
     }
 
     /// What this role has told others.
@@ -138,42 +317,188 @@ impl Sequencer {
     }
 
     /// Who holds the managed roles.
-    pub fn holders(&self) -> &BTreeMap<RoleId, RobotId> {
+    pub fn holders(&self) -> &BTreeMap<RoleId, Holding> {
         &self.holders
     }
 
-    /// Takes in who holds the managed roles now.
-    pub fn set_holders(&mut self, holders: BTreeMap<RoleId, RobotId>) {
-        self.cast.extend(holders.keys().cloned());
+    /// Takes in who holds the managed roles now. What a former holder had said and was not yet acted on no longer holds: its
+    /// successor says what still does. True if there was such a thing, so that the successor is worth asking.
+    pub fn set_holders(&mut self, holders: BTreeMap<RoleId, Holding>) -> bool {
+        let mut forgotten = false;
+        for (role, holding) in &holders {
+            let former = self.cast.entry(role.clone()).or_insert(holding.epoch);
+            if *former < holding.epoch {
+                *former = holding.epoch;
+                forgotten |= self.progress.forget(role);
+            }
+        }
         self.holders = holders;
+        forgotten
+    }
+
+    /// The robots alone.
+    pub fn robots(&self) -> BTreeMap<RoleId, RobotId> {
+        Holding::robots(&self.holders)
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use consort_protocol::plan::Step;
+    use serde_json::json;
+
+    fn plan(value: serde_json::Value) -> LocalPlan {
+        serde_json::from_value(value).unwrap()
+    }
+
+    fn task(id: &str, after: &[u32]) -> serde_json::Value {
+        json!({ "action": { "Task": { "id": id, "spec": { "type": id, "roles": ["r1"] } } }, "after": after })
+    }
+
+    fn send(task: &str, after: &[u32]) -> serde_json::Value {
+        json!({ "action": { "Send": { "kind": "done", "task": task, "from": "r1", "to": "arm" } }, "after": after })
+    }
+
+    fn wait(task: &str, after: &[u32]) -> serde_json::Value {
+        json!({ "action": { "Wait": { "kind": "done", "task": task, "from": "arm", "to": "r1" } }, "after": after })
+    }
+
+    fn aside(replaces: &[u32], tasks: &[&str]) -> serde_json::Value {
+        let tasks: Vec<_> = tasks.iter().map(|id| json!([id, { "type": id, "roles": ["r1"] }])).collect();
+        json!({ "replaces": replaces, "tasks": tasks })
+    }
+
+    fn held(epochs: &[(&str, u64)]) -> BTreeMap<RoleId, Holding> {
+        let holding = |index: &u64| Holding { robot: "ada".parse().unwrap(), epoch: Epoch { term: 1, index: *index } };
+        epochs.iter().map(|(role, index)| (role.parse().unwrap(), holding(index))).collect()
+    }
+
+    fn at(index: u64) -> Epoch {
+        Epoch { term: 1, index }
+    }
+
+    fn sequencer(plan: LocalPlan) -> Sequencer {
+        Sequencer::new(plan, &BTreeSet::new(), held(&[("r1", 5), ("arm", 5)])).unwrap()
+    }
+
+    /// Performs until `fails` is at hand; the names of what was done.
+    fn run(sequencer: &mut Sequencer, fails: &[&str]) -> Vec<String> {
+        let mut done = vec![];
+        while let Some(next) = sequencer.next_move() {
+            match next {
+                Move::Perform { task, .. } if fails.contains(&task.as_str()) => break,
+                Move::Perform { spot, task, .. } => {
+                    sequencer.end(spot);
+                    done.push(task.to_string());
+                }
+                Move::Tell(signal) => done.push(format!("tell {}", signal.task)),
+                Move::Heard(signal) => done.push(format!("heard {}", signal.task)),
+            }
+        }
+        done
+    }
 
     #[test]
     fn a_task_that_names_a_role_begins_once_somebody_holds_that_role_again() {
-        let role = |name: &str| RoleId::new(name).unwrap();
-        let robot = |name: &str| RobotId::new(name).unwrap();
-        let spec = TaskSpec {
-            task_type: "approach_robot".parse().unwrap(),
-            parameters: BTreeMap::from([("robot_role".to_owned(), "arm".to_owned())]),
-            reaches: BTreeMap::new(),
-            roles: vec![role("r1")],
-        };
-        let id: TaskId = "meet".parse().unwrap();
-        let step = Step { action: StepAction::Task { id: id.clone(), spec: spec.clone() }, after: vec![] };
-        let plan = LocalPlan { role: role("r1"), steps: vec![step] };
-        let alone = BTreeMap::from([(role("r1"), robot("ada"))]);
-        let both = BTreeMap::from([(role("r1"), robot("ada")), (role("arm"), robot("bob"))]);
-
-        let mut sequencer = Sequencer::new(plan, &BTreeSet::new(), both.clone()).unwrap();
-        sequencer.set_holders(alone);
+        let step = json!({ "action": { "Task": { "id": "meet", "spec": {
+            "type": "approach_robot", "roles": ["r1"], "parameters": { "robot_role": "arm" } } } }, "after": [] });
+        let mut sequencer = sequencer(plan(json!({ "role": "r1", "steps": [step] })));
+        sequencer.set_holders(held(&[("r1", 5)]));
         assert_eq!(sequencer.next_move(), None);
-        sequencer.set_holders(both);
-        assert_eq!(sequencer.next_move(), Some(Move::Perform { step: 0, task: id, spec }));
+        sequencer.set_holders(held(&[("r1", 5), ("arm", 6)]));
+        assert!(matches!(sequencer.next_move(), Some(Move::Perform { spot: Spot::Step(0), .. })));
+    }
+
+    #[test]
+    fn alternatives_are_tried_in_their_order_and_the_steps_they_replace_have_then_ended() {
+        let steps = [task("drive", &[]), task("knock", &[0]), task("enter", &[1]), send("enter", &[2])];
+        let alternatives = [aside(&[1], &["ring"]), aside(&[1], &["call"]), aside(&[0, 1, 2], &["lift", "descend"])];
+        let plan = plan(json!({ "role": "r1", "steps": steps, "alternatives": alternatives }));
+        let mut sequencer = sequencer(plan.clone());
+        assert_eq!(run(&mut sequencer, &["knock"]), ["drive"]);
+        assert_eq!(sequencer.turn_aside(), Some(0));
+        assert_eq!(run(&mut sequencer, &["ring"]), [""; 0]);
+        assert_eq!(sequencer.turn_aside(), Some(1));
+        let halfway = sequencer.clone();
+        assert_eq!(run(&mut sequencer, &["enter"]), ["call"]);
+        assert_eq!(*sequencer.ended(), BTreeSet::from([0, 1]));
+        assert_eq!(sequencer.turn_aside(), Some(2), "a way around all of it");
+        assert_eq!(run(&mut sequencer, &[]), ["lift", "descend", "tell enter"]);
+        assert!(sequencer.is_complete());
+
+        let mut stuck = halfway;
+        run(&mut stuck, &["call"]);
+        assert_eq!(stuck.turn_aside(), Some(2), "what replaces one step is replaced with it");
+        assert_eq!(run(&mut stuck, &["lift"]), [""; 0]);
+        assert_eq!(stuck.turn_aside(), None, "none is begun twice");
+    }
+
+    #[test]
+    fn a_former_lifes_detour_is_taken_up_where_it_was_unless_its_steps_have_ended() {
+        let alternatives = [aside(&[0], &["lift", "descend"])];
+        let steps = [task("drive", &[]), task("knock", &[0])];
+        let plan = plan(json!({ "role": "r1", "steps": steps, "alternatives": alternatives }));
+        let mut former = sequencer(plan.clone());
+        run(&mut former, &["drive"]);
+        former.turn_aside();
+        run(&mut former, &["descend"]);
+        let none = BTreeSet::new();
+        let resume = |known: &BTreeSet<u32>| {
+            Sequencer::resume(plan.clone(), known, former.ended(), former.detours().clone(), held(&[("r1", 5)]))
+                .unwrap()
+        };
+        assert_eq!(run(&mut resume(&none), &[]), ["descend", "knock"]);
+        assert_eq!(run(&mut resume(&BTreeSet::from([0])), &[]), ["knock"]);
+    }
+
+    #[test]
+    fn what_is_left_is_priced_with_the_detour_and_without_what_it_replaces() {
+        let steps = [task("drive", &[]), task("knock", &[0]), task("enter", &[1])];
+        let plan = plan(json!({ "role": "r1", "steps": steps, "alternatives": [aside(&[1], &["ring", "call"])] }));
+        let mut sequencer = sequencer(plan);
+        let rest = |sequencer: &Sequencer| sequencer.rest().tasks().map(|(id, _)| id.to_string()).collect::<Vec<_>>();
+        run(&mut sequencer, &["knock"]);
+        assert_eq!(rest(&sequencer), ["knock", "enter"]);
+        sequencer.turn_aside();
+        run(&mut sequencer, &["call"]);
+        assert_eq!(rest(&sequencer), ["call", "enter"]);
+    }
+
+    #[test]
+    fn a_guarded_step_waits_until_the_ledger_holds_what_came_before_it() {
+        let steps = [task("open", &[]), send("open", &[0]), task("close", &[1])];
+        let plan = plan(json!({ "role": "r1", "steps": steps, "guarded": [1] }));
+        let mut sequencer = sequencer(plan);
+        assert_eq!(run(&mut sequencer, &[]), ["open"]);
+        assert!(sequencer.awaits_ledger() && !sequencer.may_have_custody());
+        sequencer.set_known(&BTreeSet::from([0]));
+        assert!(!sequencer.awaits_ledger());
+        assert_eq!(run(&mut sequencer, &[]), ["tell open", "close"]);
+        assert!(sequencer.may_have_custody());
+    }
+
+    #[test]
+    fn what_is_said_under_an_older_award_is_not_heard_and_what_was_not_acted_on_is_forgotten() {
+        let signal: Signal =
+            serde_json::from_value(json!({ "kind": "done", "task": "lift", "from": "arm", "to": "r1" })).unwrap();
+        let steps = [task("drive", &[]), wait("lift", &[0])];
+        let mut sequencer = sequencer(plan(json!({ "role": "r1", "steps": steps })));
+        assert_eq!(sequencer.hear(&signal, at(4)), Err(Outdated { known: at(5) }));
+        assert_eq!(sequencer.hear(&signal, at(5)), Ok(true));
+        assert!(!sequencer.set_holders(held(&[("r1", 5)])), "nobody has taken its place yet");
+        assert!(sequencer.set_holders(held(&[("r1", 5), ("arm", 9)])));
+        assert_eq!(run(&mut sequencer, &[]), ["drive"]);
+        assert_eq!(sequencer.hear(&signal, at(5)), Err(Outdated { known: at(9) }));
+        assert_eq!(sequencer.hear(&signal, at(9)), Ok(true));
+        assert_eq!(run(&mut sequencer, &[]), ["heard lift"]);
+    }
+
+    #[test]
+    fn an_unmanaged_role_is_nobodys_award() {
+        let signal: Signal =
+            serde_json::from_value(json!({ "kind": "done", "task": "lift", "from": "arm", "to": "r1" })).unwrap();
+        let plan = plan(json!({ "role": "r1", "steps": [wait("lift", &[])] }));
+        let mut sequencer = Sequencer::new(plan, &BTreeSet::new(), held(&[("r1", 5)])).unwrap();
+        assert_eq!(sequencer.hear(&signal, Epoch::default()), Ok(true));
     }
 }

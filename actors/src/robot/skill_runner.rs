@@ -38,6 +38,7 @@ pub(super) struct SkillRunner;
 
 /// State of [`SkillRunner`].
 pub(super) struct RunnerState {
+    begun: bool,
     skill: ActiveSkill,
     body: Body,
     done: Option<Box<dyn FnOnce(SkillOutcome) + Send + Sync>>,
@@ -56,7 +57,7 @@ impl Actor for SkillRunner {
         tasks.spawn(async move { while changes.changed().await.is_ok() && to.cast(RunnerMessage::Tick).is_ok() {} });
         tasks.beat(run.period, &myself, || RunnerMessage::Tick);
         myself.cast(RunnerMessage::Tick)?;
-        Ok(RunnerState { skill: run.skill, body: run.body, done: Some(run.done), _tasks: tasks })
+        Ok(RunnerState { begun: false, skill: run.skill, body: run.body, done: Some(run.done), _tasks: tasks })
     }
 
     async fn handle(
@@ -66,7 +67,11 @@ impl Actor for SkillRunner {
         state: &mut Self::State,
     ) -> Result<(), ActorProcessingErr> {
         state.body.refresh();
+        state.begun |= state.body.is_at_rest();
         let outcome = match message {
+            // What was under way before, perhaps in another life of this node, has to come to rest first: the body does one
+            // thing at a time.
+            RunnerMessage::Tick if !state.begun => return Ok(()),
             RunnerMessage::Tick => match state.skill.tick(&mut state.body) {
                 SkillStatus::Running => return Ok(()),
                 SkillStatus::Succeeded => Some(SkillOutcome::Succeeded),

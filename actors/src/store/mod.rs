@@ -1,8 +1,10 @@
 //! What a node remembers from one life to the next.
 
+mod durable;
 mod notebook;
 
 use crate::replica::{Journal, MemoryJournal};
+pub use durable::{ADVICE, DurableStore, LEDGER, LOCK, OpenError, Owner, SEAL, StorageBackend};
 pub use notebook::{MemoryNotebook, Notebook};
 use std::sync::Arc;
 

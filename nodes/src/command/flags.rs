@@ -56,6 +56,23 @@ pub struct RunFlags {
     pub until_stdin_closes: bool,
 }
 
+/// What a node remembers.
+#[derive(Debug, clap::Args)]
+#[command(next_help_heading = "Memory")]
+pub struct StoreFlags {
+    /// Directory in which the node keeps its copy of the ledger, its vote, and what its robot is at; created if need be.
+    /// Without one it forgets all when it ends, and comes back as a new member
+    #[arg(long, env = "CONSORT_DATA_DIR", value_name = "DIR")]
+    data_dir: Option<PathBuf>,
+}
+
+impl StoreFlags {
+    /// Puts what was given in the place of what the file says.
+    pub fn apply(self, data_dir: &mut Option<PathBuf>) {
+        *data_dir = self.data_dir.or(data_dir.take());
+    }
+}
+
 /// Where a node is on the network.
 #[derive(Debug, clap::Args)]
 #[command(next_help_heading = "Network")]

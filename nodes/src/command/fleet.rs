@@ -79,7 +79,11 @@ fn row(node: &Value, fleet: &Value, coordinator: &Value) -> Vec<String> {
     let coordinates = coordinator.get("node").and_then(Value::as_str) == Some(name);
     vec![
         name.to_owned(),
-        yes_no(node.get("alive")).to_owned(),
+        match node.get("status").and_then(Value::as_str) {
+            Some("suspect") => "suspect",
+            _ => yes_no(node.get("alive")),
+        }
+        .to_owned(),
         if coordinates {
             "coordinates"
         } else if among("voters_lost") {

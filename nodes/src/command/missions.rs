@@ -10,8 +10,8 @@ use std::time::Duration;
 
 /// Show missions and how they fare
 ///
-/// In the order in which they were submitted: state, steps done, who holds which role, and why a mission is still
-/// pending. With --watch a line is added for every change, until Ctrl-C.
+/// In the order in which they were submitted: state, steps done, who holds which role, why a mission is still pending, and,
+/// of one that needs rescue, which robot has what and where. With --watch a line is added for every change, until Ctrl-C.
 #[derive(Debug, clap::Args)]
 #[command(after_long_help = "\
 Examples:
@@ -114,12 +114,30 @@ fn pairs(value: Option<&Value>) -> String {
     if pairs.is_empty() { "-".to_owned() } else { pairs.join(", ") }
 }
 
+/// `sample with amber (r1) at IC Room 6, not certain`.
+fn whereabouts(items: &Value) -> String {
+    let line = |kept: &Value| {
+        let place = kept.get("place").and_then(Value::as_str).map(|place| format!(" at {place}"));
+        let certain = kept.get("certain").and_then(Value::as_bool).unwrap_or(false);
+        format!(
+            "{} with {} ({}){}{}",
+            text(kept, "item"),
+            text(kept, "robot"),
+            text(kept, "role"),
+            place.unwrap_or_default(),
+            if certain { "" } else { ", not certain" },
+        )
+    };
+    items.as_array().into_iter().flatten().map(line).collect::<Vec<_>>().join("; ")
+}
+
 /// What a mission's state says beside its word, as `: cause`.
 pub(super) fn detail(state: &Value) -> String {
     let Value::Object(map) = state else { return String::new() };
     let fields = map.values().filter_map(Value::as_object).flat_map(|fields| fields.iter());
     let told: Vec<String> = fields
         .map(|(name, value)| match (name.as_str(), value.as_str()) {
+            ("items", None) => whereabouts(value),
             ("by", Some(who)) => format!("by {who}"),
             (_, Some(text)) => text.to_owned(),
             (name, None) => format!("{name} {value}"),

@@ -1,12 +1,14 @@
 //! The commands, one a file: each has its flags, and `run`.
 
 pub mod cancel;
+pub mod chaos;
 pub mod check;
 pub mod dry_run;
 pub mod flags;
 pub mod fleet;
 pub mod leave;
 pub mod missions;
+pub mod rescue;
 pub mod robot;
 pub mod station;
 pub mod submit;

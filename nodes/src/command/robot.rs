@@ -1,11 +1,11 @@
 //! `consort robot`: the node of a robot.
 
-use super::flags::{BusFlags, FleetFlags, RunFlags, print_config, quantity, set, settled, share};
+use super::flags::{BusFlags, FleetFlags, RunFlags, StoreFlags, print_config, quantity, set, settled, share};
 use crate::config::{FleetRef, RobotConfig, load};
 use crate::exit::Failure;
 use crate::running;
 use crate::wiring::{Life, robot_node};
-use consort_protocol::ids::{PlaceId, RobotId, TaskType};
+use consort_protocol::ids::{NodeId, PlaceId, RobotId, TaskType};
 use consort_protocol::units::{BatteryShare, MetresPerSecond, SharePerSecond};
 use std::path::PathBuf;
 
@@ -27,6 +27,8 @@ pub struct Args {
     config: Option<PathBuf>,
     #[command(flatten)]
     robot: RobotFlags,
+    #[command(flatten)]
+    store: StoreFlags,
     #[command(flatten)]
     bus: BusFlags,
     #[command(flatten)]
@@ -103,6 +105,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
     set(&mut robot.stationary, given.stationary);
     set(&mut robot.mains_powered, given.mains_powered);
     set(&mut robot.may_vote, given.may_vote);
+    args.store.apply(&mut robot.data_dir);
     args.bus.apply(&mut robot.bus);
     let fleet = args.fleet.resolve(&robot.fleet)?;
     robot.fleet = FleetRef::Table(Box::new(fleet.clone()));
@@ -110,5 +113,8 @@ pub fn run(args: Args) -> Result<(), Failure> {
     if args.run.print_config {
         return print_config(&robot);
     }
-    running::node(args.run, &robot.bus, &fleet, || robot_node(&robot, &fleet, Life::real()))
+    let node = NodeId::from(robot.name.clone());
+    running::node(args.run, &robot.bus, &fleet, || {
+        robot_node(&robot, &fleet, Life::real(&node, &fleet, robot.data_dir.as_deref())?)
+    })
 }

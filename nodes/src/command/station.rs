@@ -1,6 +1,6 @@
 //! `consort station`: a node without a robot.
 
-use super::flags::{BusFlags, FleetFlags, RunFlags, print_config, set, settled};
+use super::flags::{BusFlags, FleetFlags, RunFlags, StoreFlags, print_config, set, settled};
 use crate::config::{FleetRef, StationConfig, load};
 use crate::exit::Failure;
 use crate::running;
@@ -16,7 +16,7 @@ use std::path::PathBuf;
 #[command(after_long_help = "\
 Examples:
   consort station --config nodes/examples/station.toml
-  consort station --name ward-1 --listen tcp/0.0.0.0:7447 --bootstrap-expect 3
+  consort station --name ward-1 --data-dir /var/lib/consort --listen tcp/0.0.0.0:7447 --bootstrap-expect 3
   consort station --name ward-2 --connect tcp/192.0.2.7:7447 --bootstrap-expect 3
 
 The keys of the file are those of nodes/examples/station.toml, each explained there.")]
@@ -26,6 +26,8 @@ pub struct Args {
     config: Option<PathBuf>,
     #[command(flatten)]
     station: StationFlags,
+    #[command(flatten)]
+    store: StoreFlags,
     #[command(flatten)]
     bus: BusFlags,
     #[command(flatten)]
@@ -66,6 +68,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
     set(&mut station.stationary, given.stationary);
     set(&mut station.mains_powered, given.mains_powered);
     set(&mut station.may_vote, given.may_vote);
+    args.store.apply(&mut station.data_dir);
     args.bus.apply(&mut station.bus);
     let fleet = args.fleet.resolve(&station.fleet)?;
     station.fleet = FleetRef::Table(Box::new(fleet.clone()));
@@ -73,5 +76,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
     if args.run.print_config {
         return print_config(&station);
     }
-    running::node(args.run, &station.bus, &fleet, || station_node(&station, &fleet, Life::real()))
+    running::node(args.run, &station.bus, &fleet, || {
+        station_node(&station, &fleet, Life::real(&station.name, &fleet, station.data_dir.as_deref())?)
+    })
 }

@@ -21,6 +21,7 @@ use std::time::Duration;
 Examples:
   consort submit lab-samples --set room='IC Room 6'
   consort submit lab-samples --set room='PC Room 3' --request order-7 --wait
+  consort submit lab-samples --priority 10 --deadline 900
   consort submit my-mission.yaml --connect tcp/192.0.2.7:7447")]
 pub struct Args {
     /// The mission: the name of one that is shipped (lab-samples, …) or a file
@@ -32,6 +33,12 @@ pub struct Args {
     /// A name for the request, by which it may be repeated safely. Default: one by chance
     #[arg(long, value_name = "ID")]
     request: Option<RequestId>,
+    /// Which of several waiting missions is served first: -100 to 100, higher first
+    #[arg(long, value_name = "NUMBER", default_value_t = 0, allow_negative_numbers = true)]
+    priority: i64,
+    /// Give the mission up if it is not done after so many seconds, by the coordinators' wall clocks. Default: never
+    #[arg(long, value_name = "SECONDS")]
+    deadline: Option<f64>,
     /// Wait until the mission has ended, and fail if it does not complete
     #[arg(long)]
     wait: bool,
@@ -53,7 +60,11 @@ pub fn run(args: Args) -> Result<(), Failure> {
     let mission = source::mission_request(&args.mission)?;
     let parameters: BTreeMap<&str, &str> = args.parameters.iter().map(|(k, v)| (k.as_str(), v.as_str())).collect();
     let request = args.request.as_ref().map_or_else(by_chance, ToString::to_string);
-    let request = json!({ "mission": mission, "parameters": parameters, "request": request });
+    let mut request = json!({ "mission": mission, "parameters": parameters, "request": request });
+    request["priority"] = json!(args.priority);
+    if let Some(deadline) = args.deadline {
+        request["deadline_s"] = json!(deadline);
+    }
     running::runtime()?.block_on(async {
         let mut client = Client::open(&args.client).await?;
         let answer = client.api(ApiCall::Submit, &request).await?;

@@ -1,6 +1,6 @@
 //! `consort world`: a node that hosts a simulated world.
 
-use super::flags::{BusFlags, FleetFlags, RunFlags, print_config, set, settled};
+use super::flags::{BusFlags, FleetFlags, RunFlags, StoreFlags, print_config, set, settled};
 use crate::config::{FleetRef, WorldConfig, load};
 use crate::exit::Failure;
 use crate::running;
@@ -25,6 +25,8 @@ pub struct Args {
     config: PathBuf,
     #[command(flatten)]
     world: WorldFlags,
+    #[command(flatten)]
+    store: StoreFlags,
     #[command(flatten)]
     bus: BusFlags,
     #[command(flatten)]
@@ -61,6 +63,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
     set(&mut world.seed, given.seed);
     set(&mut world.speed, given.speed);
     set(&mut world.may_vote, given.may_vote);
+    args.store.apply(&mut world.data_dir);
     args.bus.apply(&mut world.bus);
     let fleet = args.fleet.resolve(&world.fleet)?;
     world.fleet = FleetRef::Table(Box::new(fleet.clone()));
@@ -69,6 +72,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
         return print_config(&world);
     }
     running::node(args.run, &world.bus, &fleet, || {
-        world_node(&world, &fleet, Life::real()).map(|(settings, _)| settings)
+        let life = Life::real(&world.name, &fleet, world.data_dir.as_deref())?;
+        world_node(&world, &fleet, life).map(|(settings, _)| settings)
     })
 }

@@ -48,6 +48,9 @@ pub struct FleetConfig {
     /// earlier; a slow link is more easily taken for one. Default: that of `timing`, 2000 or 5000.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub link_lease_ms: Option<u64>,
+    /// After how many seconds a role none of whose steps ends, although it waits for nobody, is taken from its robot; 0 for
+    /// never. Longer: slow drives are left alone, robots that do nothing keep their roles for longer. Default 900.
+    pub stall_after_s: u64,
     /// What bids must keep to.
     pub limits: LimitsConfig,
     /// How long awards last.
@@ -101,6 +104,7 @@ impl Default for FleetConfig {
             voters: autopilot::VOTERS,
             dead_after_ms: None,
             link_lease_ms: None,
+            stall_after_s: 900,
             limits: LimitsConfig::default(),
             lease: LeaseConfig::default(),
             auction: AuctionConfig::default(),
@@ -168,6 +172,7 @@ impl ConfigFile for FleetConfig {
         within("voters", self.voters as u64, 1, autopilot::VOTERS_MAX as u64);
         within("dead_after_ms", ms(times.dead_after), 1_000, 86_400_000);
         within("link_lease_ms", ms(times.link_lease), 100, 600_000);
+        within("stall_after_s", self.stall_after_s, 0, 604_800);
         within("lease.lease_ms", self.lease.lease_ms, 500, 3_600_000);
         within("lease.grace_ms", self.lease.grace_ms, 200, 3_600_000);
         within("auction.window_ms", ms(times.window), 1, 60_000);

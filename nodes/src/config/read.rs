@@ -97,6 +97,13 @@ pub(super) fn under(folder: &Path, path: &Path) -> PathBuf {
     joined.components().collect()
 }
 
+/// Makes a path, if there is one, relative to `folder`.
+pub(super) fn settle_path(path: &mut Option<PathBuf>, folder: &Path) {
+    if let Some(path) = path {
+        *path = under(folder, path);
+    }
+}
+
 /// The key and those allowed in its place, if serde's message tells of an unknown field.
 fn unknown_key(message: &str) -> Option<(String, Vec<String>)> {
     let rest = message.strip_prefix("unknown field ")?;
@@ -149,7 +156,7 @@ mod tests {
             said::<FleetConfig>(text),
             [
                 "f.toml:1:1: unknown key `nam` in a fleet file; allowed: name, map, bootstrap_expect, timing, \
-                 voters, dead_after_ms, link_lease_ms, limits, lease, auction, ensemble; did you mean `name`?",
+                 voters, dead_after_ms, link_lease_ms, stall_after_s, limits, lease, auction, ensemble; did you mean `name`?",
                 "f.toml:4:1: unknown key `lase_ms` in a fleet file; allowed: lease_ms, grace_ms; did you mean `lease_ms`?",
                 "f.toml:6:14: 3 is not a battery share: allowed is a number from 0 (empty) to 1 (full)",
             ]

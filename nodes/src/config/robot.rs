@@ -1,13 +1,14 @@
 //! The robot file: a node that drives a robot.
 
 use super::fleet::unknown_skill;
+use super::read::settle_path;
 use super::{BusConfig, ConfigFile, FleetRef, yes};
 use consort_protocol::ids::{PlaceId, RobotId, TaskType};
 use consort_protocol::mission::Domain;
 use consort_protocol::units::{BatteryShare, MetresPerSecond, SharePerSecond};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeSet;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 /// A robot file. `name`, `place` and `skills` must be there.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -40,6 +41,9 @@ pub struct RobotConfig {
     /// Whether it may keep a copy of the ledger, and coordinate. Default: it may.
     #[serde(default = "yes")]
     pub may_vote: bool,
+    /// The directory in which the node keeps what it has promised. Default: none, and it forgets all when it ends.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub data_dir: Option<PathBuf>,
     /// The fleet: the path of its file, or a table with the same keys. Default: a fleet of all defaults.
     #[serde(default)]
     pub fleet: FleetRef,
@@ -75,6 +79,7 @@ impl RobotConfig {
             stationary: false,
             mains_powered: false,
             may_vote: true,
+            data_dir: None,
             fleet: FleetRef::default(),
             bus: BusConfig::default(),
         }
@@ -86,6 +91,7 @@ impl ConfigFile for RobotConfig {
 
     fn settle(&mut self, folder: &Path) {
         self.fleet.settle(folder);
+        settle_path(&mut self.data_dir, folder);
     }
 
     fn problems(&self) -> Vec<String> {

@@ -1,9 +1,10 @@
 //! The station file: a node without a robot, which keeps the ledger and may coordinate.
 
+use super::read::settle_path;
 use super::{BusConfig, ConfigFile, FleetRef, yes};
 use consort_protocol::ids::NodeId;
 use serde::{Deserialize, Serialize};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 /// A station file. Only `name` must be there.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -20,6 +21,9 @@ pub struct StationConfig {
     /// Whether it may keep a copy of the ledger, and coordinate. Default: it may.
     #[serde(default = "yes")]
     pub may_vote: bool,
+    /// The directory in which the node keeps what it has promised. Default: none, and it forgets all when it ends.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub data_dir: Option<PathBuf>,
     /// The fleet: the path of its file, or a table with the same keys. Default: a fleet of all defaults.
     #[serde(default)]
     pub fleet: FleetRef,
@@ -36,6 +40,7 @@ impl StationConfig {
             stationary: true,
             mains_powered: true,
             may_vote: true,
+            data_dir: None,
             fleet: FleetRef::default(),
             bus: BusConfig::default(),
         }
@@ -47,6 +52,7 @@ impl ConfigFile for StationConfig {
 
     fn settle(&mut self, folder: &Path) {
         self.fleet.settle(folder);
+        settle_path(&mut self.data_dir, folder);
     }
 
     fn problems(&self) -> Vec<String> {

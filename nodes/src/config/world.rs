@@ -1,12 +1,12 @@
 //! The world file: a node that hosts a simulated world.
 
-use super::read::under;
+use super::read::{settle_path, under};
 use super::{BusConfig, ConfigFile, FleetRef};
 use crate::floor::is_shipped;
 use consort_protocol::ids::NodeId;
 use consort_sim::world::{Durations, Person, RobotBody, WorldLimits};
 use serde::{Deserialize, Serialize};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 /// A world file. Every key has a default; a world without robots is a dull one.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -24,6 +24,9 @@ pub struct WorldConfig {
     /// Whether the node may keep a copy of the ledger, and coordinate. Default: it may not, for a world is no part of a
     /// real fleet.
     pub may_vote: bool,
+    /// The directory in which the node keeps what it has promised, if it may vote. Default: none.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub data_dir: Option<PathBuf>,
     /// The fleet: the path of its file, or a table with the same keys. Default: a fleet of all defaults.
     pub fleet: FleetRef,
     /// Where it is on the network.
@@ -46,6 +49,7 @@ impl Default for WorldConfig {
             seed: 1,
             speed: 1.0,
             may_vote: false,
+            data_dir: None,
             fleet: FleetRef::default(),
             bus: BusConfig::default(),
             durations: Durations::default(),
@@ -64,6 +68,7 @@ impl ConfigFile for WorldConfig {
 
     fn settle(&mut self, folder: &Path) {
         self.fleet.settle(folder);
+        settle_path(&mut self.data_dir, folder);
         if let Some(map) = self.map.as_mut().filter(|map| !is_shipped(map)) {
             *map = under(folder, Path::new(map)).display().to_string();
         }

@@ -5,7 +5,7 @@ use crate::exit::Failure;
 use crate::output;
 use consort_protocol::auction::{AuctionEntry, AuctionRecord, Verdict};
 use consort_protocol::event::{Event, Happening};
-use consort_protocol::ids::{MissionId, NodeId};
+use consort_protocol::ids::{MissionId, NodeId, TaskId};
 use consort_protocol::ledger::MissionState;
 use consort_protocol::plan::{Signal, SignalKind};
 use indicatif::{MultiProgress, ProgressBar, ProgressStyle};
@@ -104,6 +104,23 @@ impl Narrator {
             Happening::TaskFailed { role, task, cause, .. } => {
                 self.tell(at, "task", format!("{node:10} {role:8} {task} FAILED: {cause}"))
             }
+            Happening::TaskRetried { role, task, attempt, cause, .. } => {
+                self.tell(at, "task", format!("{node:10} {role:8} {task} failed {attempt} times, once more: {cause}"))
+            }
+            Happening::Alternative { role, task, tasks, cause, .. } => {
+                let tasks = tasks.iter().map(TaskId::as_str).collect::<Vec<_>>().join(", ");
+                self.tell(at, "task", format!("{node:10} {role:8} {tasks} instead of {task}: {cause}"))
+            }
+            Happening::GaveUp { mission, role, cause, .. } => {
+                self.tell(at, "gives up", format!("{node} as {role} of {mission}: {cause}"))
+            }
+            Happening::ChargeShort { mission, role, cause } => {
+                self.tell(at, "charge", format!("{node} goes on as {role} of {mission} all the same: {cause}"))
+            }
+            Happening::Outdated { signal, epoch, known, .. } => {
+                let text = format!("{node} does not listen to {} of epoch {epoch}: now it is {known}", said(signal));
+                self.tell(at, "sync", text)
+            }
             Happening::Sent { signal, .. } => self.tell(at, "sync", said(signal)),
             Happening::Heard { signal, .. } => self.tell(at, "sync", format!("{} (heard)", said(signal))),
             Happening::Suspended { mission, role } => {
@@ -171,6 +188,7 @@ impl Narrator {
         let text = match state {
             MissionState::Failed { cause } => format!("{mission} failed: {cause}"),
             MissionState::Canceled { by } => format!("{mission} canceled by {by}"),
+            MissionState::NeedsRescue { cause, .. } => format!("{mission} needs rescue: {cause}"),
             MissionState::Pending | MissionState::Running | MissionState::Completed => {
                 format!("{mission} is {}", state.word())
             }

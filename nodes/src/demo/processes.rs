@@ -112,11 +112,13 @@ impl Processes {
             if let Some(robot) = cast.robots.iter().find(|robot| robot.name.as_str() == node.as_str()) {
                 let mut robot = robot.clone();
                 robot.bus = bus(index);
+                robot.data_dir = Some(folder.0.join(node.as_str()));
                 write(node, "robot", to_toml(&robot))?;
             }
             if let Some(station) = cast.stations.iter().find(|station| station.name == *node) {
                 let mut station = station.clone();
                 station.bus = bus(index);
+                station.data_dir = Some(folder.0.join(node.as_str()));
                 write(node, "station", to_toml(&station))?;
             }
         }

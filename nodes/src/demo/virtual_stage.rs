@@ -7,6 +7,7 @@ use crate::wiring::{self, Equipment, Life};
 use consort_actors::bus::{LinkModel, SharedBus, VirtualNetwork};
 use consort_actors::clock::Clock;
 use consort_actors::node::{NodeHandle, NodeSettings};
+use consort_actors::store::Store;
 use consort_protocol::ids::NodeId;
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -53,7 +54,7 @@ impl VirtualStage {
         self.lives += 1;
         let origin = u64::try_from(self.started.elapsed().as_millis()).unwrap_or(u64::MAX);
         let seed = self.seed.wrapping_mul(1_000_003).wrapping_add(self.lives);
-        Life { clock: Clock::virtual_at(origin), incarnation: self.lives, seed }
+        Life { clock: Clock::virtual_at(origin), incarnation: self.lives, seed, store: Store::in_memory(seed) }
     }
 
     async fn start(&mut self, settings: NodeSettings) -> Result<(), Failure> {

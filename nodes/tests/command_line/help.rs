@@ -1,6 +1,7 @@
 use super::support::run;
 
-const COMMANDS: [&str; 9] = ["robot", "station", "world", "submit", "missions", "cancel", "fleet", "check", "dry-run"];
+const COMMANDS: [&str; 10] =
+    ["robot", "station", "world", "submit", "missions", "cancel", "rescue", "fleet", "check", "dry-run"];
 
 #[test]
 fn the_help_names_every_command_and_the_exit_codes() {

@@ -1,6 +1,6 @@
 //! Calls, bids and refusals as values, and when a bid is viable.
 
-use crate::ids::{EnsembleId, MissionId, PlaceId, RobotId, RoleId, TaskId, TaskType};
+use crate::ids::{EnsembleId, ItemId, MissionId, PlaceId, RobotId, RoleId, TaskId, TaskType};
 use crate::plan::LocalPlan;
 use crate::units::{BatteryShare, Seconds};
 use serde::{Deserialize, Serialize};
@@ -138,12 +138,42 @@ pub enum RefusalReason {
         /// What the predicate said.
         why: String,
     },
+    /// It has something of a mission that waits for a person. Said by the coordinator.
+    #[error("has the {item} of {mission}, which needs rescue")]
+    HandsFull {
+        /// What it has, or may have.
+        item: ItemId,
+        /// The mission that waits.
+        mission: MissionId,
+    },
+    /// It had the role in this mission and failed. Said by the coordinator.
+    #[error("failed at it before: {cause}")]
+    Excluded {
+        /// Why it was taken from the robot.
+        cause: String,
+    },
     /// It was asked and did not answer in time. Said by the coordinator on its behalf.
     #[error("no answer within {window_ms} ms")]
     Silent {
         /// How long was waited.
         window_ms: u64,
     },
+}
+
+impl RefusalReason {
+    /// Whether asking again in this mission is in vain: nothing that the robot does meanwhile changes its answer.
+    pub fn is_for_good(&self) -> bool {
+        match self {
+            RefusalReason::MissingSkills { .. }
+            | RefusalReason::NotFeasible { .. }
+            | RefusalReason::Excluded { .. } => true,
+            RefusalReason::Busy { .. }
+            | RefusalReason::OutOfService { .. }
+            | RefusalReason::NotMember { .. }
+            | RefusalReason::HandsFull { .. }
+            | RefusalReason::Silent { .. } => false,
+        }
+    }
 }
 
 fn list(skills: &[TaskType]) -> String {
@@ -162,6 +192,13 @@ pub struct Limits {
 impl Default for Limits {
     fn default() -> Self {
         Limits { time: None, charge_min: BatteryShare::new(0.05).expect("0.05 is a share") }
+    }
+}
+
+impl Limits {
+    /// What must be left of the battery of a robot with this useful charge.
+    pub fn floor(&self, useful_charge: BatteryShare) -> BatteryShare {
+        if useful_charge > self.charge_min { useful_charge } else { self.charge_min }
     }
 }
 
@@ -197,7 +234,7 @@ impl Bid {
         if let Some(limit) = limits.time.filter(|limit| self.time > *limit) {
             return Err(Unviable::TooSlow { time: self.time, limit });
         }
-        let floor = if self.useful_charge > limits.charge_min { self.useful_charge } else { limits.charge_min };
+        let floor = limits.floor(self.useful_charge);
         if self.remaining > floor.get() {
             Ok(())
         } else {

@@ -3,7 +3,7 @@
 use super::bid::{Answer, Bid, CallForBids, Limits, RefusalReason, Tender};
 use super::record::{AuctionEntry, AuctionRecord, Verdict};
 use super::select::select;
-use crate::ids::{MissionId, RobotId, RoleId};
+use crate::ids::{RobotId, RoleId};
 use std::collections::{BTreeMap, BTreeSet};
 
 /// What an auction came to.
@@ -13,6 +13,8 @@ pub struct Conclusion {
     pub holders: Option<BTreeMap<RoleId, RobotId>>,
     /// How it came about.
     pub record: AuctionRecord,
+    /// Roles at which somebody has failed, and which all others refuse for good.
+    pub hopeless: BTreeSet<RoleId>,
 }
 
 /// What the coordinator knows beside the answers.
@@ -20,8 +22,11 @@ pub struct Conclusion {
 pub struct Circumstances<'a> {
     /// Who should have answered.
     pub expected: &'a BTreeSet<RobotId>,
-    /// Robots that hold a role, or are about to: a robot may have bid before it heard of that.
-    pub taken: &'a BTreeMap<RobotId, (MissionId, RoleId)>,
+    /// Robots whose bids do not count, and why: they hold a role, or are about to, and may have bid before they heard of
+    /// that; or they still carry something of another mission.
+    pub taken: &'a BTreeMap<RobotId, RefusalReason>,
+    /// Robots that failed at a role in this mission, and why.
+    pub excluded: &'a BTreeMap<RoleId, BTreeMap<RobotId, String>>,
     /// What bids must keep to.
     pub limits: &'a Limits,
     /// How long was waited for answers, in milliseconds.
@@ -52,7 +57,11 @@ pub fn conclude(call: &CallForBids, tenders: &[Tender], circumstances: &Circumst
     let mut entries = vec![];
     for role in call.roles.keys() {
         for &robot in &robots {
+            let excluded = circumstances.excluded.get(role).and_then(|excluded| excluded.get(robot));
             let verdict = match answers.get(&(role, robot)) {
+                _ if let Some(cause) = excluded => {
+                    Verdict::Refused { reason: RefusalReason::Excluded { cause: cause.clone() } }
+                }
                 Some(Answer::Bid(bid)) => judge(bid, circumstances, &mut viable),
                 Some(Answer::Refusal(refusal)) => Verdict::Refused { reason: refusal.reason.clone() },
                 None => Verdict::Refused { reason: RefusalReason::Silent { window_ms: circumstances.window_ms } },
@@ -60,6 +69,14 @@ pub fn conclude(call: &CallForBids, tenders: &[Tender], circumstances: &Circumst
             entries.push(AuctionEntry { role: role.clone(), robot: robot.clone(), verdict });
         }
     }
+
+    let for_good = |entry: &AuctionEntry| match &entry.verdict {
+        Verdict::Refused { reason } => reason.is_for_good(),
+        Verdict::Viable { .. } | Verdict::Unviable { .. } => false,
+    };
+    let hopeless = circumstances.excluded.iter().filter(|(_, excluded)| !excluded.is_empty()).map(|(role, _)| role);
+    let hopeless = hopeless.filter(|role| entries.iter().filter(|entry| entry.role == **role).all(for_good));
+    let hopeless = hopeless.filter(|role| call.roles.contains_key(*role)).cloned().collect();
 
     let choice = select(&call.roles.keys().cloned().collect(), &viable);
     let holders = choice.as_ref().ok().map(|picks| {
@@ -79,13 +96,13 @@ pub fn conclude(call: &CallForBids, tenders: &[Tender], circumstances: &Circumst
         chosen: holders.clone().unwrap_or_default(),
         failure: choice.err().map(|problem| problem.to_string()),
     };
-    Conclusion { holders, record }
+    Conclusion { holders, record, hopeless }
 }
 
 fn judge<'t>(bid: &'t Bid, circumstances: &Circumstances<'_>, viable: &mut Vec<&'t Bid>) -> Verdict {
     let Bid { time, energy, remaining, .. } = *bid;
-    if let Some((mission, role)) = circumstances.taken.get(&bid.robot) {
-        return Verdict::Refused { reason: RefusalReason::Busy { mission: mission.clone(), role: role.clone() } };
+    if let Some(reason) = circumstances.taken.get(&bid.robot) {
+        return Verdict::Refused { reason: reason.clone() };
     }
     match bid.viable(circumstances.limits) {
         Ok(()) => {
@@ -100,7 +117,7 @@ fn judge<'t>(bid: &'t Bid, circumstances: &Circumstances<'_>, viable: &mut Vec<&
 mod tests {
     use super::*;
     use crate::auction::{AuctionId, Refusal};
-    use crate::ids::{EnsembleId, PlaceId};
+    use crate::ids::{EnsembleId, MissionId, PlaceId};
     use crate::plan::LocalPlan;
     use crate::units::{BatteryShare, Seconds};
 
@@ -116,8 +133,19 @@ mod tests {
         CallForBids {
             auction: AuctionId { mission: MissionId::new("m-1").unwrap(), term: 3, round: 1 },
             ensemble: EnsembleId::new("all").unwrap(),
-            roles: BTreeMap::from([(role(), LocalPlan { role: role(), steps: vec![] })]),
+            roles: BTreeMap::from([(role(), LocalPlan::of(role(), vec![]))]),
         }
+    }
+
+    static NOBODY: BTreeMap<RoleId, BTreeMap<RobotId, String>> = BTreeMap::new();
+
+    fn circumstances<'a>(
+        expected: &'a BTreeSet<RobotId>,
+        taken: &'a BTreeMap<RobotId, RefusalReason>,
+        excluded: &'a BTreeMap<RoleId, BTreeMap<RobotId, String>>,
+    ) -> Circumstances<'a> {
+        static LIMITS: std::sync::LazyLock<Limits> = std::sync::LazyLock::new(Limits::default);
+        Circumstances { expected, taken, excluded, limits: &LIMITS, window_ms: 200, at_ms: 0 }
     }
 
     fn bids(name: &str, time: f64, remaining: f64) -> Tender {
@@ -138,9 +166,9 @@ mod tests {
     #[test]
     fn every_robot_and_why_it_did_not_get_the_role_is_in_the_record() {
         let expected = ["ada", "bob", "cyd", "dan", "eve", "fay"].map(robot).into_iter().collect();
-        let taken = BTreeMap::from([(robot("bob"), (MissionId::new("m-0").unwrap(), role()))]);
-        let circumstances =
-            Circumstances { expected: &expected, taken: &taken, limits: &Limits::default(), window_ms: 200, at_ms: 0 };
+        let taken_by = RefusalReason::Busy { mission: MissionId::new("m-0").unwrap(), role: role() };
+        let taken = BTreeMap::from([(robot("bob"), taken_by)]);
+        let circumstances = circumstances(&expected, &taken, &NOBODY);
         let busy = RefusalReason::Busy { mission: MissionId::new("m-7").unwrap(), role: role() };
         let refusal = Refusal { robot: robot("dan"), role: role(), reason: busy.clone() };
         let refuses = Tender { robot: robot("dan"), auction: call().auction, answers: vec![Answer::Refusal(refusal)] };
@@ -173,11 +201,33 @@ mod tests {
     }
 
     #[test]
+    fn whoever_failed_at_a_role_does_not_get_it_and_when_nobody_else_can_it_is_hopeless() {
+        let (expected, taken) = (["ada", "bob"].map(robot).into_iter().collect(), BTreeMap::new());
+        let excluded = BTreeMap::from([(role(), BTreeMap::from([(robot("ada"), "lost its way".to_owned())]))]);
+        let circumstances = circumstances(&expected, &taken, &excluded);
+        let conclusion = conclude(&call(), &[bids("ada", 1.0, 0.5), bids("bob", 9.0, 0.5)], &circumstances);
+        assert_eq!(conclusion.holders, Some(BTreeMap::from([(role(), robot("bob"))])));
+        let said = |verdict: &Verdict| match verdict {
+            Verdict::Refused { reason } => reason.to_string(),
+            other => format!("{other:?}"),
+        };
+        assert_eq!(said(&conclusion.record.entries[0].verdict), "failed at it before: lost its way");
+        assert!(conclusion.hopeless.is_empty());
+
+        let silent = conclude(&call(), &[bids("ada", 1.0, 0.5)], &circumstances);
+        assert_eq!((silent.holders, silent.hopeless), (None, BTreeSet::new()), "bob may yet answer");
+        let lacks = RefusalReason::MissingSkills { skills: vec![] };
+        let refusal = Refusal { robot: robot("bob"), role: role(), reason: lacks };
+        let refuses = Tender { robot: robot("bob"), auction: call().auction, answers: vec![Answer::Refusal(refusal)] };
+        let conclusion = conclude(&call(), &[bids("ada", 1.0, 0.5), refuses], &circumstances);
+        assert_eq!((conclusion.holders, conclusion.hopeless), (None, [role()].into()));
+    }
+
+    #[test]
     fn an_answer_to_another_call_or_in_anothers_name_does_not_count() {
         let expected = BTreeSet::new();
         let taken = BTreeMap::new();
-        let circumstances =
-            Circumstances { expected: &expected, taken: &taken, limits: &Limits::default(), window_ms: 200, at_ms: 0 };
+        let circumstances = circumstances(&expected, &taken, &NOBODY);
         let mut old = bids("ada", 1.0, 0.5);
         old.auction.round = 9;
         let mut forged = bids("bob", 1.0, 0.5);

@@ -1,8 +1,10 @@
 //! The state machine.
 
-use super::entry::{Holder, MissionEntry, MissionState, RoleEntry, RolePhase, Submission};
+use super::custody::Stranded;
+use super::entry::{Branch, Holder, MissionEntry, MissionState, RoleEntry, RolePhase, Submission};
+use super::loss::Loss;
 use crate::auction::AuctionRecord;
-use crate::ids::{ClusterId, MissionId, RequestId, RobotId, RoleId};
+use crate::ids::{ClusterId, ItemId, MissionId, PlaceId, RequestId, RobotId, RoleId};
 use crate::lease::Epoch;
 use crate::mission::RoleKind;
 use crate::plan::StepIndex;
@@ -16,7 +18,7 @@ pub const HISTORY_MAX: usize = 500;
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct Ledger {
     cluster: Option<ClusterId>,
-    missions: BTreeMap<MissionId, MissionEntry>,
+    pub(super) missions: BTreeMap<MissionId, MissionEntry>,
     requests: BTreeMap<RequestId, MissionId>,
     submitted: u64,
 }
@@ -57,6 +59,8 @@ pub enum Command {
         epoch: Epoch,
         /// Which life of the robot's node speaks.
         incarnation: u64,
+        /// Whether that life took the plan up from what a former one had written down.
+        resumes: bool,
     },
     /// Steps of a role have ended.
     Progress {
@@ -79,6 +83,10 @@ pub enum Command {
         epoch: Epoch,
         /// Why it is taken away, in words.
         cause: String,
+        /// Whether the robot failed at the role, and was not merely silent: it is not asked for it again in this mission.
+        blamed: bool,
+        /// Where the robot was last known to be.
+        place: Option<PlaceId>,
     },
     /// The mission cannot be carried out.
     Fail {
@@ -86,12 +94,23 @@ pub enum Command {
         mission: MissionId,
         /// Why, in words.
         cause: String,
+        /// Where its robots were last known to be.
+        places: BTreeMap<RobotId, PlaceId>,
     },
     /// A client withdraws a mission.
     Cancel {
         /// The mission.
         mission: MissionId,
         /// On whose word.
+        by: String,
+        /// Where its robots were last known to be.
+        places: BTreeMap<RobotId, PlaceId>,
+    },
+    /// A person has taken care of what a mission left in robots' hands.
+    Rescued {
+        /// The mission.
+        mission: MissionId,
+        /// Who.
         by: String,
     },
 }
@@ -170,7 +189,36 @@ pub enum Refused {
         /// The role that it has.
         role: RoleId,
     },
-    /// The robot's node has started anew since it confirmed the role, and knows nothing of it.
+    /// A robot has something of a mission that waits for a person.
+    #[error("{robot} has the {item} of {mission}, which needs rescue")]
+    HandsFull {
+        /// The robot.
+        robot: RobotId,
+        /// What it has, or may have.
+        item: ItemId,
+        /// The mission that waits.
+        mission: MissionId,
+    },
+    /// The mission does not wait for a person.
+    #[error("mission {mission} is {state}; only one that needs rescue can be closed")]
+    NoRescue {
+        /// The mission.
+        mission: MissionId,
+        /// How it stands, in a word.
+        state: String,
+    },
+    /// The robot's node has started anew, and a later life of it has confirmed the role; ordinary for a report that was
+    /// long on its way.
+    #[error("a later life of {robot} has confirmed {role} of {mission}")]
+    FormerLife {
+        /// The robot.
+        robot: RobotId,
+        /// The mission.
+        mission: MissionId,
+        /// The role.
+        role: RoleId,
+    },
+    /// The robot's node has started anew since it confirmed the role, and knows nothing of the plan.
     #[error("{robot} has started anew since it confirmed {role} of {mission}")]
     Restarted {
         /// The robot.
@@ -190,11 +238,16 @@ impl Ledger {
             Command::Submit(submission) => return self.submit(*submission),
             Command::Award { mission, holders, auction } => self.award(&mission, holders, auction, at),
             Command::Defer { mission, auction } => self.defer(&mission, auction),
-            Command::Accept { mission, role, epoch, incarnation } => self.accept(&mission, &role, epoch, incarnation),
+            Command::Accept { mission, role, epoch, incarnation, resumes } => {
+                self.accept(&mission, &role, epoch, incarnation, resumes)
+            }
             Command::Progress { mission, role, epoch, ended } => self.progress(&mission, &role, epoch, &ended),
-            Command::Release { mission, role, epoch, cause } => self.release(&mission, &role, epoch, &cause),
-            Command::Fail { mission, cause } => self.end(&mission, MissionState::Failed { cause }),
-            Command::Cancel { mission, by } => self.end(&mission, MissionState::Canceled { by }),
+            Command::Release { mission, role, epoch, cause, blamed, place } => {
+                self.release(&mission, &role, epoch, &Loss { cause, blamed, place })
+            }
+            Command::Fail { mission, cause, places } => self.end(&mission, MissionState::Failed { cause }, &places),
+            Command::Cancel { mission, by, places } => self.cancel(&mission, by, &places),
+            Command::Rescued { mission, by } => self.rescued(&mission, &by),
         };
         done.unwrap_or_else(Outcome::Refused)
     }
@@ -219,11 +272,22 @@ impl Ledger {
         self.missions.get(self.requests.get(request)?)
     }
 
-    /// Missions that have not ended, in the order in which they were submitted.
+    /// Missions that have not ended, in the order in which they are served: by priority, then as they were submitted.
     pub fn live(&self) -> Vec<&MissionEntry> {
         let mut live: Vec<_> = self.missions.values().filter(|entry| !entry.state.is_end()).collect();
-        live.sort_by_key(|entry| entry.number);
+        live.sort_by_key(|entry| entry.rank());
         live
+    }
+
+    /// What robots have of missions that wait for a person, with those missions. Such robots are given no role.
+    pub fn stranded(&self) -> impl Iterator<Item = (&MissionEntry, &Stranded)> {
+        self.missions.values().flat_map(|entry| {
+            let items: &[Stranded] = match &entry.state {
+                MissionState::NeedsRescue { items, .. } => items,
+                _ => &[],
+            };
+            items.iter().map(move |item| (entry, item))
+        })
     }
 
     /// The role that a robot holds now, with its award.
@@ -252,14 +316,21 @@ impl Ledger {
         let number = self.submitted;
         let name: String = submission.mission.name.as_str().chars().take(40).collect();
         let id = MissionId::new(format!("{name}-{number}")).expect("a task's name, a dash and a number are a slug");
-        let roles = submission.mission.roles.iter().map(|(role, declared)| {
-            let entry = RoleEntry { kind: declared.kind, phase: RolePhase::Open, holder: None, ended: BTreeSet::new() };
-            (role.clone(), entry)
-        });
-        let roles = roles.collect();
+        let roles = RoleEntry::all_open(&submission.mission);
         self.requests.insert(submission.request.clone(), id.clone());
         let state = MissionState::Pending;
-        let entry = MissionEntry { id: id.clone(), number, submission, state, roles, auction: None };
+        let entry = MissionEntry {
+            id: id.clone(),
+            number,
+            submission,
+            state,
+            roles,
+            auction: None,
+            branch: Branch::Main,
+            inherited: vec![],
+            releases: vec![],
+            released: 0,
+        };
         self.missions.insert(id.clone(), entry);
         Outcome::Submitted { mission: id, again: false }
     }
@@ -288,6 +359,10 @@ impl Ledger {
             if let Some(role) = taken.insert(robot, role) {
                 return Err(two(mission, role));
             }
+            if let Some((entry, kept)) = self.stranded().find(|(_, kept)| kept.robot == *robot) {
+                let (robot, item, mission) = (robot.clone(), kept.item.clone(), entry.id.clone());
+                return Err(Refused::HandsFull { robot, item, mission });
+            }
         }
         let entry = self.live_mission(mission)?;
         for (id, robot) in holders {
@@ -313,11 +388,17 @@ impl Ledger {
         role_id: &RoleId,
         epoch: Epoch,
         incarnation: u64,
+        resumes: bool,
     ) -> Result<Outcome, Refused> {
         let role = self.held_role(mission, role_id, epoch)?;
         let Some(holder) = &mut role.holder else { return Ok(Outcome::Done) };
         match holder.incarnation {
-            Some(known) if known != incarnation => {
+            Some(known) if known > incarnation => {
+                let (robot, mission, role) = (holder.robot.clone(), mission.clone(), role_id.clone());
+                return Err(Refused::FormerLife { robot, mission, role });
+            }
+            Some(known) if known < incarnation && resumes => holder.incarnation = Some(incarnation),
+            Some(known) if known < incarnation => {
                 let (robot, mission, role) = (holder.robot.clone(), mission.clone(), role_id.clone());
                 return Err(Refused::Restarted { robot, mission, role });
             }
@@ -343,47 +424,10 @@ impl Ledger {
         if role.ended.len() == steps {
             role.phase = RolePhase::Ended;
         }
-        let entry = self.live_mission(mission)?;
-        let managed = |role: &&RoleEntry| role.kind == RoleKind::Managed;
-        if entry.roles.values().filter(managed).all(|role| role.phase == RolePhase::Ended) {
-            entry.state = MissionState::Completed;
-            self.forget_oldest();
-        }
-        Ok(Outcome::Done)
+        self.complete_if_done(mission)
     }
 
-    fn release(
-        &mut self,
-        mission: &MissionId,
-        role_id: &RoleId,
-        epoch: Epoch,
-        cause: &str,
-    ) -> Result<Outcome, Refused> {
-        let role = self.held_role(mission, role_id, epoch)?;
-        if role.phase == RolePhase::Ended {
-            return Ok(Outcome::Done); // carried out: nobody needs to do it again
-        }
-        let robot = role.holder.as_ref().map(|holder| holder.robot.to_string());
-        if self.live_mission(mission)?.has_told(role_id) {
-            let who = robot.unwrap_or_default();
-            let cause = format!("{who} was lost as {role_id} after others had acted on its work: {cause}");
-            return self.end(mission, MissionState::Failed { cause });
-        }
-        let role = self.held_role(mission, role_id, epoch)?;
-        role.holder = None;
-        role.phase = RolePhase::Open;
-        role.ended.clear();
-        self.live_mission(mission)?.state = MissionState::Pending;
-        Ok(Outcome::Done)
-    }
-
-    fn end(&mut self, mission: &MissionId, state: MissionState) -> Result<Outcome, Refused> {
-        self.live_mission(mission)?.state = state;
-        self.forget_oldest();
-        Ok(Outcome::Done)
-    }
-
-    fn live_mission(&mut self, mission: &MissionId) -> Result<&mut MissionEntry, Refused> {
+    pub(super) fn live_mission(&mut self, mission: &MissionId) -> Result<&mut MissionEntry, Refused> {
         match self.missions.get_mut(mission) {
             None => Err(Refused::NoMission { mission: mission.clone() }),
             Some(entry) if entry.state.is_end() => {
@@ -394,7 +438,12 @@ impl Ledger {
     }
 
     /// A role that is held under `epoch` and has not ended, or an unmanaged one.
-    fn held_role(&mut self, mission: &MissionId, id: &RoleId, epoch: Epoch) -> Result<&mut RoleEntry, Refused> {
+    pub(super) fn held_role(
+        &mut self,
+        mission: &MissionId,
+        id: &RoleId,
+        epoch: Epoch,
+    ) -> Result<&mut RoleEntry, Refused> {
         let (mission_id, role_id) = (mission.clone(), id.clone());
         let entry = self.live_mission(mission)?;
         let Some(role) = entry.roles.get_mut(id) else {
@@ -407,8 +456,9 @@ impl Ledger {
         Ok(role)
     }
 
-    fn forget_oldest(&mut self) {
-        let ended = self.missions.values().filter(|entry| entry.state.is_end());
+    pub(super) fn forget_oldest(&mut self) {
+        // What waits for a person is not forgotten.
+        let ended = self.missions.values().filter(|entry| entry.state.is_end() && !entry.state.needs_rescue());
         let mut ended: Vec<(u64, MissionId, RequestId)> =
             ended.map(|entry| (entry.number, entry.id.clone(), entry.submission.request.clone())).collect();
         if ended.len() <= HISTORY_MAX {

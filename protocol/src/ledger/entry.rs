@@ -1,11 +1,13 @@
 //! What the ledger keeps of each mission.
 
+use super::custody::Stranded;
 use crate::auction::AuctionRecord;
 use crate::ids::{MissionId, RequestId, RobotId, RoleId};
-use crate::lease::Epoch;
-use crate::mission::{Mission, RoleKind};
+use crate::lease::{Epoch, Holding};
+use crate::mission::{Lost, Mission, RoleKind};
 use crate::plan::{Division, LocalPlan, StepAction, StepIndex};
 use serde::{Deserialize, Serialize};
+use std::cmp::Reverse;
 use std::collections::{BTreeMap, BTreeSet};
 
 /// A mission as it was asked for: checked and divided.
@@ -19,8 +21,83 @@ pub struct Submission {
     pub division: Division,
     /// What the client gave for the mission's parameters, to show.
     pub parameters: BTreeMap<String, String>,
+    /// What is done instead if a robot is lost that has an item.
+    pub recovery: Option<Recovery>,
+    /// Which of two waiting missions is served first: the one of higher priority, then the earlier.
+    pub priority: Priority,
+    /// When the mission should be done: milliseconds since 1970 on the accepting coordinator's wall clock. Deadlines trust
+    /// the wall clocks of coordinators, leases never do.
+    pub deadline_ms: Option<u64>,
     /// When it was submitted: milliseconds on the accepting coordinator's wall clock, to show; nothing is decided by it.
     pub at_ms: u64,
+}
+
+/// A mission's recovery branch, divided and proven like the mission itself.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Recovery {
+    /// What is to be done.
+    pub mission: Mission,
+    /// By whom and in step with whom.
+    pub division: Division,
+}
+
+impl Recovery {
+    /// The branch for what was lost; `None` if it asks for what is not known.
+    fn filled(&self, lost: &Lost) -> Option<Recovery> {
+        let mut division = self.division.clone();
+        for plan in division.plans.values_mut() {
+            for step in &mut plan.steps {
+                if let StepAction::Task { spec, .. } = &mut step.action {
+                    *spec = lost.fill(spec.clone())?;
+                }
+            }
+            for (_, spec) in plan.alternatives.iter_mut().flat_map(|other| &mut other.tasks) {
+                *spec = lost.fill(spec.clone())?;
+            }
+        }
+        Some(Recovery { mission: lost.fill_mission(self.mission.clone())?, division })
+    }
+}
+
+/// How urgent a mission is: -100 to 100, higher first.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+#[serde(try_from = "i8", into = "i8")]
+pub struct Priority(i8);
+
+/// A number that is no priority.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
+#[error("{0} is no priority; allowed are -100 to 100, and higher ones are served first")]
+pub struct PriorityError(i64);
+
+impl Priority {
+    /// Takes a number as a priority.
+    ///
+    /// # Errors
+    /// [`PriorityError`] if it is none.
+    pub fn new(number: i64) -> Result<Self, PriorityError> {
+        match i8::try_from(number) {
+            Ok(small @ -100..=100) => Ok(Priority(small)),
+            _ => Err(PriorityError(number)),
+        }
+    }
+
+    /// As a number.
+    pub fn get(self) -> i8 {
+        self.0
+    }
+}
+
+impl TryFrom<i8> for Priority {
+    type Error = PriorityError;
+    fn try_from(number: i8) -> Result<Self, PriorityError> {
+        Priority::new(number.into())
+    }
+}
+
+impl From<Priority> for i8 {
+    fn from(priority: Priority) -> i8 {
+        priority.0
+    }
 }
 
 /// A mission in the ledger.
@@ -28,7 +105,7 @@ pub struct Submission {
 pub struct MissionEntry {
     /// Its id.
     pub id: MissionId,
-    /// Its place among all missions ever submitted, from 1: the order in which they are served.
+    /// Its place among all missions ever submitted, from 1: of missions of one priority, the order in which they are served.
     pub number: u64,
     /// What was asked.
     pub submission: Submission,
@@ -38,6 +115,43 @@ pub struct MissionEntry {
     pub roles: BTreeMap<RoleId, RoleEntry>,
     /// The latest auction held for it.
     pub auction: Option<AuctionRecord>,
+    /// Whether its recovery branch was taken.
+    pub branch: Branch,
+    /// What was in robots' keeping when the recovery branch was taken.
+    pub inherited: Vec<Stranded>,
+    /// The robots that its roles were taken from, oldest first; of more than [`RELEASES_KEPT`] not all.
+    pub releases: Vec<Released>,
+    /// How many there were.
+    pub released: u32,
+}
+
+/// How many releases are kept to be looked at.
+pub const RELEASES_KEPT: usize = 16;
+
+/// Which part of a mission is carried out.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Branch {
+    /// What was asked for.
+    #[default]
+    Main,
+    /// What is done because something was lost.
+    Recovery,
+}
+
+/// A role that was taken from a robot.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Released {
+    /// The role.
+    pub role: RoleId,
+    /// Who had it.
+    pub robot: RobotId,
+    /// Why it was taken away, in words.
+    pub cause: String,
+    /// Whether the robot failed at the role, and is not asked for it again in this mission.
+    pub blamed: bool,
+    /// Whether it had confirmed the role. One that never did counts for little.
+    pub confirmed: bool,
 }
 
 /// How a mission stands.
@@ -60,15 +174,29 @@ pub enum MissionState {
         /// On whose word.
         by: String,
     },
+    /// Given up or withdrawn while robots had something in their hands: nothing more is done about it by the fleet, and it
+    /// is kept until a person closes it.
+    NeedsRescue {
+        /// Why, in words.
+        cause: String,
+        /// What is where.
+        items: Vec<Stranded>,
+    },
 }
 
 impl MissionState {
-    /// Whether nothing more will come of the mission.
+    /// Whether the fleet does nothing more about the mission.
     pub fn is_end(&self) -> bool {
         match self {
             MissionState::Pending | MissionState::Running => false,
             MissionState::Completed | MissionState::Failed { .. } | MissionState::Canceled { .. } => true,
+            MissionState::NeedsRescue { .. } => true,
         }
+    }
+
+    /// Whether it waits for a person to close it.
+    pub fn needs_rescue(&self) -> bool {
+        matches!(self, MissionState::NeedsRescue { .. })
     }
 
     /// One word for it.
@@ -79,6 +207,7 @@ impl MissionState {
             MissionState::Completed => "completed",
             MissionState::Failed { .. } => "failed",
             MissionState::Canceled { .. } => "canceled",
+            MissionState::NeedsRescue { .. } => "needs rescue",
         }
     }
 }
@@ -94,6 +223,14 @@ pub struct RoleEntry {
     pub holder: Option<Holder>,
     /// Steps of its local plan that have ended.
     pub ended: BTreeSet<StepIndex>,
+}
+
+impl RoleEntry {
+    /// The roles of a mission, which nobody holds yet.
+    pub(super) fn all_open(mission: &Mission) -> BTreeMap<RoleId, RoleEntry> {
+        let open = |kind| RoleEntry { kind, phase: RolePhase::Open, holder: None, ended: BTreeSet::new() };
+        mission.roles.iter().map(|(role, declared)| (role.clone(), open(declared.kind))).collect()
+    }
 }
 
 /// How far the filling of a role has come.
@@ -117,7 +254,8 @@ pub struct Holder {
     pub robot: RobotId,
     /// By which award.
     pub epoch: Epoch,
-    /// In which life of the robot's node it confirmed; a later life knows nothing of the plan.
+    /// In which life of the robot's node it confirmed. A later life knows nothing of the plan, unless it says that it took
+    /// it up from what the former one had written down.
     pub incarnation: Option<u64>,
 }
 
@@ -137,9 +275,61 @@ impl MissionEntry {
         self.roles.iter().filter_map(holder).collect()
     }
 
+    /// The same with the awards.
+    pub fn holdings(&self) -> BTreeMap<RoleId, Holding> {
+        let holding = |holder: &Holder| Holding { robot: holder.robot.clone(), epoch: holder.epoch };
+        let held = self.roles.iter().filter_map(|(id, role)| Some((id.clone(), holding(role.holder.as_ref()?))));
+        held.collect()
+    }
+
     /// A role's local plan.
     pub fn plan(&self, role: &RoleId) -> Option<&LocalPlan> {
-        self.submission.division.plans.get(role)
+        self.division()?.plans.get(role)
+    }
+
+    /// What is to be done, in the branch that is taken.
+    pub fn mission(&self) -> &Mission {
+        match (&self.submission.recovery, self.branch) {
+            (Some(recovery), Branch::Recovery) => &recovery.mission,
+            (_, Branch::Main | Branch::Recovery) => &self.submission.mission,
+        }
+    }
+
+    /// The plans of the branch that is taken.
+    pub(super) fn division(&self) -> Option<&Division> {
+        match self.branch {
+            Branch::Main => Some(&self.submission.division),
+            Branch::Recovery => self.submission.recovery.as_ref().map(|recovery| &recovery.division),
+        }
+    }
+
+    /// In which order missions are served: smallest first.
+    pub fn rank(&self) -> (Reverse<Priority>, u64) {
+        (Reverse(self.submission.priority), self.number)
+    }
+
+    /// The robots that failed at a role of this mission, and why: they are not asked for it again.
+    pub fn excluded(&self, role: &RoleId) -> BTreeMap<RobotId, String> {
+        let blamed = self.releases.iter().filter(|released| released.blamed && released.role == *role);
+        blamed.map(|released| (released.robot.clone(), released.cause.clone())).collect()
+    }
+
+    /// Goes over to the recovery branch for what was lost, if there is one that has not been taken and that asks for
+    /// nothing that is not known. All its roles are open.
+    pub(super) fn recover(&mut self, lost: &Stranded, kept: Vec<Stranded>) -> bool {
+        let lost = Lost { item: lost.item.clone(), robot: lost.robot.clone(), place: lost.place.clone() };
+        let filled = match self.branch {
+            Branch::Main => self.submission.recovery.as_ref().and_then(|recovery| recovery.filled(&lost)),
+            Branch::Recovery => None,
+        };
+        let Some(filled) = filled else { return false };
+        self.roles = RoleEntry::all_open(&filled.mission);
+        self.submission.recovery = Some(filled);
+        self.branch = Branch::Recovery;
+        self.inherited = kept;
+        self.auction = None;
+        self.state = MissionState::Pending;
+        true
     }
 
     /// Steps ended and steps in all, over all managed roles.
@@ -147,19 +337,6 @@ impl MissionEntry {
         let managed = self.roles.iter().filter(|(_, role)| role.kind == RoleKind::Managed);
         managed.fold((0, 0), |(done, all), (id, role)| {
             (done + role.ended.len(), all + self.plan(id).map_or(0, |plan| plan.steps.len()))
-        })
-    }
-
-    /// Whether something that the role did has been told to others, so that it cannot simply be begun anew elsewhere: by
-    /// its own account, or because somebody who waited for it has gone on.
-    pub(super) fn has_told(&self, teller: &RoleId) -> bool {
-        self.roles.iter().any(|(id, role)| {
-            let steps = self.plan(id).map_or(&[][..], |plan| &plan.steps);
-            role.ended.iter().filter_map(|step| steps.get(*step as usize)).any(|step| match &step.action {
-                StepAction::Send(_) => id == teller,
-                StepAction::Wait(signal) => signal.from == *teller,
-                StepAction::Task { .. } => false,
-            })
         })
     }
 }

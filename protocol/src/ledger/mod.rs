@@ -11,9 +11,19 @@
 //!             ▲  │ defer (why not yet)     │ │
 //!             └──┘◀────── release ─────────┘ └── fail (cause) ─▶ failed      cancel: from pending and running
 //! ```
+//!
+//! A mission that would fail or be canceled while a robot has something in its hands goes to *needs rescue* instead, and
+//! stays there until a person closes it; with a recovery branch it goes on with that. `custody` says who has what.
 
 mod apply;
+mod custody;
 mod entry;
+mod loss;
 
 pub use apply::{Command, HISTORY_MAX, Ledger, Outcome, Refused};
-pub use entry::{Holder, MissionEntry, MissionState, RoleEntry, RolePhase, Submission};
+pub use custody::Stranded;
+pub use entry::{
+    Branch, Holder, MissionEntry, MissionState, Priority, PriorityError, RELEASES_KEPT, Recovery, Released, RoleEntry,
+    RolePhase, Submission,
+};
+pub use loss::RELEASES_MAX;

@@ -17,6 +17,24 @@
 //!     - { task: meet, type: wait, roles: [r1, nurse], parameters: { seconds: "5" } }   # two roles: a joint task
 //! ```
 //!
+//! An elementary task may say more:
+//!
+//! - `acquires: { sample: r1 }`: once it has ended, `r1` has the sample; `releases: [sample]`: nobody of the mission has.
+//!   Tasks that touch one item must be in a definite order. The ledger knows from this what a lost robot carries.
+//! - `attempts: 3`: how often its skill is tried before the task has failed; 1 to 10, 2 if nothing is said.
+//!
+//! A role may say `on_loss: restart`: if its holder is lost after others have acted on its work, and has no item in its
+//! hands, another begins it from the beginning. Without it such a mission fails.
+//!
+//! Beside `root` a file may have a `recovery`, of the same shape: what is done instead if a robot is lost that has, or may
+//! have, an item. Its roles are declared with the others, and robots are sought anew for all that take part in it. Its
+//! tasks have names of their own. In its `parameters` and `reaches`, `${lost.item}`, `${lost.robot}` and `${lost.place}`
+//! stand for what was lost, who had it, and where that robot was last known to be.
+//!
+//! An abstract task may have `alternatives`: other methods, each `{ method: sequential, tasks: [ elementary tasks ] }`,
+//! tried in the order of the file when a task of its own method has failed for good. They are *local*: all tasks of the
+//! method and of its alternatives are done by one managed role alone, and none touches an item.
+//!
 //! A parameter's `kind` is `place`, `seconds` or `text`; without a `default` a request must give it. `${name}` stands
 //! for its value, within the values of `parameters` and `reaches` only; `$$` stands for a dollar sign. What was put
 //! in is never searched again, so a value cannot smuggle in another.
@@ -26,10 +44,13 @@
 //! gigabytes.
 
 use super::domain::{Domain, ValueKind};
-use super::model::{Body, Method, Mission, Order, Role, RoleKind, TaskIndex, TaskNode, TaskSpec};
+use super::lost::{self, Lost};
+use super::model::{
+    ATTEMPTS, Body, Method, Mission, OnLoss, Order, OtherMethod, Role, RoleKind, TaskIndex, TaskNode, TaskSpec,
+};
 use super::problem::{Allowed, Fault, MissionErrors, Problem};
 use super::validate::TASKS_MAX;
-use crate::ids::{NameError, RoleId, TaskId, TaskType};
+use crate::ids::{ItemId, NameError, RoleId, TaskId, TaskType};
 use serde::de::{Deserializer, Error as _, MapAccess, Visitor};
 use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, BTreeSet};
@@ -146,12 +167,16 @@ struct MissionFile {
     #[serde(deserialize_with = "each_key_once")]
     roles: BTreeMap<String, RoleFile>,
     root: TaskFile,
+    #[serde(default)]
+    recovery: Option<TaskFile>,
 }
 
 #[derive(Debug, Clone, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct RoleFile {
     kind: RoleKind,
+    #[serde(default)]
+    on_loss: OnLoss,
     #[serde(default, rename = "description")]
     _description: String,
 }
@@ -173,6 +198,29 @@ struct TaskFile {
     parameters: BTreeMap<String, String>,
     #[serde(default, deserialize_with = "each_key_once")]
     reaches: BTreeMap<String, String>,
+    #[serde(default, deserialize_with = "each_key_once")]
+    acquires: BTreeMap<String, String>,
+    #[serde(default)]
+    releases: Vec<String>,
+    #[serde(default)]
+    attempts: Option<u8>,
+    #[serde(default)]
+    alternatives: Vec<MethodFile>,
+}
+
+#[derive(Debug, Clone, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct MethodFile {
+    method: Order,
+    tasks: Vec<TaskFile>,
+}
+
+impl TaskFile {
+    /// Whether it says what only an elementary task does.
+    fn has_entries(&self) -> bool {
+        let maps = [&self.parameters, &self.reaches, &self.acquires];
+        maps.iter().any(|map| !map.is_empty()) || !self.releases.is_empty() || self.attempts.is_some()
+    }
 }
 
 /// A map in which a key that stands twice is an error; JSON readers otherwise keep the last and say nothing.
@@ -252,29 +300,79 @@ impl MissionTemplate {
         &self.file.parameters
     }
 
-    /// The mission with its parameters filled in, checked against the domain.
+    /// The mission with its parameters filled in, checked against the domain; its recovery branch, too, is checked.
     ///
     /// # Errors
     /// [`MissionErrors`] lists every problem of the values given and of the file.
     pub fn instantiate(&self, given: &BTreeMap<String, String>, domain: &Domain) -> Result<Mission, MissionErrors> {
+        self.instantiate_both(given, domain).map(|(mission, _)| mission)
+    }
+
+    /// The mission and its recovery branch, if it has one. What is told of the loss is filled in when there is one.
+    ///
+    /// # Errors
+    /// As [`instantiate`](MissionTemplate::instantiate).
+    pub fn instantiate_both(
+        &self,
+        given: &BTreeMap<String, String>,
+        domain: &Domain,
+    ) -> Result<(Mission, Option<Mission>), MissionErrors> {
         let mut building = Building { values: BTreeMap::new(), used: BTreeSet::new(), problems: Vec::new() };
         building.take_values(&self.file.parameters, given);
-        let mission = building.mission(&self.name, &self.file);
+        let mut mission = building.mission(&self.name, &self.file.roles, &self.file.root, "root");
+        let mut recovery = self.file.recovery.as_ref().map(|root| {
+            building.values.extend(lost::NAMES);
+            building.mission(&self.name, &self.file.roles, root, "recovery")
+        });
         building.find_unused(&self.file.parameters);
         let mut problems = building.problems;
         let unwritten = !problems.is_empty();
-        if let Err(errors) = mission.check(domain) {
-            // Where something could not be put in, what is missing for that reason is no problem of its own.
-            let own = |problem: &Problem| match problem.fault {
-                Fault::NoRole { .. } | Fault::IdleRole | Fault::MissingParameter { .. } => !unwritten,
-                Fault::BadValue { .. } | Fault::EmptyMethod | Fault::NoManagedRole => !unwritten,
-                _ => true,
-            };
-            problems.extend(errors.problems.into_iter().filter(own));
+        let mut found = vec![];
+        if let Some(recovery) = &mut recovery {
+            part_roles(&mut mission, recovery);
+            found = branch_problems(&mission, recovery, domain);
         }
+        found.splice(0..0, mission.check(domain).err().into_iter().flat_map(|errors| errors.problems));
+        // Where something could not be put in, what is missing for that reason is no problem of its own.
+        let own = |problem: &Problem| match problem.fault {
+            Fault::NoRole { .. } | Fault::IdleRole | Fault::MissingParameter { .. } => !unwritten,
+            Fault::BadValue { .. } | Fault::EmptyMethod | Fault::NoManagedRole => !unwritten,
+            _ => true,
+        };
+        problems.extend(found.into_iter().filter(own));
         MissionErrors::unless_none(&self.name, problems)?;
-        Ok(mission)
+        Ok((mission, recovery))
     }
+}
+
+/// Leaves to each branch the roles that do something in it; to the mission also those that do nothing in either.
+fn part_roles(mission: &mut Mission, recovery: &mut Mission) {
+    let busy = |mission: &Mission| -> BTreeSet<RoleId> {
+        mission.elementary().into_iter().flat_map(|(_, spec)| spec.roles.clone()).collect()
+    };
+    let (own, others) = (busy(mission), busy(recovery));
+    mission.roles.retain(|role, _| own.contains(role) || !others.contains(role));
+    recovery.roles.retain(|role, _| others.contains(role));
+}
+
+/// What is wrong with a recovery branch.
+fn branch_problems(mission: &Mission, recovery: &Mission, domain: &Domain) -> Vec<Problem> {
+    let filled = Lost::for_instance().fill_mission(recovery.clone()).expect("all of it is known");
+    let of_branch = |Problem { path, fault }: Problem| match path.strip_prefix("root") {
+        Some(below) => Problem { path: format!("recovery{below}"), fault },
+        None => Problem { path: format!("recovery: {path}"), fault },
+    };
+    let mut found: Vec<Problem> =
+        filled.check(domain).err().into_iter().flat_map(|errors| errors.problems).map(of_branch).collect();
+    let names: BTreeSet<&TaskId> = mission.task_names().collect();
+    for task in recovery.task_names().filter(|task| names.contains(task)) {
+        let fault = Fault::DuplicateId { first: format!("root/…/{task}") };
+        found.push(Problem { path: format!("recovery/…/{task}"), fault });
+    }
+    if mission.elementary().iter().all(|(_, spec)| spec.acquires.is_empty()) {
+        found.push(Problem { path: "recovery".to_owned(), fault: Fault::NothingToLose });
+    }
+    found
 }
 
 /// A mission under construction.
@@ -330,15 +428,22 @@ impl<'a> Building<'a> {
         name.map_err(|error| self.problem(path, error.into())).ok()
     }
 
-    fn mission(&mut self, name: &TaskId, file: &'a MissionFile) -> Mission {
+    fn mission(
+        &mut self,
+        name: &TaskId,
+        declared: &'a BTreeMap<String, RoleFile>,
+        root: &'a TaskFile,
+        path: &str,
+    ) -> Mission {
         let mut roles = BTreeMap::new();
-        for (text, role) in &file.roles {
-            if let Some(id) = self.name(&format!("roles/{text}"), RoleId::new(&**text)) {
-                roles.insert(id, Role { kind: role.kind });
-            }
+        for (text, role) in declared {
+            // A name that is none is told once, by the main branch.
+            let id = RoleId::new(&**text);
+            let id = if path == "root" { self.name(&format!("roles/{text}"), id) } else { id.ok() };
+            roles.extend(id.map(|id| (id, Role { kind: role.kind, on_loss: role.on_loss })));
         }
         let mut tasks: Vec<TaskNode> = Vec::new();
-        let mut open: Vec<(&'a TaskFile, Option<usize>, String)> = vec![(&file.root, None, "root".to_owned())];
+        let mut open: Vec<(&'a TaskFile, Option<usize>, String)> = vec![(root, None, path.to_owned())];
         // One more than is allowed is enough for the check to refuse it.
         while let Some((node, parent, path)) = open.pop()
             && tasks.len() <= TASKS_MAX
@@ -363,13 +468,21 @@ impl<'a> Building<'a> {
     }
 
     fn body(&mut self, node: &'a TaskFile, path: &str) -> Body {
-        let has_entries = !node.parameters.is_empty() || !node.reaches.is_empty();
         let problem = match (&node.method, &node.tasks, &node.task_type, &node.roles) {
-            (Some(order), Some(_), None, None) if !has_entries => {
-                return Body::Abstract(Method { order: *order, children: vec![] });
+            (Some(order), Some(_), None, None) if !node.has_entries() => {
+                let alternatives = self.alternatives(node, path);
+                return Body::Abstract(Method { order: *order, children: vec![], alternatives });
             }
-            (None, None, Some(task_type), Some(roles)) => return self.elementary(node, task_type, roles, path),
-            (Some(_), Some(_), None, None) => "is abstract and has `parameters` or `reaches`",
+            (None, None, Some(task_type), Some(roles)) if node.alternatives.is_empty() => {
+                return match self.elementary(node, task_type, roles, path) {
+                    Some(spec) => Body::Elementary(spec),
+                    None => Body::Abstract(Method::of(Order::Sequential, vec![])),
+                };
+            }
+            (None, None, Some(_), Some(_)) => "is elementary and has `alternatives`",
+            (Some(_), Some(_), None, None) => {
+                "is abstract and has `parameters`, `reaches`, `acquires`, `releases` or `attempts`"
+            }
             (Some(_), Some(_), ..) => "has `method` as well as `type` or `roles`",
             (Some(_), None, ..) => "has `method` but no `tasks`",
             (None, Some(_), ..) => "has `tasks` but no `method` (sequential or unordered)",
@@ -378,18 +491,51 @@ impl<'a> Building<'a> {
             (None, None, None, None) => "has neither",
         };
         self.problem(path, Fault::Shape { problem: problem.to_owned() });
-        Body::Abstract(Method { order: Order::Sequential, children: vec![] })
+        Body::Abstract(Method::of(Order::Sequential, vec![]))
     }
 
-    fn elementary(&mut self, node: &'a TaskFile, task_type: &str, roles: &[String], path: &str) -> Body {
+    fn alternatives(&mut self, node: &'a TaskFile, path: &str) -> Vec<OtherMethod> {
+        let mut alternatives = Vec::new();
+        for (number, method) in (1..).zip(&node.alternatives) {
+            let path = format!("{path}/alternative {number}");
+            if method.method != Order::Sequential {
+                let problem = "is an alternative, and the tasks of an alternative are `sequential`".to_owned();
+                self.problem(&path, Fault::Shape { problem });
+            }
+            let mut tasks = Vec::new();
+            for task in &method.tasks {
+                let path = format!("{path}/{}", task.task);
+                let id = self.name(&path, TaskId::new(&*task.task));
+                let spec = match self.body(task, &path) {
+                    Body::Elementary(spec) => Some(spec),
+                    Body::Abstract(_) => {
+                        if task.task_type.is_none() {
+                            let problem = "stands in an alternative, where all tasks are elementary".to_owned();
+                            self.problem(&path, Fault::Shape { problem });
+                        }
+                        None
+                    }
+                };
+                tasks.extend(id.zip(spec));
+            }
+            alternatives.push(OtherMethod { tasks });
+        }
+        alternatives
+    }
+
+    fn elementary(&mut self, node: &'a TaskFile, task_type: &str, roles: &[String], path: &str) -> Option<TaskSpec> {
         let task_type = self.name(path, TaskType::new(task_type));
         let roles = roles.iter().filter_map(|role| self.name(path, RoleId::new(&**role))).collect();
         let parameters = self.entries(&node.parameters, path);
         let reaches = self.entries(&node.reaches, path);
-        match task_type {
-            Some(task_type) => Body::Elementary(TaskSpec { task_type, roles, parameters, reaches }),
-            None => Body::Abstract(Method { order: Order::Sequential, children: vec![] }),
+        let mut acquires = BTreeMap::new();
+        for (item, role) in &node.acquires {
+            let item = self.name(path, ItemId::new(&**item));
+            acquires.extend(item.zip(self.name(path, RoleId::new(&**role))));
         }
+        let releases = node.releases.iter().filter_map(|item| self.name(path, ItemId::new(&**item))).collect();
+        let attempts = node.attempts.unwrap_or(ATTEMPTS);
+        Some(TaskSpec { parameters, reaches, acquires, releases, attempts, ..TaskSpec::of(task_type?, roles) })
     }
 
     fn entries(&mut self, entries: &'a BTreeMap<String, String>, path: &str) -> BTreeMap<String, String> {
@@ -430,157 +576,4 @@ impl<'a> Building<'a> {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-
-    const FILE: &str = r#"
-mission: inspect-room
-parameters:
-  room: { kind: place, default: IC Room 6 }
-  pause: { kind: seconds }
-roles:
-  r1: { kind: managed }
-  nurse: { kind: unmanaged, description: on duty }
-root:
-  task: inspect
-  method: sequential
-  tasks:
-    - { task: go, type: navigation, roles: [r1], parameters: { to: "${room}" }, reaches: { at: "in ${room} for $$1" } }
-    - task: meet
-      method: unordered
-      tasks:
-        - { task: stay, type: wait, roles: [r1, nurse], parameters: { seconds: "${pause}" } }
-        - { task: sit, type: wait, roles: [nurse], parameters: { seconds: 2.50 } }
-"#;
-
-    fn given(entries: &[(&str, &str)]) -> BTreeMap<String, String> {
-        entries.iter().map(|(k, v)| ((*k).to_owned(), (*v).to_owned())).collect()
-    }
-
-    fn problems(text: &str, values: &[(&str, &str)]) -> Vec<String> {
-        let template = MissionTemplate::parse(text, Format::of(None, text)).unwrap();
-        match template.instantiate(&given(values), &Domain::hospital()) {
-            Ok(_) => vec![],
-            Err(errors) => errors.problems.iter().map(ToString::to_string).collect(),
-        }
-    }
-
-    #[test]
-    fn a_file_becomes_a_mission_with_its_parameters_filled_in() {
-        let template = MissionTemplate::parse(FILE, Format::Yaml).unwrap();
-        let mission = template.instantiate(&given(&[("pause", "4")]), &Domain::hospital()).unwrap();
-        let ids: Vec<&str> = mission.tasks.iter().map(|node| node.id.as_str()).collect();
-        assert_eq!(ids, ["inspect", "go", "meet", "stay", "sit"]);
-        let specs: Vec<&TaskSpec> = mission.elementary().into_iter().map(|(_, spec)| spec).collect();
-        assert_eq!(specs[0].parameters["to"], "IC Room 6");
-        assert_eq!(specs[0].reaches["at"], "in IC Room 6 for $1");
-        assert_eq!(specs[1].parameters["seconds"], "4");
-        assert_eq!(specs[2].parameters["seconds"], "2.50");
-        let Body::Abstract(method) = &mission.tasks[2].body else { panic!("meet is abstract") };
-        assert_eq!(method, &Method { order: Order::Unordered, children: vec![3, 4] });
-    }
-
-    #[test]
-    fn json_says_the_same_as_yaml() {
-        let json = r#" {"mission": "m", "roles": {"r1": {"kind": "managed"}},
-            "root": {"task": "go", "type": "navigation", "roles": ["r1"], "parameters": {"to": "Laboratory"}}}"#;
-        assert_eq!(Format::of(None, json), Format::Json);
-        assert_eq!(Format::of(Some(Path::new("a/m.yml")), json), Format::Yaml);
-        let yaml = MissionTemplate::parse(json, Format::Yaml).unwrap();
-        let json = MissionTemplate::parse(json, Format::Json).unwrap();
-        let build = |template: MissionTemplate| template.instantiate(&BTreeMap::new(), &Domain::hospital()).unwrap();
-        assert_eq!(build(json), build(yaml));
-    }
-
-    #[test]
-    fn a_request_gives_what_is_asked_for_and_nothing_else() {
-        assert_eq!(
-            problems(FILE, &[("rom", "IC Room 2")]),
-            [
-                "parameters/pause: is not given and has no default; it should be a number of seconds, zero or more",
-                "parameters/rom: is given, but the mission has no such parameter; allowed: pause, room; did you mean \
-                 `room`?",
-            ]
-        );
-        assert_eq!(
-            problems(FILE, &[("pause", "soon")]),
-            ["parameters/pause: parameter `pause` is \"soon\"; it should be a number of seconds, zero or more"]
-        );
-    }
-
-    #[test]
-    fn a_value_cannot_smuggle_in_another() {
-        let template = MissionTemplate::parse(FILE, Format::Yaml).unwrap();
-        let values = given(&[("pause", "4"), ("room", "${pause}")]);
-        let mission = template.instantiate(&values, &Domain::hospital()).unwrap();
-        assert_eq!(mission.elementary()[0].1.parameters["to"], "${pause}");
-    }
-
-    #[test]
-    fn what_the_file_gets_wrong_is_told_together_with_its_path() {
-        let file = FILE
-            .replace("to: \"${room}\"", "to: \"${roon}\"")
-            .replace("in ${room}", "in ${room")
-            .replace("task: stay, type: wait, roles: [r1, nurse]", "task: st/ay, type: wait, roles: [r 1, nurse]")
-            .replace("{ task: sit, type: wait, roles: [nurse]", "{ task: sit, roles: [nurse]");
-        assert_eq!(
-            problems(&file, &[("pause", "1")]),
-            [
-                "root/go: `${roon}` is no parameter of the mission; allowed: pause, room; did you mean `room`?",
-                "root/go: \"in ${room for $$1\": a `${` is never closed; write `${name}` for a parameter and `$$` for \
-                 a dollar sign",
-                "root/meet/st/ay: \"st/ay\" cannot name a task: it holds '/'; allowed are 1 to 64 characters of A-Z, \
-                 a-z, 0-9, `_`, `.` and `-`",
-                "root/meet/st/ay: \"r 1\" cannot name a role: it holds ' '; allowed are 1 to 64 characters of A-Z, \
-                 a-z, 0-9, `_`, `.` and `-`",
-                "root/meet/sit: a task has either `method` and `tasks`, or `type` and `roles` (and `parameters`, \
-                 `reaches`); this one has `roles` but no `type`",
-                "parameters/room: is declared, but `${room}` stands nowhere in the tasks",
-            ]
-        );
-    }
-
-    #[test]
-    fn unknown_fields_and_repeated_keys_are_refused_with_their_place() {
-        let message = |text: &str| MissionTemplate::parse(text, Format::of(None, text)).unwrap_err().to_string();
-        let error = message(&FILE.replace("method: unordered", "methode: unordered"));
-        assert!(error.contains("methode") && error.contains("line 15"), "{error}");
-        let error = message(&FILE.replace("unordered", "random"));
-        assert!(error.contains("random") && error.contains("unordered"), "{error}");
-        let error = message(r#"{"mission": "m", "roles": {"r": {"kind": "managed"}, "r": {"kind": "managed"}}}"#);
-        assert!(error.contains("`r` stands here twice"), "{error}");
-    }
-
-    #[test]
-    fn hostile_files_are_refused_quickly() {
-        let large = format!("mission: m\ntitle: {}\n", "x".repeat(FILE_BYTES_MAX));
-        assert!(matches!(MissionTemplate::parse(&large, Format::Yaml), Err(FileError::TooLarge { .. })));
-        let bomb = "mission: &a [x,x,x,x,x,x,x,x]\ntitle: &b [*a,*a,*a,*a,*a,*a,*a,*a]\nroot: [*b,*b,*b,*b,*b,*b]\n";
-        assert!(MissionTemplate::parse(bomb, Format::Yaml).is_err());
-        let alias = "mission: &a m\ntitle: *a\nroles: {}\nroot: { task: t }\n";
-        assert!(MissionTemplate::parse(alias, Format::Yaml).is_err());
-        for open in ["[", "{\"root\":", "{\"tasks\":[", "{root: ", "- ", "? "] {
-            let deep = open.repeat(FILE_BYTES_MAX / open.len());
-            assert!(MissionTemplate::parse(&deep, Format::Json).is_err());
-            assert!(MissionTemplate::parse(&deep, Format::Yaml).is_err());
-        }
-        let nest = |levels: usize| {
-            let open = r#"{"task":"a","method":"sequential","tasks":["#;
-            let root = open.repeat(levels) + r#"{"task":"b","type":"wait","roles":["r"]}"# + &"]}".repeat(levels);
-            format!(r#"{{"mission":"m","roles":{{"r":{{"kind":"managed"}}}},"root":{root}}}"#)
-        };
-        assert!(MissionTemplate::parse(&nest(10_000 / 48), Format::Json).is_err());
-        assert!(problems(&nest(40), &[]).iter().any(|problem| problem.contains("levels deep")));
-    }
-
-    #[test]
-    fn too_many_tasks_are_refused_without_building_them() {
-        let task = r#"{"task":"b","type":"wait","roles":["r"]},"#.repeat(600);
-        let file = format!(
-            r#"{{"mission":"m","roles":{{"r":{{"kind":"managed"}}}},
-                "root":{{"task":"a","method":"unordered","tasks":[{}]}}}}"#,
-            task.trim_end_matches(',')
-        );
-        assert_eq!(problems(&file, &[]), ["root: 513 tasks; at most 512 are allowed"]);
-    }
-}
+mod tests;

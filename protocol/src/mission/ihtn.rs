@@ -373,7 +373,7 @@ impl<'a> Import<'a> {
             } else {
                 let below = &self.nodes[&node.children.0[0]].children.0;
                 open.extend(below.iter().rev().map(|child| (child.as_str(), Some(index))));
-                Body::Abstract(Method { order: Order::Sequential, children: vec![] })
+                Body::Abstract(Method::of(Order::Sequential, vec![]))
             };
             match TaskId::new(names.next(&node.name)) {
                 Ok(id) => tasks.push(TaskNode { id, body }),
@@ -399,7 +399,7 @@ impl<'a> Import<'a> {
                 Ok(role) => {
                     let unmanaged = self.reading.unmanaged.contains(&role);
                     let kind = if unmanaged { RoleKind::Unmanaged } else { RoleKind::Managed };
-                    roles.insert(role.clone(), Role { kind });
+                    roles.insert(role.clone(), Role::of(kind));
                     own.push(role);
                 }
                 Err(error) => self.problem(id, error),
@@ -410,7 +410,7 @@ impl<'a> Import<'a> {
             None => {
                 let allowed = Allowed::instead_of(&node.name, self.domain.task_types());
                 self.problem(id, Fault::UnknownType { task_type: node.name.clone(), allowed });
-                return Body::Abstract(Method { order: Order::Sequential, children: vec![] });
+                return Body::Abstract(Method::of(Order::Sequential, vec![]));
             }
         };
         let mut reaches = BTreeMap::new();
@@ -424,7 +424,7 @@ impl<'a> Import<'a> {
                 parameters.entry(name.clone()).or_insert_with(|| other.clone());
             }
         }
-        Body::Elementary(TaskSpec { task_type, roles: own, parameters, reaches })
+        Body::Elementary(TaskSpec { parameters, reaches, ..TaskSpec::of(task_type, own) })
     }
 
     /// The task type that an action's name stands for, and the parameter that its ending stands for.

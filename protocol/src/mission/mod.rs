@@ -16,6 +16,7 @@
 mod domain;
 mod file;
 mod ihtn;
+mod lost;
 mod model;
 mod problem;
 mod shipped;
@@ -24,7 +25,11 @@ mod validate;
 pub use domain::{Domain, ParameterSchema, TaskSchema, ValueKind};
 pub use file::{FILE_BYTES_MAX, FileError, Format, MissionTemplate, TemplateKind, TemplateParameter};
 pub use ihtn::{IhtnFault, IhtnReading, import_ihtn};
-pub use model::{Body, Method, Mission, Order, Role, RoleKind, TaskIndex, TaskNode, TaskSpec};
+pub use lost::Lost;
+pub use model::{
+    ATTEMPTS, ATTEMPTS_MAX, Body, Method, Mission, OnLoss, Order, OtherMethod, Role, RoleKind, TaskIndex, TaskNode,
+    TaskSpec,
+};
 pub use problem::{Allowed, Fault, MissionErrors, Problem};
 pub use shipped::shipped;
 pub use validate::{DEPTH_MAX, ENTRIES_MAX, JOINT_MAX, ROLES_MAX, TASKS_MAX, VALUE_CHARS_MAX};

@@ -1,8 +1,8 @@
 //! The mission tree as a value.
 
-use crate::ids::{RoleId, TaskId, TaskType};
+use crate::ids::{ItemId, RoleId, TaskId, TaskType};
 use serde::{Deserialize, Serialize};
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 /// Position of a task in [`Mission::tasks`].
 pub type TaskIndex = u32;
@@ -23,6 +23,29 @@ pub struct Mission {
 pub struct Role {
     /// Whether a robot is sought for it.
     pub kind: RoleKind,
+    /// What becomes of the mission when a holder of it is lost whose work others have already acted on.
+    #[serde(default)]
+    pub on_loss: OnLoss,
+}
+
+/// What becomes of a mission when a robot is lost after others have acted on its work, while it has no item in its hands.
+/// (With one, the mission is recovered or rescued, whatever this says. Before, the role is begun anew elsewhere.)
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum OnLoss {
+    /// It fails: what the others built upon may no longer be there.
+    #[default]
+    Fail,
+    /// Another robot begins the role from its first step, and does again what had been done; the others go on from where
+    /// they are. For roles whose work does no harm when it is done twice.
+    Restart,
+}
+
+impl Role {
+    /// A role of this kind, whose loss fails the mission once others have acted on its work.
+    pub fn of(kind: RoleKind) -> Self {
+        Role { kind, on_loss: OnLoss::Fail }
+    }
 }
 
 /// Whether the fleet fills a role.
@@ -60,6 +83,18 @@ pub struct Method {
     pub order: Order,
     /// Its tasks; never empty.
     pub children: Vec<TaskIndex>,
+    /// What its role may do instead when a task of it has failed for good, in the order in which it is tried.
+    #[serde(default)]
+    pub alternatives: Vec<OtherMethod>,
+}
+
+/// Another way to do what a method does. *Local*: every elementary task below the method, and every task of its
+/// alternatives, belongs to one and the same managed role and to it alone, and none of them touches an item. So a role
+/// may go over to it without asking or telling anybody.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct OtherMethod {
+    /// Its tasks, one after the other; never empty.
+    pub tasks: Vec<(TaskId, TaskSpec)>,
 }
 
 /// How the tasks of a method depend on one another.
@@ -86,9 +121,53 @@ pub struct TaskSpec {
     /// The state that its success guarantees (`location = IC Room 6`).
     #[serde(default)]
     pub reaches: BTreeMap<String, String>,
+    /// Who has which item once the task has ended.
+    #[serde(default)]
+    pub acquires: BTreeMap<ItemId, RoleId>,
+    /// Items that nobody of the mission has any more once the task has ended: laid down where they belong.
+    #[serde(default)]
+    pub releases: BTreeSet<ItemId>,
+    /// How often the skill is tried before the task has failed: 1 to [`ATTEMPTS_MAX`]. Raised: passing troubles cost time
+    /// and not the role; lasting ones are noticed later. Default [`ATTEMPTS`] (a guess).
+    #[serde(default = "attempts")]
+    pub attempts: u8,
+}
+
+/// How often a skill is tried unless the mission says otherwise.
+pub const ATTEMPTS: u8 = 2;
+/// How often a skill may be tried.
+pub const ATTEMPTS_MAX: u8 = 10;
+
+fn attempts() -> u8 {
+    ATTEMPTS
+}
+
+impl Method {
+    /// A method without alternatives.
+    pub fn of(order: Order, children: Vec<TaskIndex>) -> Self {
+        Method { order, children, alternatives: vec![] }
+    }
 }
 
 impl TaskSpec {
+    /// A task of these roles that is told nothing and touches nothing.
+    pub fn of(task_type: TaskType, roles: Vec<RoleId>) -> Self {
+        TaskSpec {
+            task_type,
+            roles,
+            parameters: BTreeMap::new(),
+            reaches: BTreeMap::new(),
+            acquires: BTreeMap::new(),
+            releases: BTreeSet::new(),
+            attempts: ATTEMPTS,
+        }
+    }
+
+    /// The items that it moves.
+    pub fn items(&self) -> impl Iterator<Item = &ItemId> {
+        self.acquires.keys().chain(&self.releases)
+    }
+
     /// Whether several roles do it together.
     pub fn is_joint(&self) -> bool {
         self.roles.len() > 1
@@ -96,12 +175,17 @@ impl TaskSpec {
 }
 
 impl Mission {
-    /// The elementary tasks, depth first and in the order of the file. Ends on an unchecked mission, too: whatever its
-    /// children say, each task is visited once at most.
+    /// The elementary tasks, depth first and in the order of the file; those of alternatives are not among them. Ends on
+    /// an unchecked mission, too: whatever its children say, each task is visited once at most.
     pub fn elementary(&self) -> Vec<(&TaskId, &TaskSpec)> {
+        self.elementary_below(0)
+    }
+
+    /// The same of the part of the tree whose root is this task.
+    pub fn elementary_below(&self, root: usize) -> Vec<(&TaskId, &TaskSpec)> {
         let mut found = Vec::new();
         let mut seen = vec![false; self.tasks.len()];
-        let mut open: Vec<TaskIndex> = vec![0];
+        let mut open: Vec<TaskIndex> = TaskIndex::try_from(root).into_iter().collect();
         while let Some(index) = open.pop() {
             let Some(node) = self.tasks.get(index as usize) else { continue };
             if std::mem::replace(&mut seen[index as usize], true) {
@@ -113,6 +197,18 @@ impl Mission {
             }
         }
         found
+    }
+
+    /// The names of all tasks, those of alternatives included.
+    pub fn task_names(&self) -> impl Iterator<Item = &TaskId> {
+        self.tasks.iter().flat_map(|node| {
+            let others: &[OtherMethod] = match &node.body {
+                Body::Abstract(method) => &method.alternatives,
+                Body::Elementary(_) => &[],
+            };
+            let others = others.iter().flat_map(|other| other.tasks.iter().map(|(id, _)| id));
+            std::iter::once(&node.id).chain(others)
+        })
     }
 
     /// The roles that robots fill, in the order of their names.

@@ -1,6 +1,6 @@
 //! What can be wrong with a mission, said so that its writer can mend it.
 
-use crate::ids::{NameError, RoleId};
+use crate::ids::{ItemId, NameError, RoleId, TaskId};
 use std::fmt;
 
 /// All that is wrong with a mission. Ordinary for a mission written by hand; nothing was taken over.
@@ -281,6 +281,43 @@ pub enum Fault {
         found: usize,
         /// How long it may be.
         max: usize,
+    },
+
+    /// Too few or too many attempts.
+    #[error("has {found} attempts; allowed are 1 to {max}")]
+    Attempts {
+        /// As given.
+        found: u8,
+        /// How many there may be.
+        max: u8,
+    },
+    /// An item that a task both hands over and lays down.
+    #[error("both acquires and releases the item `{item}`; it does one or the other")]
+    ItemTwice {
+        /// The item.
+        item: ItemId,
+    },
+    /// Two tasks that move one item in no order, so that nobody could tell who has it.
+    #[error("touches the item `{item}`, as does {other}, and neither must come first; put them in sequence")]
+    ItemUnordered {
+        /// The item.
+        item: ItemId,
+        /// The other task.
+        other: TaskId,
+    },
+    /// A recovery branch that is never taken.
+    #[error("is never taken: no task of the mission acquires an item")]
+    NothingToLose,
+    /// A method with alternatives that is not one role's own affair.
+    #[error(
+        "has alternatives, so its tasks and theirs are done by one managed role alone and touch no item; \
+         but {task} {problem}"
+    )]
+    NotLocal {
+        /// The task that is not.
+        task: TaskId,
+        /// In what way, in words.
+        problem: String,
     },
 
     /// A node of a mission file that is both abstract and elementary, or neither.

@@ -5,9 +5,10 @@
 //! which walks it needs no further care.
 
 use super::domain::{Domain, ValueKind};
-use super::model::{Body, Mission, TaskSpec};
+use super::model::{ATTEMPTS_MAX, Body, Method, Mission, RoleKind, TaskSpec};
 use super::problem::{Allowed, Fault, MissionErrors, Problem};
-use crate::ids::RoleId;
+use crate::ids::{RoleId, TaskId};
+use crate::plan::GlobalOrder;
 use std::collections::{BTreeMap, BTreeSet};
 
 /// Most tasks of a mission, abstract ones included. More of them cost memory on every robot and ledger; the largest
@@ -31,12 +32,17 @@ impl Mission {
     /// [`MissionErrors`] lists all problems.
     pub fn check(&self, domain: &Domain) -> Result<(), MissionErrors> {
         let mut found = structure(self);
+        if found.is_empty()
+            && let Err(errors) = GlobalOrder::of(self)
+        {
+            found.extend(errors.problems);
+        }
         // With a broken tree some paths are meaningless, but the tasks themselves can still be judged.
         if self.tasks.len() <= TASKS_MAX && self.roles.len() <= ROLES_MAX {
             let paths = paths(self);
             for (node, path) in self.tasks.iter().zip(&paths) {
-                if let Body::Elementary(spec) = &node.body {
-                    found.extend(task_faults(self, spec, domain).into_iter().map(|fault| at(path, fault)));
+                for (path, _, spec) in specs(&node.id, &node.body, path) {
+                    found.extend(task_faults(self, spec, domain).into_iter().map(|fault| at(&path, fault)));
                 }
             }
         }
@@ -92,8 +98,13 @@ fn structure(mission: &Mission) -> Vec<Problem> {
         found.push(at("root", Fault::NoTask));
         return found;
     }
-    if mission.tasks.len() > TASKS_MAX {
-        found.push(at("root", Fault::TooManyTasks { found: mission.tasks.len(), max: TASKS_MAX }));
+    let others = mission.tasks.iter().map(|node| match &node.body {
+        Body::Abstract(method) => method.alternatives.iter().map(|other| other.tasks.len()).sum(),
+        Body::Elementary(_) => 0,
+    });
+    let count = mission.tasks.len() + others.sum::<usize>();
+    if count > TASKS_MAX {
+        found.push(at("root", Fault::TooManyTasks { found: count, max: TASKS_MAX }));
     }
     if mission.roles.len() > ROLES_MAX {
         found.push(at("roles", Fault::TooManyRoles { found: mission.roles.len(), max: ROLES_MAX }));
@@ -109,19 +120,63 @@ fn structure(mission: &Mission) -> Vec<Problem> {
     tree_faults(mission, &parents, &paths, &mut found);
     let mut busy: BTreeSet<&RoleId> = BTreeSet::new();
     for (node, path) in mission.tasks.iter().zip(&paths) {
-        if let Body::Elementary(spec) = &node.body {
+        for (path, _, spec) in specs(&node.id, &node.body, path) {
             busy.extend(&spec.roles);
-            found.extend(assignment_faults(mission, spec).into_iter().map(|fault| at(path, fault)));
+            found.extend(assignment_faults(mission, spec).into_iter().map(|fault| at(&path, fault)));
         }
     }
     let idle = mission.roles.keys().filter(|role| !busy.contains(role));
     found.extend(idle.map(|role| at(&format!("roles/{role}"), Fault::IdleRole)));
+    if found.is_empty() {
+        // In a sound tree only: this walks it.
+        for (index, (node, path)) in mission.tasks.iter().zip(&paths).enumerate() {
+            if let Body::Abstract(method) = &node.body {
+                found.extend(locality_fault(mission, index, method).map(|fault| at(path, fault)));
+            }
+        }
+    }
     found
+}
+
+/// The elementary tasks that a node holds itself, those of its alternatives included, with the path of each.
+fn specs<'a>(id: &'a TaskId, body: &'a Body, path: &str) -> Vec<(String, &'a TaskId, &'a TaskSpec)> {
+    match body {
+        Body::Elementary(spec) => vec![(path.to_owned(), id, spec)],
+        Body::Abstract(method) => {
+            let others = (1..).zip(&method.alternatives);
+            let tasks = others.flat_map(|(number, other)| other.tasks.iter().map(move |task| (number, task)));
+            tasks.map(|(number, (id, spec))| (format!("{path}/alternative {number}/{id}"), id, spec)).collect()
+        }
+    }
+}
+
+/// Whether a method with alternatives is one managed role's own affair.
+fn locality_fault(mission: &Mission, index: usize, method: &Method) -> Option<Fault> {
+    if method.alternatives.is_empty() {
+        return None;
+    }
+    let own = mission.elementary_below(index);
+    let others = method.alternatives.iter().flat_map(|other| other.tasks.iter().map(|(id, spec)| (id, spec)));
+    let all: Vec<_> = own.into_iter().chain(others).collect();
+    let role = all.first().and_then(|(_, spec)| spec.roles.first())?;
+    all.into_iter().find_map(|(task, spec)| {
+        let problem = if spec.roles[..] != [role.clone()] {
+            let roles: Vec<&str> = spec.roles.iter().map(RoleId::as_str).collect();
+            format!("is done by {}, where {role} does the first", roles.join(" and "))
+        } else if mission.roles.get(role).is_some_and(|role| role.kind == RoleKind::Unmanaged) {
+            format!("is done by {role}, which is unmanaged")
+        } else if let Some(item) = spec.items().next() {
+            format!("touches `{item}`")
+        } else {
+            return None;
+        };
+        Some(Fault::NotLocal { task: task.clone(), problem })
+    })
 }
 
 fn tree_faults(mission: &Mission, parents: &[Option<usize>], paths: &[String], found: &mut Vec<Problem>) {
     let tasks = mission.tasks.len();
-    let mut named: BTreeMap<&str, usize> = BTreeMap::new();
+    let mut named: BTreeMap<&TaskId, String> = BTreeMap::new();
     let mut claimed: BTreeSet<usize> = BTreeSet::new();
     let mut depths: Vec<usize> = Vec::with_capacity(tasks);
     for (index, node) in mission.tasks.iter().enumerate() {
@@ -134,13 +189,25 @@ fn tree_faults(mission: &Mission, parents: &[Option<usize>], paths: &[String], f
         if index > 0 && parents[index].is_none() {
             found.push(at(path, Fault::NoParent));
         }
-        match named.get(node.id.as_str()) {
-            Some(first) => found.push(at(path, Fault::DuplicateId { first: paths[*first].clone() })),
-            None => drop(named.insert(node.id.as_str(), index)),
+        let others = match &node.body {
+            Body::Abstract(_) => specs(&node.id, &node.body, path),
+            Body::Elementary(_) => vec![],
+        };
+        let own = std::iter::once((path.clone(), &node.id)).chain(others.into_iter().map(|(path, id, _)| (path, id)));
+        for (path, id) in own {
+            match named.get(id) {
+                Some(first) => found.push(at(&path, Fault::DuplicateId { first: first.clone() })),
+                None => drop(named.insert(id, path)),
+            }
         }
         let Body::Abstract(method) = &node.body else { continue };
         if method.children.is_empty() {
             found.push(at(path, Fault::EmptyMethod));
+        }
+        for (number, other) in (1..).zip(&method.alternatives) {
+            if other.tasks.is_empty() {
+                found.push(at(&format!("{path}/alternative {number}"), Fault::EmptyMethod));
+            }
         }
         for &child in &method.children {
             let Some(child_node) = mission.tasks.get(child as usize) else {
@@ -175,6 +242,20 @@ fn assignment_faults(mission: &Mission, spec: &TaskSpec) -> Vec<Fault> {
             let allowed = Allowed::instead_of(role.as_str(), mission.roles.keys());
             found.push(Fault::UnknownRole { role: role.to_string(), allowed });
         }
+    }
+    if !(1..=ATTEMPTS_MAX).contains(&spec.attempts) {
+        found.push(Fault::Attempts { found: spec.attempts, max: ATTEMPTS_MAX });
+    }
+    for role in spec.acquires.values().filter(|role| !mission.roles.contains_key(*role)) {
+        let allowed = Allowed::instead_of(role.as_str(), mission.roles.keys());
+        found.push(Fault::UnknownRole { role: role.to_string(), allowed });
+    }
+    if let Some(item) = spec.releases.iter().find(|item| spec.acquires.contains_key(*item)) {
+        found.push(Fault::ItemTwice { item: item.clone() });
+    }
+    let items = spec.items().count();
+    if items > ENTRIES_MAX {
+        found.push(Fault::TooManyEntries { what: "items", found: items, max: ENTRIES_MAX });
     }
     for (what, entries) in [("parameters", &spec.parameters), ("reached states", &spec.reaches)] {
         if entries.len() > ENTRIES_MAX {
@@ -240,23 +321,21 @@ mod tests {
 
     fn elementary(id: &str, task_type: &str, roles: &[&str], parameters: &[(&str, &str)]) -> TaskNode {
         let spec = TaskSpec {
-            task_type: TaskType::new(task_type).unwrap(),
-            roles: roles.iter().map(|name| role(name)).collect(),
             parameters: parameters.iter().map(|(k, v)| ((*k).to_owned(), (*v).to_owned())).collect(),
-            reaches: BTreeMap::new(),
+            ..TaskSpec::of(TaskType::new(task_type).unwrap(), roles.iter().map(|name| role(name)).collect())
         };
         TaskNode { id: TaskId::new(id).unwrap(), body: Body::Elementary(spec) }
     }
 
     fn refined(id: &str, children: &[u32]) -> TaskNode {
-        let method = Method { order: Order::Sequential, children: children.to_vec() };
+        let method = Method::of(Order::Sequential, children.to_vec());
         TaskNode { id: TaskId::new(id).unwrap(), body: Body::Abstract(method) }
     }
 
     fn mission(roles: &[(&str, RoleKind)], tasks: Vec<TaskNode>) -> Mission {
         Mission {
             name: TaskId::new("trial").unwrap(),
-            roles: roles.iter().map(|(name, kind)| (role(name), Role { kind: *kind })).collect(),
+            roles: roles.iter().map(|(name, kind)| (role(name), Role::of(*kind))).collect(),
             tasks,
         }
     }

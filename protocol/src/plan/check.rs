@@ -24,6 +24,10 @@
 //! - (d) If the mission puts `T` before `D`, each part of `T` ends before each part of `D` begins.
 //! - (e) If `T < D`: the part of a role `t` in `T` ends before the part of `s` in `D` *opens*, that is, before its task
 //!   begins or, if `D` is joint, before its first `ready` is sent; if `s` is `t`, or `t` takes no part in `D`.
+//! - (f) The guarded steps are those of [`item_moves`](super::item_moves): a guard holds a step up until a report was
+//!   answered, which ends in the end (4), so it changes nothing below.
+//! - (g) The alternatives are the mission's, and nothing stands between the steps that one replaces: to all others, doing
+//!   it is one of those tasks taking longer.
 //!
 //! Two joint tasks that share a role are always ordered by `<`: the mission's order orders them, and (d) holds.
 //!
@@ -55,8 +59,10 @@
 //! If `r` may stand ready for `K` before it has heard of `B` (since `y` would wait for it), and `s` for `J`, then `r` waits
 //! for `y`, `y` for `B` of `s`, `s` for `x`, `x` for `A` of `r`.
 
+use super::alternatives::{differ, waits_inside};
 use super::bits::Bits;
 use super::divide::divide;
+use super::guards::guarded;
 use super::local::{Division, LocalPlan, Signal, SignalKind, StepAction, StepIndex};
 use super::order::GlobalOrder;
 use crate::ids::{RoleId, TaskId};
@@ -90,7 +96,8 @@ pub fn check_division(mission: &Mission, division: &Division) -> Result<(), Divi
     let survey = Survey::of(&order, division);
     unsound(survey.faults)?;
     let product = Product { order: &order, division, part_numbers: survey.parts, pairs: survey.pairs };
-    unsound(product.faults())
+    unsound(product.faults())?;
+    unsound(recovery_faults(mission, division)?)
 }
 
 /// Why there is no division.
@@ -166,6 +173,37 @@ pub enum DivisionFault {
     /// A role that binds itself while work is open that it does not see its partners do.
     #[error("role {role} may stand ready for {task} before it knows that role {other} has ended {earlier}")]
     ReadyTooSoon { role: RoleId, task: TaskId, other: RoleId, earlier: TaskId },
+    /// Steps that the ledger should know of first, and that are not marked so, or the other way round.
+    #[error("role {role}: its plan guards the steps {found:?}, and it should guard {expected:?}")]
+    Guards { role: RoleId, found: BTreeSet<StepIndex>, expected: BTreeSet<StepIndex> },
+    /// Alternatives that are not the mission's.
+    #[error("role {role}: the alternatives of its plan are not the mission's")]
+    Alternatives { role: RoleId },
+    /// An alternative that others would notice.
+    #[error("role {role}: step {step} stands between steps that an alternative replaces")]
+    NotLocal { role: RoleId, step: StepIndex },
+}
+
+/// (f) and (g)
+fn recovery_faults(mission: &Mission, division: &Division) -> Result<Vec<DivisionFault>, MissionErrors> {
+    let mut expected = guarded(mission, division)?;
+    let mut faults = Vec::new();
+    for (role, plan) in &division.plans {
+        let expected = expected.remove(role).unwrap_or_default();
+        if plan.guarded != expected {
+            let (role, found) = (role.clone(), plan.guarded.clone());
+            faults.push(DivisionFault::Guards { role, found, expected });
+        }
+        if differ(mission, role, plan) {
+            faults.push(DivisionFault::Alternatives { role: role.clone() });
+        }
+        for alternative in &plan.alternatives {
+            if let Some(step) = waits_inside(plan, &alternative.replaces) {
+                faults.push(DivisionFault::NotLocal { role: role.clone(), step });
+            }
+        }
+    }
+    Ok(faults)
 }
 
 /// A role's part in a task, by the task's number.

@@ -28,6 +28,8 @@
 //! before the first task that needs them, sends directly after their task, so that a robot that takes whatever comes
 //! first in the list follows the file.
 
+use super::alternatives::alternatives;
+use super::guards::guarded;
 use super::local::{Division, LocalPlan, Signal, SignalKind, Step, StepAction, StepIndex};
 use super::order::GlobalOrder;
 use crate::ids::RoleId;
@@ -50,8 +52,14 @@ pub fn divide(mission: &Mission) -> Result<Division, MissionErrors> {
             draft.write(task, &needs.of_part[&part], needs.told.get(&part).map_or(&[], Vec::as_slice));
         }
     }
-    let plans = plans.into_iter().map(|(role, draft)| (role.clone(), LocalPlan { role, steps: draft.steps })).collect();
-    Ok(Division { plans })
+    let plans = plans.into_iter().map(|(role, draft)| (role.clone(), LocalPlan::of(role, draft.steps)));
+    let mut division = Division { plans: plans.collect() };
+    let mut guarded = guarded(mission, &division)?;
+    for (role, plan) in &mut division.plans {
+        plan.alternatives = alternatives(mission, plan);
+        plan.guarded = guarded.remove(role).unwrap_or_default();
+    }
+    Ok(division)
 }
 
 /// A role's part in a task.

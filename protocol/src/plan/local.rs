@@ -3,7 +3,7 @@
 use crate::ids::{RoleId, TaskId};
 use crate::mission::TaskSpec;
 use serde::{Deserialize, Serialize};
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
 
 /// Position of a step in its local plan.
@@ -23,6 +23,23 @@ pub struct LocalPlan {
     pub role: RoleId,
     /// The steps, in an order that respects every `after` (and is the order of the global plan where that leaves a choice).
     pub steps: Vec<Step>,
+    /// What the role may do instead of some of its tasks when one of them has failed for good: innermost first, then in the
+    /// order of the file.
+    #[serde(default)]
+    pub alternatives: Vec<Alternative>,
+    /// Steps that may be performed only once the ledger is known to hold every step of this plan that has ended so far.
+    /// What a lost robot may have in its hands can be told from the ledger for this reason.
+    #[serde(default)]
+    pub guarded: BTreeSet<StepIndex>,
+}
+
+/// Other tasks for some of a plan. Once they are done, in their order, the steps that they replace count as ended.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Alternative {
+    /// Task steps of the plan, between which nothing is sent and nothing is awaited.
+    pub replaces: BTreeSet<StepIndex>,
+    /// What is done in their stead, one after the other. Never empty.
+    pub tasks: Vec<(TaskId, TaskSpec)>,
 }
 
 /// One step of a local plan.
@@ -86,6 +103,11 @@ impl fmt::Display for Signal {
 }
 
 impl LocalPlan {
+    /// A plan of these steps, without alternatives or guards.
+    pub fn of(role: RoleId, steps: Vec<Step>) -> Self {
+        LocalPlan { role, steps, alternatives: vec![], guarded: BTreeSet::new() }
+    }
+
     /// The tasks a robot would be asked to price, in the order of the plan: messages are steps that cost time too.
     pub fn tasks(&self) -> impl Iterator<Item = (&TaskId, &TaskSpec)> {
         self.steps.iter().filter_map(|step| match &step.action {

@@ -10,15 +10,18 @@
 //! Mission ─► GlobalOrder ─► divide ─► Division ─► check_division ─► PlanProgress, one a role
 //! ```
 
+mod alternatives;
 mod bits;
 mod check;
 mod divide;
+mod guards;
 mod local;
 mod order;
 mod progress;
 
 pub use check::{DivisionError, DivisionFault, DivisionFaults, check_division, divide_and_check};
 pub use divide::divide;
-pub use local::{Division, LocalPlan, Signal, SignalKind, Step, StepAction, StepIndex};
+pub use guards::{ItemMove, item_moves};
+pub use local::{Alternative, Division, LocalPlan, Signal, SignalKind, Step, StepAction, StepIndex};
 pub use order::GlobalOrder;
 pub use progress::{NotPermitted, PlanProgress, ProgressError};

@@ -5,8 +5,9 @@
 //! one robot could stand ready for the first and its partner for the second, and both would stand for ever.
 
 use super::bits::Bits;
-use crate::ids::TaskId;
-use crate::mission::{Body, Mission, MissionErrors, Order, TaskSpec};
+use crate::ids::{ItemId, TaskId};
+use crate::mission::{Body, Fault, Mission, MissionErrors, Order, Problem, TaskSpec};
+use std::collections::BTreeMap;
 
 /// The strict partial order of a mission's elementary tasks. Tasks are numbered in the order of the file, which is a
 /// linear extension of it.
@@ -20,7 +21,7 @@ impl<'m> GlobalOrder<'m> {
     /// The order of a mission's tasks.
     ///
     /// # Errors
-    /// [`MissionErrors`] if the mission's tree is none.
+    /// [`MissionErrors`] if the mission's tree is none, or if two tasks that touch one item are in no order.
     pub fn of(mission: &'m Mission) -> Result<Self, MissionErrors> {
         mission.check_structure()?;
         let tasks = mission.elementary();
@@ -28,7 +29,31 @@ impl<'m> GlobalOrder<'m> {
         order_by_methods(mission, &mut before);
         let mut order = Self { tasks, before };
         order.close_with_joint_tasks();
-        Ok(order)
+        let problems = order.unordered_moves();
+        if problems.is_empty() { Ok(order) } else { Err(MissionErrors { mission: mission.name.to_string(), problems }) }
+    }
+
+    /// The tasks that move each item, in their order.
+    pub fn moves(&self) -> BTreeMap<&'m ItemId, Vec<usize>> {
+        let mut moves: BTreeMap<&ItemId, Vec<usize>> = BTreeMap::new();
+        for (task, (_, spec)) in self.tasks.iter().enumerate() {
+            for item in spec.items() {
+                moves.entry(item).or_default().push(task);
+            }
+        }
+        moves
+    }
+
+    /// Numbers extend the order, so it is enough to compare neighbours.
+    fn unordered_moves(&self) -> Vec<Problem> {
+        let mut problems = Vec::new();
+        for (item, tasks) in self.moves() {
+            for pair in tasks.windows(2).filter(|pair| !self.precedes(pair[0], pair[1])) {
+                let fault = Fault::ItemUnordered { item: item.clone(), other: self.id(pair[0]).clone() };
+                problems.push(Problem { path: self.id(pair[1]).to_string(), fault });
+            }
+        }
+        problems
     }
 
     /// The elementary tasks by number.

@@ -4,8 +4,8 @@
 //! contract of [`check_division`](super::check_division): whoever performs only what it allows, one step at a time,
 //! waits for nobody for ever.
 
-use super::local::{LocalPlan, Signal, SignalKind, Step, StepAction, StepIndex};
-use crate::ids::TaskId;
+use super::local::{Alternative, LocalPlan, Signal, SignalKind, Step, StepAction, StepIndex};
+use crate::ids::{RoleId, TaskId};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeSet;
 use std::sync::Arc;
@@ -165,13 +165,16 @@ impl PlanProgress {
     /// of the plan, or the `ready` for it. To be asked while no task runs: what is heard meanwhile may let another one
     /// come first.
     pub fn next(&self) -> Option<(StepIndex, &Step)> {
-        let permitted = self.permitted();
+        self.first_of(self.permitted().into_iter())
+    }
+
+    fn first_of(&self, permitted: impl Iterator<Item = StepIndex>) -> Option<(StepIndex, &Step)> {
         let rank = |index: &StepIndex| match &self.plan.steps[*index as usize].action {
             StepAction::Send(signal) if signal.kind == SignalKind::Done => 0,
             StepAction::Wait(_) => 1,
             StepAction::Send(_) | StepAction::Task { .. } => 2,
         };
-        let index = permitted.into_iter().min_by_key(|index| (rank(index), *index))?;
+        let index = permitted.min_by_key(|index| (rank(index), *index))?;
         Some((index, &self.plan.steps[index as usize]))
     }
 
@@ -193,6 +196,47 @@ impl PlanProgress {
             );
         }
         self.ended.insert(step);
+        Ok(())
+    }
+
+    /// Whoever plays `role` now is not who spoke for it before: what was heard from it and not yet acted on no longer holds.
+    /// Returns whether there was any such thing.
+    pub fn forget(&mut self, role: &RoleId) -> bool {
+        let void = waits(&self.plan).filter(|(step, signal)| signal.from == *role && !self.ended.contains(step));
+        let void: Vec<StepIndex> = void.map(|(step, _)| step).collect();
+        void.into_iter().fold(false, |any, step| self.heard.remove(&step) || any)
+    }
+
+    /// Whether the step may be performed as far as the ledger is concerned: it is not guarded, or `known`, the steps that the
+    /// ledger is known to hold of this plan, has all that ended so far.
+    pub fn guard_is_met(&self, step: StepIndex, known: &BTreeSet<StepIndex>) -> bool {
+        !self.plan.guarded.contains(&step) || self.ended.is_subset(known)
+    }
+
+    /// As [`next`](Self::next), of the steps whose [guard is met](Self::guard_is_met). While a guarded step is held up,
+    /// others may go on.
+    pub fn next_given(&self, known: &BTreeSet<StepIndex>) -> Option<(StepIndex, &Step)> {
+        self.first_of(self.permitted().into_iter().filter(|step| self.guard_is_met(*step, known)))
+    }
+
+    /// The alternatives, by their numbers, that could be tried when the task of this step has failed for good.
+    pub fn alternatives_for(&self, step: StepIndex) -> impl Iterator<Item = (usize, &Alternative)> {
+        self.plan.alternatives.iter().enumerate().filter(move |(_, other)| other.replaces.contains(&step))
+    }
+
+    /// All tasks of an alternative were done instead: the steps that it replaces have ended.
+    ///
+    /// # Errors
+    /// [`NotPermitted`] if there is no such alternative or none of its steps could be performed; nothing is changed.
+    pub fn replace(&mut self, alternative: usize) -> Result<(), NotPermitted> {
+        let Some(Alternative { replaces, .. }) = self.plan.alternatives.get(alternative) else {
+            return Err(NotPermitted { step: 0, problem: "the plan has no such alternative" });
+        };
+        let mut then = self.clone();
+        for step in replaces.iter().filter(|step| !self.ended.contains(step)) {
+            then.end(*step)?;
+        }
+        *self = then;
         Ok(())
     }
 

@@ -63,6 +63,17 @@ fn the_robot_of_lab_samples_has_thirteen_steps() {
 }
 
 #[test]
+fn lab_samples_guard_what_moves_the_sample() {
+    let division = divide_and_check(&instance("lab-samples", &[])).unwrap();
+    let guarded = |name| Vec::from_iter(division.plans[&role(name)].guarded.iter().copied());
+    // The carrier tells the nurse that its drawer is open, and the arm takes the sample, only once the ledger knows
+    // what came before.
+    assert_eq!(guarded("r1"), [4]);
+    assert_eq!(guarded("lab_arm"), [1]);
+    assert_eq!(guarded("nurse"), [0; 0]);
+}
+
+#[test]
 fn two_robots_meet_before_they_carry_together() {
     let division = divide_and_check(&instance("bed-transfer", &[])).unwrap();
     assert_eq!(

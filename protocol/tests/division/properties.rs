@@ -13,7 +13,7 @@ use proptest::sample::subsequence;
 use std::collections::BTreeSet;
 
 /// Trees of up to about `size` tasks, of `roles` roles, jointly done by up to three.
-fn trees(roles: usize, size: u32) -> impl Strategy<Value = Tree> {
+pub(crate) fn trees(roles: usize, size: u32) -> impl Strategy<Value = Tree> {
     let one = (0..roles).prop_map(|role| Task(vec![role]));
     let joint = subsequence((0..roles).collect::<Vec<_>>(), 2..=3.min(roles)).prop_shuffle().prop_map(Task);
     prop_oneof![3 => one, 2 => joint].prop_recursive(4, size, 4, |below| {
@@ -23,16 +23,16 @@ fn trees(roles: usize, size: u32) -> impl Strategy<Value = Tree> {
 }
 
 /// Trees small enough that every state can be visited.
-fn small_trees() -> impl Strategy<Value = Tree> {
+pub(crate) fn small_trees() -> impl Strategy<Value = Tree> {
     let parts = |tree: &Tree| leaves(tree).iter().map(Vec::len).sum::<usize>();
     trees(4, 6).prop_filter("few parts", move |tree| (2..=8).contains(&parts(tree)))
 }
 
 /// Numbers without pattern, from a seed.
-struct Dice(u64);
+pub(crate) struct Dice(pub(crate) u64);
 
 impl Dice {
-    fn below(&mut self, bound: usize) -> usize {
+    pub(crate) fn below(&mut self, bound: usize) -> usize {
         self.0 = self.0.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
         ((self.0 >> 33) as usize) % bound
     }
@@ -40,8 +40,12 @@ impl Dice {
 
 /// One run to its end; `advised` robots follow `next`.
 fn run(division: &Division, before: &[Vec<bool>], seed: u64, advised: bool) -> Result<(), String> {
+    run_from(Team::of(division, before), seed, advised)
+}
+
+/// The same from a given state.
+pub(crate) fn run_from(mut team: Team<'_>, seed: u64, advised: bool) -> Result<(), String> {
     let mut dice = Dice(seed);
-    let mut team = Team::of(division, before);
     loop {
         let events = if advised { team.advised() } else { team.events() };
         if events.is_empty() {

@@ -2,7 +2,7 @@
 
 use consort_protocol::ids::{RoleId, TaskId, TaskType};
 use consort_protocol::mission::{Body, Method, Mission, Order, Role, RoleKind, TaskIndex, TaskNode, TaskSpec};
-use consort_protocol::plan::{Division, PlanProgress, Signal, StepAction, StepIndex};
+use consort_protocol::plan::{Division, ItemMove, PlanProgress, Signal, StepAction, StepIndex};
 use std::collections::{BTreeMap, BTreeSet, HashSet};
 
 /// A tree of tasks: what the order of a mission is, said once more in its plainest form.
@@ -30,10 +30,8 @@ pub(crate) fn mission(tree: &Tree) -> Mission {
         let (order, below) = match tree {
             Task(roles) => {
                 let spec = TaskSpec {
-                    task_type: TaskType::new("wait").unwrap(),
-                    roles: roles.iter().copied().map(role).collect(),
                     parameters: [("seconds".to_owned(), "1".to_owned())].into(),
-                    reaches: BTreeMap::new(),
+                    ..TaskSpec::of(TaskType::new("wait").unwrap(), roles.iter().copied().map(role).collect())
                 };
                 tasks.push(TaskNode { id: TaskId::new(format!("t{leaves}")).unwrap(), body: Body::Elementary(spec) });
                 *leaves += 1;
@@ -43,9 +41,9 @@ pub(crate) fn mission(tree: &Tree) -> Mission {
             Unordered(below) => (Order::Unordered, below),
         };
         let id = TaskId::new(format!("a{index}")).unwrap();
-        tasks.push(TaskNode { id, body: Body::Abstract(Method { order, children: vec![] }) });
+        tasks.push(TaskNode { id, body: Body::Abstract(Method::of(order, vec![])) });
         let children = below.iter().map(|tree| add(tree, tasks, leaves)).collect();
-        tasks[index].body = Body::Abstract(Method { order, children });
+        tasks[index].body = Body::Abstract(Method::of(order, children));
         index as TaskIndex
     }
     let mut tasks = Vec::new();
@@ -56,7 +54,7 @@ pub(crate) fn mission(tree: &Tree) -> Mission {
         0 if !people_only => RoleKind::Unmanaged,
         _ => RoleKind::Managed,
     };
-    let roles = used.iter().map(|number| (role(*number), Role { kind: kind(number) })).collect();
+    let roles = used.iter().map(|number| (role(*number), Role::of(kind(number)))).collect();
     Mission { name: TaskId::new("trial").unwrap(), roles, tasks }
 }
 
@@ -120,6 +118,10 @@ pub(crate) enum Event<'d> {
     Finish(usize),
     /// The robot hears a signal that was sent.
     Hear(usize, &'d Signal),
+    /// The task it does fails; it does an alternative to its end.
+    Replace(usize, usize),
+    /// The ledger hears of all that the robot has ended.
+    Report(usize),
 }
 
 /// One robot a role, in some state of a mission.
@@ -128,21 +130,35 @@ pub(crate) struct Team<'d> {
     before: &'d [Vec<bool>],
     robots: Vec<PlanProgress>,
     doing: Vec<Option<StepIndex>>,
+    /// What the ledger holds of each robot, where its plan has guards.
+    known: Vec<BTreeSet<StepIndex>>,
+    /// The moves of items, whose guards are watched.
+    moves: &'d [ItemMove],
     on_the_way: BTreeSet<(usize, &'d Signal)>,
     division: &'d Division,
 }
 
 /// What tells one state from another.
-pub(crate) type Key<'d> = (Vec<(BTreeSet<StepIndex>, Option<StepIndex>)>, BTreeSet<(usize, &'d Signal)>);
+pub(crate) type Key<'d> = (Vec<(BTreeSet<StepIndex>, Option<StepIndex>, BTreeSet<StepIndex>)>, Sent<'d>);
+
+/// Signals that were sent and not heard, with the robots that await them.
+pub(crate) type Sent<'d> = BTreeSet<(usize, &'d Signal)>;
 
 impl<'d> Team<'d> {
     pub(crate) fn of(division: &'d Division, before: &'d [Vec<bool>]) -> Self {
         let robots: Vec<PlanProgress> = division.plans.values().cloned().map(PlanProgress::new).collect();
-        Team { before, doing: vec![None; robots.len()], robots, on_the_way: BTreeSet::new(), division }
+        let (doing, known) = (vec![None; robots.len()], vec![BTreeSet::new(); robots.len()]);
+        Team { before, doing, known, moves: &[], robots, on_the_way: BTreeSet::new(), division }
+    }
+
+    /// The same team, which breaks off as soon as an item moves before its guards were met.
+    pub(crate) fn watching(self, moves: &'d [ItemMove]) -> Self {
+        Team { moves, ..self }
     }
 
     pub(crate) fn key(&self) -> Key<'d> {
-        let robots = self.robots.iter().zip(&self.doing).map(|(robot, doing)| (robot.ended().clone(), *doing));
+        let robots = self.robots.iter().zip(&self.doing).zip(&self.known);
+        let robots = robots.map(|((robot, doing), known)| (robot.ended().clone(), *doing, known.clone()));
         (robots.collect(), self.on_the_way.clone())
     }
 
@@ -150,8 +166,18 @@ impl<'d> Team<'d> {
         let mut events: Vec<Event<'d>> = self.on_the_way.iter().map(|(to, signal)| Event::Hear(*to, signal)).collect();
         for (robot, progress) in self.robots.iter().enumerate() {
             match self.doing[robot] {
-                Some(_) => events.push(Event::Finish(robot)),
-                None => events.extend(progress.permitted().into_iter().map(|step| Event::Perform(robot, step))),
+                Some(step) => {
+                    events.push(Event::Finish(robot));
+                    events.extend(progress.alternatives_for(step).map(|(other, _)| Event::Replace(robot, other)));
+                }
+                None => {
+                    let permitted = progress.permitted().into_iter();
+                    let may = permitted.filter(|step| progress.guard_is_met(*step, &self.known[robot]));
+                    events.extend(may.map(|step| Event::Perform(robot, step)));
+                }
+            }
+            if !progress.plan().guarded.is_empty() && *progress.ended() != self.known[robot] {
+                events.push(Event::Report(robot));
             }
         }
         events
@@ -159,10 +185,10 @@ impl<'d> Team<'d> {
 
     /// What happens if everybody follows `next`.
     pub(crate) fn advised(&self) -> Vec<Event<'d>> {
-        let next = |robot: &usize| self.robots[*robot].next().map(|(step, _)| step);
+        let next = |robot: &usize| self.robots[*robot].next_given(&self.known[*robot]).map(|(step, _)| step);
         let advised = |event: &Event<'d>| match event {
             Event::Perform(robot, step) => next(robot) == Some(*step),
-            Event::Finish(_) | Event::Hear(..) => true,
+            Event::Finish(_) | Event::Hear(..) | Event::Replace(..) | Event::Report(_) => true,
         };
         self.events().into_iter().filter(advised).collect()
     }
@@ -179,6 +205,25 @@ impl<'d> Team<'d> {
                 assert!(!self.robots[to].hear(signal), "{signal} is news once");
                 self.on_the_way.remove(&(to, signal));
             }
+            Event::Report(robot) => self.known[robot] = self.robots[robot].ended().clone(),
+            Event::Replace(robot, other) => {
+                self.doing[robot] = None;
+                let progress = &self.robots[robot];
+                for step in &progress.plan().alternatives[other].replaces {
+                    let StepAction::Task { id, spec } = &progress.step(*step).unwrap().action else {
+                        return Err(format!("step {step} is replaced and is no task"));
+                    };
+                    let of_it = |earlier: &TaskId| {
+                        let replaced = progress.plan().alternatives[other].replaces.iter();
+                        replaced.filter_map(|step| progress.step(*step)).any(|step| match &step.action {
+                            StepAction::Task { id, .. } => id == earlier,
+                            StepAction::Send(_) | StepAction::Wait(_) => false,
+                        })
+                    };
+                    self.may_begin(id, spec, of_it)?;
+                }
+                self.robots[robot].replace(other).map_err(|error| error.to_string())?;
+            }
             Event::Finish(robot) => {
                 let step = self.doing[robot].take().expect("it does a task");
                 self.robots[robot].end(step).map_err(|error| error.to_string())?;
@@ -188,7 +233,7 @@ impl<'d> Team<'d> {
                 let (_, plan) = division.plans.iter().nth(robot).unwrap();
                 match &plan.steps[step as usize].action {
                     StepAction::Task { id, spec } => {
-                        self.may_begin(id, spec)?;
+                        self.may_begin(id, spec, |_| false)?;
                         self.doing[robot] = Some(step);
                         return Ok(());
                     }
@@ -204,12 +249,23 @@ impl<'d> Team<'d> {
         Ok(())
     }
 
-    /// What the mission demands of the moment at which somebody begins a task.
-    fn may_begin(&self, id: &TaskId, spec: &TaskSpec) -> Result<(), String> {
+    /// What the mission demands of the moment at which somebody begins a task; some need not have ended.
+    fn may_begin(&self, id: &TaskId, spec: &TaskSpec, aside: impl Fn(&TaskId) -> bool) -> Result<(), String> {
+        for (role, guard) in self.moves.iter().filter(|moved| moved.task == *id).flat_map(|moved| &moved.guards) {
+            let robot = self.index(role);
+            let plan = self.robots[robot].plan();
+            let mut open: Vec<StepIndex> = plan.steps[*guard as usize].after.clone();
+            while let Some(step) = open.pop() {
+                if !self.known[robot].contains(&step) {
+                    return Err(format!("{id} begins before the ledger knows of step {step} of {role}"));
+                }
+                open.extend(&plan.steps[step as usize].after);
+            }
+        }
         for progress in &self.robots {
             for (index, step) in progress.plan().steps.iter().enumerate() {
                 let StepAction::Task { id: earlier, .. } = &step.action else { continue };
-                let due = self.before[number(earlier)][number(id)];
+                let due = self.before[number(earlier)][number(id)] && !aside(earlier);
                 if due && !progress.ended().contains(&(index as StepIndex)) {
                     return Err(format!("{id} begins before {} has ended {earlier}", progress.plan().role));
                 }
@@ -235,6 +291,26 @@ impl<'d> Team<'d> {
         self.division.plans.keys().position(|other| other == role).unwrap()
     }
 
+    /// What the ledger holds of a robot.
+    pub(crate) fn known(&self, robot: usize) -> &BTreeSet<StepIndex> {
+        &self.known[robot]
+    }
+
+    /// Whether anybody has begun the task, and whether all have ended it.
+    pub(crate) fn begun_and_ended(&self, task: &TaskId) -> (bool, bool) {
+        let (mut begun, mut all) = (false, true);
+        for (progress, doing) in self.robots.iter().zip(&self.doing) {
+            for (index, step) in (0..).zip(&progress.plan().steps) {
+                if matches!(&step.action, StepAction::Task { id, .. } if id == task) {
+                    let ended = progress.ended().contains(&index);
+                    begun |= ended || *doing == Some(index);
+                    all &= ended;
+                }
+            }
+        }
+        (begun, all)
+    }
+
     pub(crate) fn robots_mut(&mut self) -> &mut Vec<PlanProgress> {
         &mut self.robots
     }
@@ -253,7 +329,11 @@ pub(crate) enum Explored {
 
 /// Visits every state that can be reached, up to a number of them.
 pub(crate) fn explore(division: &Division, before: &[Vec<bool>], most: usize) -> Explored {
-    let start = Team::of(division, before);
+    explore_from(Team::of(division, before), most)
+}
+
+/// The same from a given state.
+pub(crate) fn explore_from(start: Team<'_>, most: usize) -> Explored {
     let mut seen: HashSet<Key<'_>> = [start.key()].into();
     let mut open = vec![start];
     while let Some(team) = open.pop() {

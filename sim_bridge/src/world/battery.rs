@@ -5,8 +5,10 @@
 //! known beforehand and stands in the queue.
 
 use super::components::Body;
+use super::goals::GoalBook;
 use super::queue::Ticket;
 use super::{Due, World};
+use consort_protocol::ids::RobotId;
 use consort_protocol::units::BatteryShare;
 use hecs::Entity;
 
@@ -69,6 +71,18 @@ impl World {
         }
         let ticket = crosses.map(|time| self.queue.arrange(time, Due::Strands(robot)));
         self.get_mut::<Battery>(robot).strands = ticket;
+    }
+
+    /// From one moment to the next a robot has this charge, whatever it had before: a battery that fails, or is exchanged. A
+    /// robot that stands with an empty battery stays where it is all the same. Of a robot that is not here nothing is said.
+    pub fn set_charge(&mut self, robot: &RobotId, charge: BatteryShare) {
+        let Some(robot) = self.robots.get(robot).copied() else { return };
+        let (now, working) = (self.now, self.get::<GoalBook>(robot).is_busy());
+        {
+            let mut battery = self.get_mut::<Battery>(robot);
+            (battery.charge, battery.since) = (charge.get(), now);
+        }
+        self.set_working(robot, working);
     }
 
     /// The charge has come down to the stopping share. What is left drains on at the idle rate.

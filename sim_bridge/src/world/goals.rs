@@ -28,6 +28,11 @@ struct Current {
 }
 
 impl GoalBook {
+    /// Whether a goal is under way.
+    pub(super) fn is_busy(&self) -> bool {
+        self.current.is_some()
+    }
+
     fn knows(&self, id: GoalId) -> bool {
         self.current.as_ref().is_some_and(|current| current.id == id)
             || self.ended.iter().any(|(ended, _)| *ended == id)

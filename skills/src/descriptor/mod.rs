@@ -17,13 +17,16 @@ pub use registry::{DescriptorRegistry, Estimator, MissingNeed, PriceError, Resol
 use crate::environment::{Environment, MissingDescriptor, RouteError};
 use consort_protocol::ids::{PlaceId, TaskType};
 use consort_protocol::mission::TaskSpec;
+use consort_protocol::pose::Pose;
 use consort_protocol::units::{MetresPerSecond, Seconds, SharePerSecond};
 
 /// The robot that estimates, as it is when the task begins.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Context {
-    /// Where it is.
+    /// Where it is, or the place it passed last.
     pub place: PlaceId,
+    /// Where exactly, for one that may be between two places; `None` at the place.
+    pub pose: Option<Pose>,
     /// How fast it drives on average.
     pub speed: MetresPerSecond,
     /// How fast it empties its battery at work.

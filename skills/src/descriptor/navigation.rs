@@ -34,7 +34,11 @@ impl SkillDescriptor for Navigation {
         environment: &Environment,
     ) -> Result<Estimate, EstimateError> {
         let to = parsed(task, "to", str::parse::<PlaceId>)?;
-        let length = environment.get::<Routes>()?.distance(&context.place, &to)?;
+        let routes = environment.get::<Routes>()?;
+        let length = match context.pose {
+            Some(pose) => routes.distance_left(&context.place, pose, &to)?,
+            None => routes.distance(&context.place, &to)?,
+        };
         Ok(Estimate::lasting(length.at(context.speed), context, to))
     }
 }

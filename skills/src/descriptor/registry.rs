@@ -130,6 +130,8 @@ impl Estimator {
             };
             let estimate = estimate.map_err(|source| PriceError { step, task: task.clone(), source })?;
             parts.push(BidPart { step, label, skill, time: estimate.time, energy: estimate.energy });
+            // Whoever has been driven stands at a place.
+            context.pose = context.pose.filter(|_| estimate.ends_at == context.place);
             context.place = estimate.ends_at;
         }
         Ok(parts)
@@ -165,12 +167,7 @@ impl Estimator {
         signal: &'s Signal,
         context: &Context,
     ) -> (&'s TaskId, Result<super::Estimate, EstimateError>, TaskType, String) {
-        let spec = TaskSpec {
-            task_type: skill.clone(),
-            roles: vec![signal.from.clone()],
-            parameters: BTreeMap::new(),
-            reaches: BTreeMap::new(),
-        };
+        let spec = TaskSpec::of(skill.clone(), vec![signal.from.clone()]);
         (&signal.task, self.estimate(&spec, context), skill.clone(), signal.to_string())
     }
 }

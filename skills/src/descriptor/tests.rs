@@ -12,16 +12,14 @@ fn place(name: &str) -> PlaceId {
 
 fn task(name: &str, parameters: &[(&str, &str)]) -> TaskSpec {
     TaskSpec {
-        task_type: TaskType::new(name).unwrap(),
-        roles: vec![RoleId::new("r1").unwrap()],
         parameters: parameters.iter().map(|(name, value)| (name.to_string(), value.to_string())).collect(),
-        reaches: [].into(),
+        ..TaskSpec::of(TaskType::new(name).unwrap(), vec![RoleId::new("r1").unwrap()])
     }
 }
 
 fn plan(actions: Vec<StepAction>) -> LocalPlan {
     let steps = actions.into_iter().map(|action| Step { action, after: vec![] }).collect();
-    LocalPlan { role: RoleId::new("r1").unwrap(), steps }
+    LocalPlan::of(RoleId::new("r1").unwrap(), steps)
 }
 
 fn doing(id: &str, spec: TaskSpec) -> StepAction {
@@ -50,6 +48,7 @@ fn estimator() -> Estimator {
 
 fn robot(at: &str) -> Context {
     Context {
+        pose: None,
         place: place(at),
         speed: MetresPerSecond::new(0.5).unwrap(),
         discharge: SharePerSecond::new(0.001).unwrap(),

@@ -140,6 +140,18 @@ impl Routes {
         }
     }
 
+    /// How far it is along those [`legs`](Routes::legs).
+    ///
+    /// # Errors
+    /// [`RouteError`] names both ends.
+    pub fn distance_left(&self, passed: &PlaceId, pose: Pose, to: &PlaceId) -> Result<Metres, RouteError> {
+        let legs = self.legs(passed, pose, to)?;
+        let Some((first, start)) = legs.first().and_then(|first| Some((first, self.pose(first)?))) else {
+            return Ok(Metres::ZERO);
+        };
+        Ok(pose.distance(start) + self.distance(first, to)?)
+    }
+
     /// Where a place is.
     pub fn pose(&self, place: &PlaceId) -> Option<Pose> {
         self.index.get(place).map(|node| self.graph[*node].1)

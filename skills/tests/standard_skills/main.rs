@@ -35,10 +35,8 @@ fn environment() -> Environment {
 /// A task of role r1.
 fn task(task_type: &str, parameters: &[(&str, &str)]) -> TaskSpec {
     TaskSpec {
-        task_type: TaskType::new(task_type).unwrap(),
-        roles: vec![role("r1")],
         parameters: parameters.iter().map(|(name, value)| (name.to_string(), value.to_string())).collect(),
-        reaches: [].into(),
+        ..TaskSpec::of(TaskType::new(task_type).unwrap(), vec![role("r1")])
     }
 }
 

@@ -16,7 +16,10 @@ impl Folder {
         static NUMBER: AtomicU32 = AtomicU32::new(0);
         let number = NUMBER.fetch_add(1, Ordering::Relaxed);
         // The stroke at the end keeps `…-1` from being part of `…-10`.
-        let path = Path::new(env!("CARGO_TARGET_TMPDIR")).join(format!("story-{}-{number}-", std::process::id()));
+        // In a namespace of its own every test is process 1 or 2.
+        let outside = std::env::var("CONSORT_HOSTS_INSIDE").map(|id| format!("{id}-")).unwrap_or_default();
+        let own = format!("story-{outside}{}-{number}-", std::process::id());
+        let path = Path::new(env!("CARGO_TARGET_TMPDIR")).join(own);
         fs::create_dir_all(&path).expect("the folder for tests can be written to");
         Folder(path)
     }

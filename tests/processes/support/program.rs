@@ -28,11 +28,17 @@ impl Program {
     /// Starts `consort` with these arguments; `name` is unique in the folder. Its standard input stays open for as long as
     /// this lives.
     pub(crate) fn start(folder: &Folder, name: &str, arguments: &[&str]) -> Program {
+        Program::start_by(&[], folder, name, arguments)
+    }
+
+    /// The same by way of another program, which puts `consort` in its own place.
+    pub(crate) fn start_by(by: &[&str], folder: &Folder, name: &str, arguments: &[&str]) -> Program {
         let file = |end: &str| folder.path().join(format!("{name}.{end}"));
         let (stdout, stderr) = (file("out"), file("err"));
         let create = |path: &PathBuf| File::create(path).expect("the folder can be written to");
-        let mut command = Command::new(env!("CARGO_BIN_EXE_consort"));
-        command.args(arguments).env("TMPDIR", folder.temporary()).current_dir(folder.path());
+        let line = [by, &[env!("CARGO_BIN_EXE_consort")], arguments].concat();
+        let mut command = Command::new(line[0]);
+        command.args(&line[1..]).env("TMPDIR", folder.temporary()).current_dir(folder.path());
         command.stdin(Stdio::piped()).stdout(create(&stdout)).stderr(create(&stderr));
         // Whatever is set where the tests run is not meant for them.
         let foreign = std::env::vars_os().map(|(name, _)| name);

@@ -70,3 +70,13 @@ pub struct Counters {
     /// Lost by chance, cut off, or arrived where nobody listens any more.
     pub dropped: u64,
 }
+
+/// What one node has put on the wire and taken from it, in bytes of keys and payloads: publications (once for each other
+/// node that receives them, as if all were linked with all), questions and answers. What a transport adds is not counted.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct Traffic {
+    /// Sent, also what got lost on the way.
+    pub sent: u64,
+    /// Handed over.
+    pub received: u64,
+}

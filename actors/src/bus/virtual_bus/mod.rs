@@ -24,7 +24,7 @@ mod responder;
 mod tests;
 mod trace;
 
-pub use link::{Counters, LinkModel};
+pub use link::{Counters, LinkModel, Traffic};
 
 use super::{
     Bus, BusError, Delivery, Encoding, Link, MESSAGE_MAX, Presence, Query, Reply, Sample, Stream, Token, keys,
@@ -156,6 +156,11 @@ impl VirtualNetwork {
     /// What was carried so far.
     pub fn counters(&self) -> Counters {
         self.shared.with(|network| network.counters)
+    }
+
+    /// What a node has put on the wire and taken from it so far, in all its lives.
+    pub fn traffic(&self, node: &NodeId) -> Traffic {
+        self.shared.with(|network| network.traffic(node))
     }
 
     /// A digest of all deliveries so far, each with its time, ends and content: equal runs have equal digests.

@@ -1,3 +1,4 @@
+use super::super::entry::Priority;
 use super::*;
 use crate::auction::AuctionId;
 use crate::ids::{TaskId, TaskType};
@@ -15,15 +16,10 @@ fn robot(name: &str) -> RobotId {
 /// `lab_arm` does one task, after which it tells `r1`, who waits for it.
 fn submission(request: &str) -> Box<Submission> {
     let task = TaskId::new("pick_up_sample").unwrap();
-    let spec = TaskSpec {
-        task_type: TaskType::new("pick_up").unwrap(),
-        roles: vec![role("lab_arm")],
-        parameters: BTreeMap::new(),
-        reaches: BTreeMap::new(),
-    };
+    let spec = TaskSpec::of(TaskType::new("pick_up").unwrap(), vec![role("lab_arm")]);
     let signal = Signal { kind: SignalKind::Done, task: task.clone(), from: role("lab_arm"), to: role("r1") };
-    let managed = Role { kind: RoleKind::Managed };
-    let method = Method { order: Order::Sequential, children: vec![1] };
+    let managed = Role::of(RoleKind::Managed);
+    let method = Method::of(Order::Sequential, vec![1]);
     let mission = Mission {
         name: TaskId::new("unload").unwrap(),
         roles: BTreeMap::from([(role("lab_arm"), managed.clone()), (role("r1"), managed)]),
@@ -37,12 +33,15 @@ fn submission(request: &str) -> Box<Submission> {
         Step { action: StepAction::Send(signal.clone()), after: vec![0] },
     ];
     let cart = vec![Step { action: StepAction::Wait(signal), after: vec![] }];
-    let plan = |name: &str, steps| (role(name), LocalPlan { role: role(name), steps });
+    let plan = |name: &str, steps| (role(name), LocalPlan::of(role(name), steps));
     Box::new(Submission {
         request: RequestId::new(request).unwrap(),
         mission,
         division: Division { plans: BTreeMap::from([plan("lab_arm", arm), plan("r1", cart)]) },
         parameters: BTreeMap::new(),
+        recovery: None,
+        priority: Priority::default(),
+        deadline_ms: None,
         at_ms: 0,
     })
 }
@@ -86,7 +85,8 @@ impl Log {
 
     fn release(&mut self, mission: &MissionId, who: &str, epoch: Epoch) -> Outcome {
         let cause = "silent for 7 s".to_owned();
-        self.apply(Command::Release { mission: mission.clone(), role: role(who), epoch, cause })
+        let (mission, role) = (mission.clone(), role(who));
+        self.apply(Command::Release { mission, role, epoch, cause, blamed: false, place: None })
     }
 
     fn state(&self, mission: &MissionId) -> &MissionState {
@@ -191,11 +191,19 @@ fn a_robot_that_started_anew_does_not_go_on_with_what_it_has_forgotten() {
     let mut log = Log::new();
     let mission = log.submit("a");
     log.award(&mission, "arm", "ada");
-    let accept =
-        |incarnation| Command::Accept { mission: mission.clone(), role: role("r1"), epoch: epoch(2), incarnation };
-    assert_eq!(log.apply(accept(1)), Outcome::Done);
-    assert_eq!(log.apply(accept(1)), Outcome::Done);
-    assert!(matches!(log.apply(accept(2)), Outcome::Refused(Refused::Restarted { .. })));
+    let accept = |incarnation, resumes| {
+        let (mission, role) = (mission.clone(), role("r1"));
+        Command::Accept { mission, role, epoch: epoch(2), incarnation, resumes }
+    };
+    assert_eq!(log.apply(accept(1, false)), Outcome::Done);
+    assert_eq!(log.apply(accept(1, false)), Outcome::Done);
+    assert!(matches!(log.apply(accept(2, false)), Outcome::Refused(Refused::Restarted { .. })));
+    assert_eq!(log.apply(accept(1, false)), Outcome::Done);
+    // One that took the plan up goes on, and what its former life had sent is not listened to any more.
+    assert_eq!(log.apply(accept(3, true)), Outcome::Done);
+    assert_eq!(log.apply(accept(3, true)), Outcome::Done);
+    assert!(matches!(log.apply(accept(1, false)), Outcome::Refused(Refused::FormerLife { .. })));
+    assert!(matches!(log.apply(accept(2, true)), Outcome::Refused(Refused::FormerLife { .. })));
 }
 
 #[test]
@@ -203,7 +211,10 @@ fn a_canceled_mission_frees_its_robots_and_takes_no_more() {
     let mut log = Log::new();
     let mission = log.submit("a");
     log.award(&mission, "arm", "ada");
-    assert_eq!(log.apply(Command::Cancel { mission: mission.clone(), by: "a nurse".to_owned() }), Outcome::Done);
+    assert_eq!(
+        log.apply(Command::Cancel { mission: mission.clone(), by: "a nurse".to_owned(), places: BTreeMap::new() }),
+        Outcome::Done
+    );
     assert!(log.0.held_by(&robot("ada")).is_none());
     assert!(matches!(log.ended(&mission, "r1", epoch(2), &[0]), Outcome::Refused(Refused::Over { .. })));
     assert!(log.0.live().is_empty());
@@ -214,7 +225,7 @@ fn only_so_many_ended_missions_are_kept() {
     let mut log = Log::new();
     for number in 0..HISTORY_MAX + 3 {
         let mission = log.submit(&format!("request{number}"));
-        log.apply(Command::Fail { mission, cause: "test".to_owned() });
+        log.apply(Command::Fail { mission, cause: "test".to_owned(), places: BTreeMap::new() });
     }
     assert_eq!(log.0.missions().count(), HISTORY_MAX);
     assert!(log.0.requested(&RequestId::new("request0").unwrap()).is_none());

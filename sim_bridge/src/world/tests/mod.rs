@@ -60,10 +60,8 @@ fn aborted(code: ErrorCode, message: &str) -> GoalStatus {
 /// Asks a nurse to deposit into the drawer of whoever holds `r1`.
 fn deposit(holder: &str) -> PersonAsk {
     let task = TaskSpec {
-        task_type: TaskType::new("deposit").unwrap(),
-        roles: vec![role("nurse")],
         parameters: [("into_role".to_owned(), "r1".to_owned())].into(),
-        reaches: Default::default(),
+        ..TaskSpec::of(TaskType::new("deposit").unwrap(), vec![role("nurse")])
     };
     PersonAsk { role: role("nurse"), task, holders: [(role("r1"), robot(holder))].into() }
 }

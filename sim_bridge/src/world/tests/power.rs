@@ -23,6 +23,17 @@ fn a_goal_costs_its_time_at_the_rate_that_estimates_use() {
 }
 
 #[test]
+fn a_battery_that_fails_stops_its_robot_at_once() {
+    let mut world = World::new(hospital(1).robot(carrier("r1", "Laboratory"))).unwrap();
+    let goal = go(&world, "Laboratory Corridor");
+    world.start(&robot("r1"), GoalId(1), goal);
+    world.advance(at(2.0));
+    world.set_charge(&robot("r1"), BatteryShare::new(0.01).unwrap());
+    let low = aborted(ErrorCode::BatteryLow, "the battery of r1 is down to 1.0 %");
+    assert_eq!(world.advance(at(3.0)), [ended("r1", 1, low), BodyEvent::Stranded { robot: robot("r1") }]);
+}
+
+#[test]
 fn under_five_percent_it_stops_dead_where_it_is() {
     let mut world = World::new(hospital(1).robot(weak(0.054))).unwrap();
     let goal = go(&world, "Laboratory Corridor");

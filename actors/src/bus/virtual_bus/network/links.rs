@@ -65,12 +65,13 @@ impl Network {
         }
     }
 
-    /// When a message that leaves now arrives, unless it is lost.
-    pub(super) fn cross(&mut self, from: Place, to: Place) -> Option<Instant> {
+    /// When a message of so many bytes that leaves now arrives, unless it is lost.
+    pub(super) fn cross(&mut self, from: Place, to: Place, bytes: usize) -> Option<Instant> {
         self.counters.sent += 1;
         if from == to {
             return Some(self.now);
         }
+        self.nodes[from].traffic.sent += bytes as u64;
         if self.nodes[to].peers[from].cut {
             self.counters.dropped += 1;
             return None;

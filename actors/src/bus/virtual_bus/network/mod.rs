@@ -18,7 +18,7 @@ pub(super) use queries::Question;
 
 use super::Shared;
 use super::faults::Faults;
-use super::link::{Counters, LinkModel};
+use super::link::{Counters, LinkModel, Traffic};
 use super::trace::Trace;
 use crate::bus::{Query, Sample};
 use agenda::{Entry, Event};
@@ -60,6 +60,7 @@ struct Node {
     tokens: BTreeMap<Number, OwnedKeyExpr>,
     /// How this node sees each node, itself included, by place.
     peers: Vec<Peer>,
+    traffic: Traffic,
 }
 
 /// How one node sees another.
@@ -195,6 +196,7 @@ impl Network {
             held: Vec::new(),
             tokens: BTreeMap::new(),
             peers: (0..=place).map(|_| Peer::default()).collect(),
+            traffic: Traffic::default(),
         });
         self.refresh_models();
         place
@@ -284,6 +286,17 @@ impl Network {
             Event::Limit { query } => drop(self.queries.remove(&query)),
             Event::News { at, of } => self.deliver_news(at, of),
             Event::LeaseOver { at, of, change } => self.end_lease(at, of, change),
+        }
+    }
+
+    /// What a node has sent and received in all its lives.
+    pub(super) fn traffic(&self, id: &NodeId) -> Traffic {
+        self.places.get(id).map(|place| self.nodes[*place].traffic).unwrap_or_default()
+    }
+
+    fn take(&mut self, from: Place, to: Place, bytes: usize) {
+        if from != to {
+            self.nodes[to].traffic.received += bytes as u64;
         }
     }
 

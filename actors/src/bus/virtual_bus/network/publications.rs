@@ -21,6 +21,12 @@ pub(super) struct Publication {
     edition: u64,
 }
 
+impl Publication {
+    fn bytes(&self) -> usize {
+        self.route.key.len() + self.sample.payload.len()
+    }
+}
+
 impl Network {
     /// The key, if it was used lately and hence is known to be one.
     pub(in super::super) fn known_key(&self, key: &str) -> Option<OwnedKeyExpr> {
@@ -56,7 +62,8 @@ impl Network {
     }
 
     fn send_publication(&mut self, from: Place, to: Place, publication: &Arc<Publication>) {
-        let Some(arrival) = self.cross(from, to) else { return };
+        let bytes = publication.bytes();
+        let Some(arrival) = self.cross(from, to, bytes) else { return };
         let to_life = self.life(to);
         let event = |publication: &Arc<Publication>| Event::Publication {
             from,
@@ -112,6 +119,7 @@ impl Network {
             }
         }
         if heard {
+            self.take(from, to.place, publication.bytes());
             self.trace.note(self.now, from, to.place, publication.route.hash, &publication.sample.payload);
         }
         self.count(heard);

@@ -28,6 +28,12 @@ pub(in super::super) struct Question {
     pub(in super::super) payload: Bytes,
 }
 
+impl Question {
+    fn bytes(&self) -> usize {
+        self.wanted.len() + self.parameters.len() + self.payload.len()
+    }
+}
+
 /// What is left of one service's part in a query.
 pub(super) struct LegState {
     pub(super) service: Life,
@@ -35,6 +41,11 @@ pub(super) struct LegState {
     broken: bool,
     /// When the latest answer arrives; none arrives before it.
     floor: Instant,
+}
+
+/// Bytes of an answer.
+fn size(reply: &Reply) -> usize {
+    reply.key.len() + reply.payload.as_ref().map_or_else(String::len, Bytes::len)
 }
 
 impl Network {
@@ -70,7 +81,7 @@ impl Network {
                 continue; // given up: its services are known no more
             }
             for service in services {
-                let arrival = self.cross(asker, *place);
+                let arrival = self.cross(asker, *place, question.bytes());
                 let state = LegState { service: self.life(*place), broken: false, floor: self.now };
                 if let Some(arrival) = arrival {
                     let leg = Leg { query, service: *service };
@@ -93,20 +104,20 @@ impl Network {
     }
 
     pub(in super::super) fn answer(&mut self, leg: Leg, reply: Reply) {
-        if let Some((from, to, due)) = self.send_answer(leg, true) {
+        if let Some((from, to, due)) = self.send_answer(leg, Some(size(&reply))) {
             self.at(due, Event::Answer { from, to, leg, reply });
         }
     }
 
     pub(in super::super) fn finish(&mut self, leg: Leg) {
-        if let Some((from, to, due)) = self.send_answer(leg, false) {
+        if let Some((from, to, due)) = self.send_answer(leg, None) {
             self.at(due, Event::Finished { from, to, leg });
         }
     }
 
     /// From, to and arrival of the next message of a leg, if the query goes on and the message is not lost. Only
-    /// answers are counted; the end of a leg is a message like any other in every other respect.
-    fn send_answer(&mut self, leg: Leg, counted: bool) -> Option<(Place, Place, Instant)> {
+    /// answers, which have a size, are counted; the end of a leg is a message like any other in every other respect.
+    fn send_answer(&mut self, leg: Leg, bytes: Option<usize>) -> Option<(Place, Place, Instant)> {
         let pending = self.queries.get(&leg.query)?;
         let state = pending.legs.get(&leg.service)?;
         let (from, to) = (state.service.place, pending.asker);
@@ -114,8 +125,8 @@ impl Network {
             return None;
         }
         let before = self.counters;
-        let arrival = self.cross(from, to);
-        if !counted {
+        let arrival = self.cross(from, to, bytes.unwrap_or(0));
+        if bytes.is_none() {
             self.counters = before;
         }
         let state = self.queries.get_mut(&leg.query)?.legs.get_mut(&leg.service)?;
@@ -145,6 +156,7 @@ impl Network {
             replier: Box::new(Responder::new(self.home.clone(), leg, to, Arc::clone(&question))),
         };
         let heard = service.mailbox.send(query).is_ok();
+        self.take(from, to.place, question.bytes());
         self.trace.note(self.now, from, to.place, leg.service, &question.payload);
         self.count(heard);
     }
@@ -155,7 +167,9 @@ impl Network {
             Ok(payload) => payload.clone(),
             Err(reason) => Bytes::copy_from_slice(reason.as_bytes()),
         };
+        let bytes = size(&reply);
         let heard = query.replies.send(reply).is_ok();
+        self.take(from, to, bytes);
         self.trace.note(self.now, from, to, leg.service, &content);
         self.count(heard);
     }

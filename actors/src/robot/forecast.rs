@@ -1,0 +1,55 @@
+//! Whether the battery lasts for the rest of a plan, as values: the same reckoning with which the robot bid, done again on
+//! the way.
+
+use consort_protocol::auction::Limits;
+use consort_protocol::knowledge::Worker;
+use consort_protocol::plan::LocalPlan;
+use consort_protocol::units::{BatteryShare, MetresPerSecond};
+use consort_skills::descriptor::{Context, Estimator, PriceError};
+
+/// What would be left at the end may lie this much below the floor before it counts as falling short: a bid that was only
+/// just taken is not given back for an error in the last digit of an estimate. A share of a full battery; a guess, half
+/// of what a robot uses on a hospital floor between two beacons of a minute.
+const SLACK: f64 = 0.005;
+
+/// What will be left of the battery.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Forecast {
+    /// Charge at the end of the plan, as a share of a full battery; negative when it would not last.
+    pub remaining: f64,
+    /// What it should exceed: the greater of the fleet's minimum and the robot's own useful charge, as for bids.
+    pub floor: BatteryShare,
+}
+
+impl Forecast {
+    /// Prices the rest of a plan from where the robot is, with the charge it has.
+    ///
+    /// # Errors
+    /// [`PriceError`] when a step of it cannot be priced; whoever tries it will learn why.
+    pub fn new(
+        estimator: &Estimator,
+        rest: &LocalPlan,
+        worker: &Worker,
+        limits: &Limits,
+    ) -> Result<Forecast, PriceError> {
+        let context = Context { pose: Some(worker.pose), ..context(worker) };
+        let energy: f64 = estimator.price(rest, &context)?.iter().map(|part| part.energy).sum();
+        let floor = limits.floor(worker.useful_charge);
+        Ok(Forecast { remaining: worker.battery.get() - energy, floor })
+    }
+
+    /// In words, if the battery will not last.
+    pub fn shortfall(&self) -> Option<String> {
+        (self.remaining < self.floor.get() - SLACK).then(|| {
+            let (left, floor) = (self.remaining * 100.0, self.floor.get() * 100.0);
+            format!("the rest of the plan would leave {left:.1} % of the battery, less than {floor:.1} %")
+        })
+    }
+}
+
+/// The robot as its estimator sees it, at the place where it stands or which it passed last.
+pub(super) fn context(worker: &Worker) -> Context {
+    // A robot that does not drive has no navigation task to price: its speed plays no part.
+    let speed = worker.speed.unwrap_or(MetresPerSecond::new(1.0).expect("1 m/s is a speed"));
+    Context { place: worker.place.clone(), pose: None, speed, discharge: worker.discharge }
+}

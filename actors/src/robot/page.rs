@@ -1,0 +1,114 @@
+//! What a robot writes into its notebook about the role it holds.
+
+use super::sequencer::Detours;
+use consort_protocol::codec::{self, CodecError};
+use consort_protocol::ids::RobotId;
+use consort_protocol::lease::Award;
+use consort_protocol::plan::StepIndex;
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeSet;
+
+/// First byte of a page. Raised when a page is laid out anew: a robot that was brought to another release has then
+/// forgotten its role, and says so.
+const VERSION: u8 = 1;
+
+/// How far a robot has come with an award. What it has said to others is in `ended`: messages are steps.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Page {
+    /// What it holds.
+    pub award: Award,
+    /// Steps that have ended.
+    pub ended: BTreeSet<StepIndex>,
+    /// Alternatives that were tried or are under way.
+    pub detours: Detours,
+}
+
+/// Why a page cannot be taken up. The robot has forgotten what it held.
+#[derive(Debug, thiserror::Error)]
+pub enum PageError {
+    /// Another release wrote it, or nobody of ours.
+    #[error("laid out as version {found}, where this release reads {VERSION}")]
+    Version {
+        /// The first byte found.
+        found: u8,
+    },
+    /// An empty page was never written by a robot.
+    #[error("an empty page")]
+    Empty,
+    /// Not what a robot writes.
+    #[error(transparent)]
+    Malformed(#[from] CodecError),
+    /// The notebook of another robot.
+    #[error("written by {robot}")]
+    NotMine {
+        /// Who wrote it.
+        robot: RobotId,
+    },
+}
+
+impl Page {
+    /// The page as bytes.
+    pub fn write(&self) -> Vec<u8> {
+        let mut bytes = vec![VERSION];
+        bytes.extend(codec::encode_record(self).expect("what came in messages fits a record"));
+        bytes
+    }
+
+    /// What the bytes say.
+    ///
+    /// # Errors
+    /// [`PageError`] when they are not a page of this robot.
+    pub fn read(bytes: &[u8], robot: &RobotId) -> Result<Page, PageError> {
+        match bytes {
+            [] => Err(PageError::Empty),
+            [VERSION, rest @ ..] => {
+                let page: Page = codec::decode_record(rest)?;
+                if page.award.robot != *robot {
+                    return Err(PageError::NotMine { robot: page.award.robot });
+                }
+                Ok(page)
+            }
+            [found, ..] => Err(PageError::Version { found: *found }),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use consort_protocol::lease::Epoch;
+    use consort_protocol::plan::LocalPlan;
+
+    fn page() -> Page {
+        let role: consort_protocol::ids::RoleId = "r1".parse().unwrap();
+        let plan: LocalPlan = serde_json::from_value(serde_json::json!({ "role": role, "steps": [] })).unwrap();
+        let award = Award {
+            mission: "m-1".parse().unwrap(),
+            role,
+            robot: "ada".parse().unwrap(),
+            epoch: Epoch { term: 2, index: 7 },
+            plan,
+            holders: std::collections::BTreeMap::new(),
+        };
+        Page { award, ended: BTreeSet::from([0, 1]), detours: Detours::default() }
+    }
+
+    #[test]
+    fn a_page_is_read_as_it_was_written() {
+        let ada = "ada".parse().unwrap();
+        assert_eq!(Page::read(&page().write(), &ada).unwrap(), page());
+    }
+
+    #[test]
+    fn what_is_no_page_of_this_robot_is_not_taken_up() {
+        let read = |bytes: &[u8], robot: &str| Page::read(bytes, &robot.parse().unwrap()).unwrap_err().to_string();
+        let bytes = page().write();
+        assert_eq!(read(&[], "ada"), "an empty page");
+        assert_eq!(read(&[9, 1, 2], "ada"), "laid out as version 9, where this release reads 1");
+        assert_eq!(read(&bytes, "bob"), "written by ada");
+        for length in 1..bytes.len() {
+            assert!(Page::read(&bytes[..length], &"ada".parse().unwrap()).is_err(), "the first {length} bytes");
+        }
+        assert!(Page::read(&[bytes, vec![0]].concat(), &"ada".parse().unwrap()).is_err(), "a byte too many");
+    }
+}

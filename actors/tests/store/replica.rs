@@ -1,0 +1,311 @@
+//! A replica on a store on disk: it comes back as the same member, with its vote and all that it held.
+
+use super::{Folder, owner};
+use async_trait::async_trait;
+use consort_actors::bus::virtual_bus::{LinkModel, VirtualNetwork};
+use consort_actors::replica::{
+    Epoch, Journal, MemoryJournal, RaftId, Recorded, Replica, ReplicaSettings, StartError, StateMachine, StoreIdentity,
+};
+use consort_actors::store::{DurableStore, LEDGER};
+use consort_protocol::ids::NodeId;
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+use std::io;
+use std::path::Path;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Duration;
+use tokio::time::Instant;
+
+const NAMES: [&str; 3] = ["ada", "bob", "cyd"];
+
+/// A list of numbers.
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
+struct Tally(Vec<u64>);
+
+impl StateMachine for Tally {
+    type Command = u64;
+    type Outcome = usize;
+
+    fn apply(&mut self, _: Epoch, number: u64) -> usize {
+        self.0.push(number);
+        self.0.len()
+    }
+}
+
+struct Fleet {
+    network: VirtualNetwork,
+    live: BTreeMap<&'static str, Replica<Tally>>,
+    starts: u64,
+}
+
+fn settings(name: &str) -> ReplicaSettings {
+    let owner = owner(name);
+    ReplicaSettings { snapshot_every: 50, log_kept: 20, ..ReplicaSettings::new(owner.fleet, owner.node) }
+}
+
+fn on_disk(folder: &Path, name: &str) -> Arc<dyn Journal> {
+    let fresh = StoreIdentity(name.len() as u128 + u128::from(name.as_bytes()[0]));
+    Arc::new(DurableStore::open(&folder.join(name), &owner(name), fresh).expect("a store"))
+}
+
+impl Fleet {
+    fn new(seed: u64) -> Fleet {
+        Fleet { network: VirtualNetwork::new(seed, LinkModel::LAN), live: BTreeMap::new(), starts: seed * 100 }
+    }
+
+    async fn start(&mut self, name: &'static str, journal: Arc<dyn Journal>) -> RaftId {
+        self.starts += 1;
+        let bus = Arc::new(self.network.bus(NodeId::new(name).expect("a slug")));
+        let replica = Replica::start(settings(name), bus, journal, self.starts).await.expect("a start");
+        let id = replica.id();
+        self.live.insert(name, replica);
+        id
+    }
+
+    async fn found(&self) {
+        let members = self.live.iter().map(|(name, replica)| (replica.id(), NodeId::new(*name).expect("a slug")));
+        self.live["ada"].bootstrap(members.collect()).await.expect("a first founding");
+    }
+
+    /// Ends all nodes at once.
+    async fn stop(&mut self) {
+        for (name, replica) in std::mem::take(&mut self.live) {
+            self.network.crash(&NodeId::new(name).expect("a slug"));
+            replica.shutdown().await;
+        }
+    }
+
+    async fn until<T>(&self, what: &str, mut done: impl FnMut(&Fleet) -> Option<T>) -> T {
+        let began = Instant::now();
+        loop {
+            if let Some(found) = done(self) {
+                return found;
+            }
+            assert!(began.elapsed() < Duration::from_secs(30), "waited in vain until {what}");
+            tokio::time::sleep(Duration::from_millis(1)).await;
+        }
+    }
+
+    async fn leader(&self) -> &'static str {
+        let leads = |fleet: &Fleet| {
+            let mut all = fleet.live.iter();
+            all.find(|(_, replica)| replica.leadership().borrow().is_me).map(|(name, _)| *name)
+        };
+        self.until("somebody leads", leads).await
+    }
+
+    async fn note(&self, numbers: impl IntoIterator<Item = u64>) {
+        for number in numbers {
+            loop {
+                let leader = self.leader().await;
+                if self.live[leader].propose(number, Duration::from_secs(2)).await.is_ok() {
+                    break;
+                }
+                tokio::time::sleep(Duration::from_millis(1)).await;
+            }
+        }
+    }
+
+    async fn until_all_hold(&self, count: usize) {
+        let hold = |fleet: &Fleet| {
+            fleet.live.values().all(|replica| replica.read(|tally| tally.0.len() == count)).then_some(())
+        };
+        self.until("all hold everything", hold).await;
+    }
+}
+
+/// Virtual time stands still while a disk is written to.
+fn on_virtual_time<T>(story: impl Future<Output = T>) -> T {
+    let mut builder = tokio::runtime::Builder::new_current_thread();
+    builder.enable_time().start_paused(true).build().expect("a runtime").block_on(story)
+}
+
+/// Waits until nothing of the last life keeps a directory any more.
+async fn until_free(folder: &Path, name: &str) {
+    let began = std::time::Instant::now();
+    while let Err(problem) = DurableStore::open_existing(&folder.join(name)) {
+        assert!(began.elapsed() < Duration::from_secs(30), "{problem}");
+        tokio::time::sleep(Duration::from_millis(1)).await;
+    }
+}
+
+#[test]
+fn a_fleet_that_was_switched_off_comes_back_as_the_same_members_with_all_that_it_held() {
+    let folder = Folder::new();
+    on_virtual_time(async {
+        let mut fleet = Fleet::new(1);
+        let mut ids = BTreeMap::new();
+        for name in NAMES {
+            ids.insert(name, fleet.start(name, on_disk(&folder, name)).await);
+        }
+        fleet.found().await;
+        let mut terms = 0;
+        for round in 1..4_u64 {
+            fleet.note((round - 1) * 150..round * 150).await;
+            let count = usize::try_from(round * 150).expect("a small number");
+            fleet.until_all_hold(count).await;
+            let term = |fleet: &Fleet| fleet.live["ada"].leadership().borrow().term;
+            assert!(term(&fleet) >= terms, "a vote was forgotten");
+            terms = term(&fleet);
+            fleet.stop().await;
+            for name in NAMES {
+                until_free(&folder, name).await;
+                assert_eq!(fleet.start(name, on_disk(&folder, name)).await, ids[name]);
+                // Its vote is what it starts from: it knows the term before it has heard anybody.
+                let mut leadership = fleet.live[name].leadership();
+                let first = leadership.wait_for(|now| now.term > 0).await.expect("a replica").term;
+                assert!(first >= terms, "{name} knows of term {first} only, and it voted in {terms}");
+            }
+            fleet.until_all_hold(count).await;
+            assert_eq!(fleet.live["cyd"].read(Tally::clone).0, (0..round * 150).collect::<Vec<_>>());
+        }
+    });
+}
+
+#[test]
+fn the_disk_a_store_takes_stays_bounded_however_much_is_written() {
+    let folder = Folder::new();
+    on_virtual_time(async {
+        let mut fleet = Fleet::new(2);
+        fleet.start("ada", on_disk(&folder, "ada")).await;
+        fleet.found().await;
+        let size = || std::fs::metadata(folder.join("ada").join(LEDGER)).expect("a file").len();
+        fleet.note(0..150).await;
+        let early = size();
+        // Twenty snapshots more; the state itself grows by some kilobytes.
+        fleet.note(150..1150).await;
+        let late = size();
+        assert!(late <= early.max(2 << 20), "{early} bytes became {late}");
+        fleet.stop().await;
+        until_free(&folder, "ada").await;
+        let reopened = on_disk(&folder, "ada");
+        let Recorded { entries, snapshot, purged, .. } = reopened.load().await.expect("a journal");
+        assert!(entries.len() <= 2 * 50 + 20, "{} entries are kept", entries.len());
+        assert!(snapshot.is_some() && purged.is_some());
+        fleet.start("ada", reopened).await;
+        fleet.until_all_hold(1150).await;
+    });
+}
+
+/// A journal whose disk is full from some moment on.
+struct Filling {
+    journal: MemoryJournal,
+    full: AtomicBool,
+}
+
+impl Filling {
+    fn check(&self) -> io::Result<()> {
+        if self.full.load(Ordering::SeqCst) { Err(io::ErrorKind::StorageFull.into()) } else { Ok(()) }
+    }
+}
+
+#[async_trait]
+impl Journal for Filling {
+    fn identity(&self) -> StoreIdentity {
+        self.journal.identity()
+    }
+
+    async fn load(&self) -> io::Result<Recorded> {
+        self.journal.load().await
+    }
+
+    async fn record_vote(&self, vote: Vec<u8>) -> io::Result<()> {
+        self.check()?;
+        self.journal.record_vote(vote).await
+    }
+
+    async fn record_committed(&self, committed: Option<Vec<u8>>) -> io::Result<()> {
+        self.journal.record_committed(committed).await
+    }
+
+    async fn append(&self, entries: Vec<(u64, Vec<u8>)>) -> io::Result<()> {
+        self.check()?;
+        self.journal.append(entries).await
+    }
+
+    async fn truncate(&self, index: u64) -> io::Result<()> {
+        self.check()?;
+        self.journal.truncate(index).await
+    }
+
+    async fn purge(&self, index: u64, last: Vec<u8>) -> io::Result<()> {
+        self.check()?;
+        self.journal.purge(index, last).await
+    }
+
+    async fn keep_snapshot(&self, snapshot: Vec<u8>) -> io::Result<()> {
+        self.check()?;
+        self.journal.keep_snapshot(snapshot).await
+    }
+}
+
+#[test]
+fn a_leader_whose_disk_is_full_gives_up_for_good_and_says_so_and_another_takes_over() {
+    on_virtual_time(async {
+        let mut fleet = Fleet::new(3);
+        let mut disks = BTreeMap::new();
+        for (seed, name) in (70..).zip(NAMES) {
+            let disk = Arc::new(Filling { journal: MemoryJournal::new(seed), full: AtomicBool::new(false) });
+            fleet.start(name, Arc::clone(&disk) as _).await;
+            disks.insert(name, disk);
+        }
+        fleet.found().await;
+        fleet.note(0..10).await;
+        let old = fleet.leader().await;
+        disks[old].full.store(true, Ordering::SeqCst);
+        let answer = fleet.live[old].propose(10, Duration::from_secs(2)).await;
+        assert!(answer.is_err(), "{answer:?}");
+        let failed = fleet.live[old].failed();
+        let problem = tokio::time::timeout(Duration::from_secs(5), failed).await.expect("an end");
+        assert!(problem.contains("no storage space"), "{problem}");
+        assert!(!fleet.live[old].leadership().borrow().is_me);
+        fleet.network.crash(&NodeId::new(old).expect("a slug"));
+        fleet.live.remove(old);
+        fleet.note(11..20).await;
+        fleet
+            .until("all hold everything", |fleet| {
+                let whole =
+                    |tally: &Tally| tally.0.iter().filter(|number| **number != 10).copied().eq((0..10).chain(11..20));
+                fleet.live.values().all(|replica| replica.read(whole)).then_some(())
+            })
+            .await;
+    });
+}
+
+#[test]
+fn a_log_with_a_gap_or_without_its_beginning_is_refused() {
+    let folder = Folder::new();
+    on_virtual_time(async {
+        let mut fleet = Fleet::new(4);
+        fleet.start("ada", on_disk(&folder, "ada")).await;
+        fleet.found().await;
+        fleet.note(0..40).await;
+        fleet.stop().await;
+        until_free(&folder, "ada").await;
+        let whole = on_disk(&folder, "ada").load().await.expect("a journal");
+        let with = |change: fn(&mut Recorded)| {
+            let mut changed = whole.clone();
+            change(&mut changed);
+            changed
+        };
+        for (what, recorded) in [
+            ("has entry 1.12 at place 12, right after 1.10", with(|log| drop(log.entries.remove(&11)))),
+            ("has entry 1.1 at place 1, right after nothing", with(|log| drop(log.entries.remove(&0)))),
+            (
+                "has entry 1.30 at place 20, right after 1.19",
+                with(|log| drop(log.entries.insert(20, log.entries[&30].clone()))),
+            ),
+        ] {
+            until_free(&folder, "ada").await;
+            let store = DurableStore::open_existing(&folder.join("ada")).expect("a store");
+            store.replace(recorded).expect("a write");
+            let bus = Arc::new(fleet.network.bus(NodeId::new("ada").expect("a slug")));
+            let refused = Replica::<Tally>::start(settings("ada"), bus, Arc::new(store), 1).await;
+            let Err(StartError::Journal { place, problem }) = refused else { panic!("{what}: it was taken up") };
+            assert!(place.ends_with(LEDGER), "{place}");
+            assert_eq!(problem.kind(), io::ErrorKind::InvalidData);
+            assert!(problem.to_string().contains(what), "{problem}");
+        }
+    });
+}

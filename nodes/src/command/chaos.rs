@@ -1,0 +1,306 @@
+//! `consort chaos`: whole fleets under generated faults, watched at every step.
+
+use crate::exit::Failure;
+use crate::output;
+use clap::{ArgGroup, Args as ClapArgs};
+use consort_tests::chaos::many::be_quiet;
+use consort_tests::chaos::{
+    Cast, Kind, Many, Order, Outcome, Schedule, Violation, cast, generate, run as play, shrink,
+};
+use indicatif::{ProgressBar, ProgressStyle};
+use std::ops::RangeInclusive;
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+/// Most runs that are made to cut a schedule down.
+const SHRINK_TRIES: usize = 300;
+
+/// Runs whole fleets under generated faults, and checks at every step that nothing acknowledged is lost and no role is
+/// held twice.
+///
+/// Each seed is one run: a fleet in this process, on virtual time, with requests of clients and faults drawn from the
+/// seed. Nodes crash and come back (with all of their disk, without the writes that were not acknowledged, or with an
+/// empty one), stand still, are parted; links lose, repeat, reorder and delay; disks are slow, clocks drift, batteries run
+/// down, skills fail, panic and hang; the coordinator is killed at any moment. After 70 % of the time all faults lift, and
+/// the fleet has to come to rest: one coordinator, every mission at an end, everybody known to everybody.
+///
+/// It stops at the first seed for which something does not hold. It then says what, what happened before, and which of the
+/// faults it takes, having left out whatever could be spared; and how to repeat it.
+#[derive(Debug, ClapArgs)]
+#[command(
+    group = ArgGroup::new("what").args(["seeds", "seed"]),
+    after_long_help = "\
+Examples:
+  # the first thousand seeds on all cores
+  consort chaos --seeds 1..1000
+
+  # one of them, with all that is done in it
+  consort chaos --seed 4711 --verbose
+
+  # a violation again, with the schedule that was written beside it
+  consort chaos --seed 4711 --schedule chaos-4711.json
+
+  # some kinds of faults alone
+  consort chaos --seeds 1..100 --faults partition,coordinator-crash
+
+The same seed, nodes, minutes and faults give the same run, to the byte, on any machine.
+
+Exit codes: 0 everything held; 1 something did not; 2 the flags or the schedule are wrong."
+)]
+pub struct Args {
+    /// Which seeds, the last included
+    #[arg(long, value_name = "FIRST..LAST", value_parser = seeds, default_value = "1..100")]
+    seeds: RangeInclusive<u64>,
+    /// One seed alone
+    #[arg(long)]
+    seed: Option<u64>,
+    /// What is done, from a file (JSON), instead of what follows from the seed
+    #[arg(long, value_name = "FILE", requires = "seed")]
+    schedule: Option<PathBuf>,
+    /// Simulated minutes of each run
+    #[arg(long, default_value_t = 5.0, value_parser = minutes)]
+    minutes: f64,
+    /// Nodes of the fleet: an arm, and carriers and stations in equal parts; the host of the world comes on top
+    #[arg(long, default_value_t = 7, value_parser = nodes)]
+    nodes: usize,
+    /// Runs at the same time [default: one on each core]
+    #[arg(long)]
+    jobs: Option<usize>,
+    /// The kinds of faults [default: all]
+    #[arg(long, value_name = "KIND,…", value_delimiter = ',')]
+    faults: Vec<Kind>,
+    /// Print what is done in the run
+    #[arg(long, requires = "seed")]
+    verbose: bool,
+    /// Print JSON: a line for each run
+    #[arg(long)]
+    json: bool,
+}
+
+fn seeds(text: &str) -> Result<RangeInclusive<u64>, String> {
+    let wrong = || format!("{text:?} is not FIRST..LAST, as in 1..1000");
+    let (first, last) = text.split_once("..").ok_or_else(wrong)?;
+    let number = |text: &str| text.trim_start_matches('=').parse::<u64>().map_err(|_| wrong());
+    let (first, last) = (number(first)?, number(last)?);
+    if first > last || last == u64::MAX { Err(wrong()) } else { Ok(first..=last) }
+}
+
+fn minutes(text: &str) -> Result<f64, String> {
+    let minutes: f64 = text.parse().map_err(|_| format!("{text:?} is not a number of minutes"))?;
+    if (0.5..=120.0).contains(&minutes) { Ok(minutes) } else { Err("from 0.5 to 120 minutes".to_owned()) }
+}
+
+fn nodes(text: &str) -> Result<usize, String> {
+    let (least, most) = (cast::NODES_MIN, cast::NODES_MAX);
+    let number = text.parse().ok().filter(|number| (least..=most).contains(number));
+    number.ok_or_else(|| format!("from {least} to {most} nodes"))
+}
+
+/// Runs the command.
+///
+/// # Errors
+/// [`Failure::Usage`] for a wrong schedule; [`Failure::Unsuccessful`] if something did not hold.
+pub fn run(args: &Args) -> Result<(), Failure> {
+    match args.seed {
+        Some(seed) => one(args, seed),
+        None => many(args),
+    }
+}
+
+impl Args {
+    fn order(&self, seed: u64) -> Order {
+        Order { seed, nodes: self.nodes, minutes: self.minutes }
+    }
+
+    fn generated(&self, seed: u64) -> Schedule {
+        let kinds = if self.faults.is_empty() { &Kind::FAULTS[..] } else { &self.faults };
+        generate(seed, &Cast::of(self.nodes), self.minutes, kinds)
+    }
+
+    fn jobs(&self) -> usize {
+        self.jobs.unwrap_or_else(|| std::thread::available_parallelism().map_or(1, Into::into)).max(1)
+    }
+
+    /// The flags that a run depends on besides its seed, where they are not the default.
+    fn flags(&self) -> String {
+        let mut flags = String::new();
+        if self.minutes != 5.0 {
+            flags.push_str(&format!(" --minutes {}", self.minutes));
+        }
+        if self.nodes != 7 {
+            flags.push_str(&format!(" --nodes {}", self.nodes));
+        }
+        flags
+    }
+}
+
+fn one(args: &Args, seed: u64) -> Result<(), Failure> {
+    let schedule = match &args.schedule {
+        Some(file) => read(file)?,
+        None => args.generated(seed),
+    };
+    if args.verbose {
+        output::line(format_args!("{schedule}"))?;
+    }
+    let order = args.order(seed);
+    // On a thread of its own, where panics that are part of the run are not printed.
+    let single = (order.clone(), schedule.clone());
+    let many = Many { seeds: seed..=seed, jobs: 1, order: &move |_| single.clone(), prepare: &|| () };
+    let mut outcome = None;
+    many.run(|told| outcome = Some(told.clone()));
+    let Some(outcome) = outcome else { return Err(Failure::Unsuccessful("the run came to nothing".to_owned())) };
+    if args.json {
+        json(&outcome)?;
+    }
+    match &outcome.violation {
+        Some(violation) => broken(args, &order, &schedule, violation, args.schedule.is_none()),
+        None if args.json => Ok(()),
+        None => output::line(summary(&outcome)),
+    }
+}
+
+fn many(args: &Args) -> Result<(), Failure> {
+    let count = args.seeds.end() - args.seeds.start() + 1;
+    let bar = ProgressBar::new(count);
+    let style = "{bar:40} {pos}/{len} seeds, {per_sec}, {eta} left  {msg}";
+    bar.set_style(ProgressStyle::with_template(style).expect("the template is sound"));
+    let began = Instant::now();
+    let mut totals = Totals::default();
+    let many = Many {
+        seeds: args.seeds.clone(),
+        jobs: args.jobs(),
+        order: &|seed| (args.order(seed), args.generated(seed)),
+        prepare: &|| (),
+    };
+    let mut printed = Ok(());
+    let found = many.run(|outcome| {
+        bar.inc(1);
+        totals.add(outcome);
+        bar.set_message(format!("{} missions, {} takeovers", totals.acknowledged, totals.takeovers));
+        if args.json && printed.is_ok() {
+            printed = json(outcome);
+        }
+    });
+    bar.finish_and_clear();
+    printed?;
+    if let Some(outcome) = found
+        && let Some(violation) = &outcome.violation
+    {
+        return broken(args, &args.order(outcome.seed), &args.generated(outcome.seed), violation, true);
+    }
+    let seconds = began.elapsed().as_secs_f64();
+    let rate = count as f64 * 60.0 / seconds;
+    if !args.json {
+        output::line(format_args!(
+            "{count} seeds held: {} missions acknowledged, none lost ({} completed, {} failed with a cause, {} withdrawn); \
+             {} takeovers; {:.1} simulated hours in {seconds:.1} s, {rate:.0} seeds a minute",
+            totals.acknowledged,
+            totals.completed,
+            totals.failed,
+            totals.canceled,
+            totals.takeovers,
+            totals.simulated_ms as f64 / 3_600_000.0,
+        ))?;
+    }
+    Ok(())
+}
+
+#[derive(Default)]
+struct Totals {
+    acknowledged: usize,
+    completed: usize,
+    failed: usize,
+    canceled: usize,
+    takeovers: usize,
+    simulated_ms: u64,
+}
+
+impl Totals {
+    fn add(&mut self, outcome: &Outcome) {
+        let tally = &outcome.tally;
+        self.acknowledged += tally.acknowledged;
+        self.completed += tally.completed;
+        self.failed += tally.failed;
+        self.canceled += tally.canceled;
+        self.takeovers += tally.takeovers_ms.len();
+        self.simulated_ms += tally.simulated_ms;
+    }
+}
+
+fn summary(outcome: &Outcome) -> String {
+    let tally = &outcome.tally;
+    format!(
+        "seed {} held: {} missions acknowledged, none lost ({} completed, {} failed with a cause, {} withdrawn); {} takeovers; \
+         digest {}",
+        outcome.seed,
+        tally.acknowledged,
+        tally.completed,
+        tally.failed,
+        tally.canceled,
+        tally.takeovers_ms.len(),
+        outcome.digest,
+    )
+}
+
+/// Says what did not hold, cuts the schedule down, and says how to repeat it.
+fn broken(
+    args: &Args,
+    order: &Order,
+    schedule: &Schedule,
+    violation: &Violation,
+    cut_down: bool,
+) -> Result<(), Failure> {
+    be_quiet();
+    let at = violation.at_ms as f64 / 1000.0;
+    output::line(format_args!("seed {}: {} does not hold at {at:.3} s", order.seed, violation.invariant))?;
+    output::line(format_args!("  {}\n", violation.why))?;
+    let (smallest, last) = if cut_down {
+        let bar = ProgressBar::new_spinner();
+        let mut last = violation.clone();
+        let smallest = shrink(schedule, SHRINK_TRIES, |tried| {
+            bar.set_message(format!("leaving out what does not matter: {} steps", tried.steps.len()));
+            bar.tick();
+            let again = in_quiet(order, tried).violation.filter(|again| again.invariant == violation.invariant);
+            let fails = again.is_some();
+            last = again.unwrap_or_else(|| last.clone());
+            fails
+        });
+        bar.finish_and_clear();
+        (smallest, last)
+    } else {
+        (schedule.clone(), violation.clone())
+    };
+    output::line(format_args!("What happened before:\n{}\n", last.tale.join("\n")))?;
+    let (left, all) = (smallest.steps.len(), schedule.steps.len());
+    output::line(format_args!("What it takes ({left} of {all} steps; times in seconds):\n{smallest}"))?;
+    let repeat = format!("consort chaos --seed {}{}", order.seed, args.flags());
+    if cut_down {
+        let file = format!("chaos-{}.json", order.seed);
+        let text = serde_json::to_string_pretty(&smallest).expect("a schedule is plain data");
+        match std::fs::write(&file, text) {
+            Ok(()) => output::line(format_args!("Again, with these steps alone:\n  {repeat} --schedule {file}"))?,
+            Err(problem) => output::note(format_args!("{file} was not written: {problem}")),
+        }
+        output::line(format_args!("Again, with all of them:\n  {repeat}"))?;
+    }
+    Err(Failure::Unsuccessful(format!("{} does not hold for seed {}", violation.invariant, order.seed)))
+}
+
+/// A run on a thread where its own panics are not printed.
+fn in_quiet(order: &Order, schedule: &Schedule) -> Outcome {
+    let again = (order.clone(), schedule.clone());
+    let many = Many { seeds: order.seed..=order.seed, jobs: 1, order: &move |_| again.clone(), prepare: &|| () };
+    let mut outcome = None;
+    many.run(|told| outcome = Some(told.clone()));
+    outcome.unwrap_or_else(|| play(order, schedule))
+}
+
+fn read(file: &Path) -> Result<Schedule, Failure> {
+    let wrong = |problem: String| Failure::Usage(format!("{}: {problem}", file.display()));
+    let text = std::fs::read_to_string(file).map_err(|problem| wrong(problem.to_string()))?;
+    serde_json::from_str(&text).map_err(|problem| wrong(format!("not a schedule: {problem}")))
+}
+
+fn json(value: &impl serde::Serialize) -> Result<(), Failure> {
+    output::line(serde_json::to_string(value).expect("an outcome is plain data"))
+}

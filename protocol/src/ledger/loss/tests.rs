@@ -1,0 +1,346 @@
+use super::super::entry::{Branch, Priority, Recovery, Submission};
+use super::*;
+use crate::auction::{AuctionId, AuctionRecord};
+use crate::ids::RequestId;
+use crate::ledger::{Command, HISTORY_MAX};
+use crate::mission::{Domain, Format, MissionTemplate, shipped};
+use crate::plan::{StepIndex, divide_and_check};
+
+fn role(name: &str) -> RoleId {
+    RoleId::new(name).unwrap()
+}
+
+fn robot(name: &str) -> RobotId {
+    RobotId::new(name).unwrap()
+}
+
+fn place() -> PlaceId {
+    PlaceId::new("IC Room 6").unwrap()
+}
+
+fn epoch(index: u64) -> Epoch {
+    Epoch { term: 1, index }
+}
+
+/// Two robots of which nobody has any item: `b` waits for `a`, which has something left to do afterwards.
+const RELAY: &str = r#"{"mission": "relay", "roles": {"a": {"kind": "managed"}, "b": {"kind": "managed"}},
+  "root": {"task": "all", "method": "sequential", "tasks": [
+    {"task": "t-a", "type": "wait", "roles": ["a"], "parameters": {"seconds": "1"}},
+    {"task": "rest", "method": "unordered", "tasks": [
+      {"task": "t-b", "type": "wait", "roles": ["b"], "parameters": {"seconds": "1"}},
+      {"task": "t-a2", "type": "wait", "roles": ["a"], "parameters": {"seconds": "1"}}]}]}}"#;
+
+/// As lab samples, with somebody who goes and looks if the carrier is lost.
+fn with_recovery() -> MissionTemplate {
+    let text = std::fs::read_to_string("missions/lab-samples.yaml").unwrap();
+    let text = text.replace("roles:\n  nurse", "roles:\n  helper: { kind: managed }\n  nurse")
+        + "recovery: { task: go_and_look, type: navigation, roles: [helper], parameters: { to: \"${lost.place}\" } }\n";
+    MissionTemplate::parse(&text, Format::Yaml).unwrap()
+}
+
+fn submission(request: &str, template: &MissionTemplate) -> Submission {
+    let (mission, recovery) = template.instantiate_both(&BTreeMap::new(), &Domain::hospital()).unwrap();
+    let division = divide_and_check(&mission).unwrap();
+    let recovery = recovery.map(|mission| Recovery { division: divide_and_check(&mission).unwrap(), mission });
+    Submission {
+        request: RequestId::new(request).unwrap(),
+        mission,
+        division,
+        parameters: BTreeMap::new(),
+        recovery,
+        priority: Priority::default(),
+        deadline_ms: None,
+        at_ms: 0,
+    }
+}
+
+/// A ledger with one mission, and the index of its next entry.
+struct Log(Ledger, u64, MissionId);
+
+impl Log {
+    fn of(template: &MissionTemplate) -> Log {
+        let mut log = Log(Ledger::default(), 1, MissionId::new("none").unwrap());
+        log.2 = log.submit("a", template);
+        log
+    }
+
+    /// Lab samples, held by amber and arm under epoch 2, confirmed.
+    fn lab_samples() -> Log {
+        let mut log = Log::of(&shipped()["lab-samples"]);
+        log.hold(&[("r1", "amber"), ("lab_arm", "arm")]);
+        log
+    }
+
+    fn apply(&mut self, command: Command) -> Outcome {
+        let at = epoch(self.1);
+        self.1 += 1;
+        self.0.apply(at, command)
+    }
+
+    fn submit(&mut self, request: &str, template: &MissionTemplate) -> MissionId {
+        match self.apply(Command::Submit(Box::new(submission(request, template)))) {
+            Outcome::Submitted { mission, .. } => mission,
+            other => panic!("{other:?}"),
+        }
+    }
+
+    fn award(&mut self, holders: &[(&str, &str)]) -> Outcome {
+        let mission = self.2.clone();
+        let auction = AuctionId { mission: mission.clone(), term: 1, round: 1 };
+        let auction =
+            AuctionRecord { auction, at_ms: 0, entries: vec![], omitted: 0, chosen: BTreeMap::new(), failure: None };
+        let holders = holders.iter().map(|(of, who)| (role(of), robot(who))).collect();
+        self.apply(Command::Award { mission, holders, auction })
+    }
+
+    fn hold(&mut self, holders: &[(&str, &str)]) -> Epoch {
+        let Outcome::Awarded { epoch } = self.award(holders) else { panic!("not awarded") };
+        for (name, _) in holders {
+            let (mission, role) = (self.2.clone(), role(name));
+            assert_eq!(
+                self.apply(Command::Accept { mission, role, epoch, incarnation: 1, resumes: false }),
+                Outcome::Done
+            );
+        }
+        epoch
+    }
+
+    fn ended(&mut self, who: &str, epoch: Epoch, steps: std::ops::Range<StepIndex>) {
+        let (mission, role) = (self.2.clone(), role(who));
+        assert_eq!(self.apply(Command::Progress { mission, role, epoch, ended: steps.collect() }), Outcome::Done);
+    }
+
+    fn lose(&mut self, who: &str, epoch: Epoch, blamed: bool) {
+        let (mission, role, cause) = (self.2.clone(), role(who), "silent for 7 s".to_owned());
+        let release = Command::Release { mission, role, epoch, cause, blamed, place: Some(place()) };
+        assert_eq!(self.apply(release), Outcome::Done);
+    }
+
+    fn entry(&self) -> &MissionEntry {
+        self.0.mission(&self.2).unwrap()
+    }
+
+    /// `amber!` for an item that amber has, `amber?` for one that it may have.
+    fn keepers(&self) -> Vec<String> {
+        let sign = |kept: &Stranded| format!("{}{}", kept.robot, if kept.certain { '!' } else { '?' });
+        self.entry().custody().iter().map(sign).collect()
+    }
+
+    fn rescue(&self) -> (&str, Vec<(&str, Option<&PlaceId>, bool)>) {
+        let MissionState::NeedsRescue { cause, items } = &self.entry().state else {
+            panic!("{:?}", self.entry().state)
+        };
+        (cause, items.iter().map(|kept| (kept.robot.as_str(), kept.place.as_ref(), kept.certain)).collect())
+    }
+}
+
+#[test]
+fn the_sample_is_followed_from_hand_to_hand() {
+    let mut log = Log::lab_samples();
+    assert_eq!(log.keepers(), [""; 0]);
+    log.ended("r1", epoch(2), 0..3);
+    assert_eq!(log.keepers(), [""; 0], "the drawer is not known to be open, so the nurse was not told");
+    log.ended("r1", epoch(2), 0..4);
+    assert_eq!(log.keepers(), ["amber?"], "she may have been told");
+    log.ended("nurse", Epoch::default(), 0..2);
+    assert_eq!(log.keepers(), ["amber!"]);
+    log.ended("r1", epoch(2), 0..11);
+    assert_eq!(log.keepers(), ["amber!"]);
+    log.ended("lab_arm", epoch(2), 0..1);
+    assert_eq!(log.keepers(), ["amber?", "arm?"]);
+    log.ended("lab_arm", epoch(2), 0..2);
+    assert_eq!(log.keepers(), ["arm!"]);
+    log.ended("lab_arm", epoch(2), 0..3);
+    assert_eq!(log.keepers(), [""; 0], "where the mission meant it to be");
+}
+
+#[test]
+fn what_one_role_has_heard_the_other_has_done() {
+    let mut log = Log::lab_samples();
+    log.ended("r1", epoch(2), 5..6); // its wait for the nurse's deposit, and nothing else was reported
+    assert_eq!(log.keepers(), ["amber!"]);
+}
+
+#[test]
+fn a_carrier_lost_before_its_guard_is_replaced() {
+    let mut log = Log::lab_samples();
+    log.ended("r1", epoch(2), 0..3);
+    log.lose("r1", epoch(2), false);
+    assert_eq!(log.entry().state, MissionState::Pending);
+    assert_eq!(log.entry().open_roles(), [role("r1")].into());
+}
+
+#[test]
+fn a_carrier_lost_with_the_sample_needs_rescue_and_is_kept_until_somebody_closes_it() {
+    for (reported, certain, has) in [(0..4, false, "may have"), (0..8, true, "has")] {
+        let mut log = Log::lab_samples();
+        log.ended("r1", epoch(2), reported);
+        log.lose("r1", epoch(2), false);
+        let said = format!("amber was lost as r1 and {has} the sample: silent for 7 s");
+        assert_eq!(log.rescue(), (said.as_str(), vec![("amber", Some(&place()), certain)]));
+        assert!(log.entry().state.is_end());
+        for number in 0..HISTORY_MAX + 3 {
+            let mission = log.submit(&format!("more{number}"), &shipped()["lab-samples"]);
+            log.apply(Command::Fail { mission, cause: "test".to_owned(), places: BTreeMap::new() });
+        }
+        assert!(log.0.mission(&log.2).is_some(), "what waits for a person is not forgotten");
+
+        // Nobody gives the robot another role meanwhile.
+        let waiting = log.2.clone();
+        log.2 = log.submit("next", &shipped()["lab-samples"]);
+        let full = log.award(&[("r1", "amber"), ("lab_arm", "arm")]);
+        assert!(matches!(full, Outcome::Refused(Refused::HandsFull { .. })), "{full:?}");
+        let by = "Nia".to_owned();
+        assert_eq!(log.apply(Command::Rescued { mission: waiting.clone(), by: by.clone() }), Outcome::Done);
+        let cause = format!("{said}; rescued by Nia");
+        assert_eq!(log.0.mission(&waiting).map(|entry| &entry.state), Some(&MissionState::Failed { cause }));
+        let again = log.apply(Command::Rescued { mission: waiting, by });
+        assert!(matches!(again, Outcome::Refused(Refused::NoRescue { .. })), "{again:?}");
+        assert!(matches!(log.award(&[("r1", "amber"), ("lab_arm", "arm")]), Outcome::Awarded { .. }));
+    }
+}
+
+#[test]
+fn a_mission_canceled_or_failed_with_the_sample_in_a_drawer_needs_rescue() {
+    let places = BTreeMap::from([(robot("amber"), place())]);
+    let end = |log: &Log, canceled| match canceled {
+        true => Command::Cancel { mission: log.2.clone(), by: "Nia".to_owned(), places: places.clone() },
+        false => {
+            Command::Fail { mission: log.2.clone(), cause: "past its deadline".to_owned(), places: places.clone() }
+        }
+    };
+    for (canceled, cause) in [(true, "canceled by Nia"), (false, "past its deadline")] {
+        let mut log = Log::lab_samples();
+        log.ended("r1", epoch(2), 0..8);
+        assert_eq!(log.apply(end(&log, canceled)), Outcome::Done);
+        let cause = format!("{cause}; the sample is with amber at IC Room 6");
+        assert_eq!(log.rescue(), (cause.as_str(), vec![("amber", Some(&place()), true)]));
+    }
+    // To cancel it again is to close it.
+    let mut log = Log::lab_samples();
+    log.ended("r1", epoch(2), 0..8);
+    log.apply(end(&log, true));
+    log.apply(end(&log, true));
+    assert!(matches!(&log.entry().state, MissionState::Failed { cause } if cause.ends_with("; rescued by Nia")));
+}
+
+#[test]
+fn a_carrier_that_has_passed_the_sample_on_has_done_its_part() {
+    let mut log = Log::lab_samples();
+    log.ended("r1", epoch(2), 0..11);
+    log.ended("lab_arm", epoch(2), 0..3);
+    log.lose("r1", epoch(2), false); // closing its drawer
+    assert_eq!(log.entry().state, MissionState::Completed);
+    assert_eq!(log.entry().releases.len(), 1, "and it is seen that it did not");
+}
+
+#[test]
+fn an_arm_lost_at_the_drawer_needs_rescue_at_both_ends() {
+    let mut log = Log::lab_samples();
+    log.ended("r1", epoch(2), 0..11);
+    log.ended("lab_arm", epoch(2), 0..1);
+    log.lose("lab_arm", epoch(2), false);
+    let (cause, items) = log.rescue();
+    assert_eq!(cause, "arm was lost as lab_arm and may have the sample: silent for 7 s");
+    assert_eq!(items, [("amber", None, false), ("arm", Some(&place()), false)]);
+}
+
+#[test]
+fn an_arm_lost_earlier_is_replaced_while_the_carrier_keeps_the_sample() {
+    let mut log = Log::lab_samples();
+    log.ended("r1", epoch(2), 0..8);
+    log.lose("lab_arm", epoch(2), false);
+    assert_eq!(log.entry().open_roles(), [role("lab_arm")].into());
+    assert_eq!(log.keepers(), ["amber!"]);
+}
+
+#[test]
+fn a_mission_with_a_recovery_branch_goes_on_with_it() {
+    let mut log = Log::of(&with_recovery());
+    log.hold(&[("r1", "amber"), ("lab_arm", "arm")]);
+    log.ended("r1", epoch(2), 0..8);
+    log.lose("r1", epoch(2), false);
+    let entry = log.entry();
+    assert_eq!((entry.branch, &entry.state), (Branch::Recovery, &MissionState::Pending));
+    assert_eq!(entry.open_roles(), [role("helper")].into());
+    let (_, spec) = entry.plan(&role("helper")).unwrap().tasks().next().unwrap();
+    assert_eq!(spec.parameters["to"], "IC Room 6");
+    assert!(log.0.held_by(&robot("arm")).is_none(), "the others are free");
+
+    let then = log.hold(&[("helper", "birch")]);
+    log.ended("helper", then, 0..1);
+    let (cause, items) = log.rescue();
+    assert_eq!(cause, "the recovery branch was carried out; the sample is with amber at IC Room 6");
+    assert_eq!(items, [("amber", Some(&place()), true)]);
+}
+
+#[test]
+fn a_branch_that_asks_for_a_place_that_nobody_knows_is_not_taken() {
+    let mut log = Log::of(&with_recovery());
+    log.hold(&[("r1", "amber"), ("lab_arm", "arm")]);
+    log.ended("r1", epoch(2), 0..8);
+    let (mission, role, cause) = (log.2.clone(), role("r1"), "silent".to_owned());
+    log.apply(Command::Release { mission, role, epoch: epoch(2), cause, blamed: false, place: None });
+    assert_eq!(log.rescue().1, [("amber", None, true)]);
+}
+
+#[test]
+fn what_is_moved_out_of_reach_by_the_recovery_branch_needs_no_rescue() {
+    let text = std::fs::read_to_string("missions/lab-samples.yaml").unwrap()
+        + "recovery: { task: hand_over, type: wait, roles: [nurse, lab_arm], parameters: { seconds: \"5\" }, releases: [sample] }\n";
+    let mut log = Log::of(&MissionTemplate::parse(&text, Format::Yaml).unwrap());
+    log.hold(&[("r1", "amber"), ("lab_arm", "arm")]);
+    log.ended("r1", epoch(2), 0..8);
+    log.lose("r1", epoch(2), false);
+    let then = log.hold(&[("lab_arm", "arm")]);
+    log.ended("nurse", Epoch::default(), 0..3);
+    log.ended("lab_arm", then, 0..3);
+    assert_eq!(log.entry().state, MissionState::Completed);
+}
+
+#[test]
+fn whoever_failed_at_a_role_is_not_asked_for_it_again_and_in_the_end_the_mission_fails_with_all_causes() {
+    let mut log = Log::of(&shipped()["lab-samples"]);
+    for (count, name) in (1..).zip(["amber", "birch", "cedar", "dogwood", "elm"]) {
+        let epoch = log.hold(&[("r1", name), ("lab_arm", "arm")][..if count == 1 { 2 } else { 1 }]);
+        assert_eq!(log.entry().excluded(&role("r1")).len(), count - 1);
+        log.lose("r1", epoch, true);
+    }
+    let MissionState::Failed { cause } = &log.entry().state else { panic!("{:?}", log.entry().state) };
+    assert!(cause.starts_with("its roles were given up 5 times: silent for 7 s (r1); "), "{cause}");
+}
+
+#[test]
+fn a_robot_that_never_confirmed_counts_for_little() {
+    let mut log = Log::of(&shipped()["lab-samples"]);
+    for _ in 0..3 * RELEASES_MAX {
+        let Outcome::Awarded { epoch } = log.award(&[("r1", "amber"), ("lab_arm", "arm")]) else { panic!("no award") };
+        log.lose("r1", epoch, false);
+        log.lose("lab_arm", epoch, false);
+    }
+    assert_eq!(log.entry().state, MissionState::Pending);
+    assert_eq!(log.entry().releases.len(), RELEASES_KEPT);
+}
+
+#[test]
+fn a_role_that_others_have_acted_on_is_begun_anew_if_the_mission_says_so() {
+    let restart = RELAY.replace(r#""a": {"kind": "managed"}"#, r#""a": {"kind": "managed", "on_loss": "restart"}"#);
+    for (text, expected) in [(RELAY, "failed"), (restart.as_str(), "pending")] {
+        let mut log = Log::of(&MissionTemplate::parse(text, Format::Json).unwrap());
+        log.hold(&[("a", "amber"), ("b", "birch")]);
+        log.ended("a", epoch(2), 0..2);
+        log.ended("b", epoch(2), 0..1);
+        log.lose("a", epoch(2), false);
+        assert_eq!(log.entry().state.word(), expected, "{:?}", log.entry().state);
+    }
+}
+
+#[test]
+fn a_role_without_items_may_have_its_purpose_in_its_last_step() {
+    let mut log = Log::of(&MissionTemplate::parse(RELAY, Format::Json).unwrap());
+    log.hold(&[("a", "amber"), ("b", "birch")]);
+    log.ended("a", epoch(2), 0..2);
+    log.ended("b", epoch(2), 0..2);
+    log.lose("a", epoch(2), false);
+    assert_eq!(log.entry().state.word(), "failed");
+}

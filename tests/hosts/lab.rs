@@ -1,0 +1,238 @@
+//! A laboratory of hosts: network namespaces on a switch, each with a cable, an address and a process.
+//!
+//! ```text
+//!   this process ── 10.77.0.254 ── br0 ──┬── port 1 ~~~cable~~~ eth0 of host 1, 10.77.0.1
+//!                                  br1   ├── port 2 ~~~cable~~~ eth0 of host 2, 10.77.0.2
+//!                                  br2   └── …          a port may be plugged into another bridge, or taken down
+//!        host 1 ── 10.78.1.1 ~~~ 10.78.1.2 ── host 2   or hosts are linked directly, and nothing forwards
+//! ```
+//!
+//! The namespaces belong to a user namespace of the test's own, so no rights are needed where unprivileged user namespaces
+//! are allowed. All of it ends with the first process in there.
+
+use crate::support::{Ended, Folder, Program, until};
+use std::collections::BTreeMap;
+use std::process::Command;
+use std::time::Duration;
+use toml::Table;
+
+/// How long a node may take to open its port, and to end.
+const PATIENCE: Duration = Duration::from_secs(60);
+
+/// Set for a test that has been started again inside the namespaces.
+const INSIDE: &str = "CONSORT_HOSTS_INSIDE";
+
+/// What starts something in namespaces of its own: user, network, mount and process ids; whoever starts it takes all of it
+/// along when it ends.
+const UNSHARE: [&str; 6] = ["-Urnm", "--pid", "--fork", "--mount-proc", "--kill-child", "--"];
+
+/// Tells a story in namespaces of its own: starts the test of this name again, inside. Where that is not allowed or a tool
+/// is missing, it says why and tells nothing.
+pub(crate) fn inside(test: &str, tools: &[&str], story: impl FnOnce()) {
+    if std::env::var_os(INSIDE).is_some() {
+        run("mount", &["-t", "tmpfs", "none", "/run"]);
+        return story();
+    }
+    if let Some(reason) = hindrance(tools) {
+        eprintln!("skipped: {test}: {reason}");
+        return;
+    }
+    let program = std::env::current_exe().expect("a test has a path");
+    let mut again = Command::new("unshare");
+    again.args(UNSHARE).arg(program).args(["--exact", test, "--nocapture"]);
+    let status = again.env(INSIDE, std::process::id().to_string()).status().expect("unshare was there a moment ago");
+    assert!(status.success(), "inside its namespaces, {test} failed");
+}
+
+/// Why there can be no laboratory here.
+fn hindrance(tools: &[&str]) -> Option<String> {
+    let mut script = String::from("set -e; ip link add br0 type bridge; ip link add v0 type veth peer name v1");
+    for tool in tools {
+        script += &format!("; command -v {tool} || {{ echo 'no program {tool}' >&2; exit 1; }}");
+    }
+    match Command::new("unshare").args(UNSHARE).args(["sh", "-c", &script]).output() {
+        Ok(tried) if tried.status.success() => None,
+        Ok(tried) => Some(String::from_utf8_lossy(&tried.stderr).trim().to_owned()),
+        Err(problem) => Some(format!("no program unshare: {problem}")),
+    }
+}
+
+/// Runs a program to its good end.
+#[track_caller]
+fn run(program: &str, arguments: &[&str]) {
+    let ended = Command::new(program).args(arguments).output();
+    let ended = ended.unwrap_or_else(|problem| panic!("{program}: {problem}"));
+    assert!(
+        ended.status.success(),
+        "{program} {}: {}",
+        arguments.join(" "),
+        String::from_utf8_lossy(&ended.stderr).trim()
+    );
+}
+
+#[track_caller]
+fn ip(line: &str) {
+    run("ip", &line.split(' ').collect::<Vec<_>>());
+}
+
+/// Which way packets of a host get lost.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Way {
+    /// What others send to it.
+    In,
+    /// What it sends.
+    Out,
+}
+
+struct Host {
+    number: usize,
+    /// Where others reach it, by who they are; elsewhere at its address on the switch.
+    links: BTreeMap<String, String>,
+    program: Option<Program>,
+}
+
+/// The hosts and the switch between them.
+pub(crate) struct Lab {
+    fleet: String,
+    hosts: BTreeMap<String, Host>,
+    links: usize,
+    commands: usize,
+    folder: Folder,
+}
+
+impl Lab {
+    /// A switch without hosts.
+    pub(crate) fn new(fleet: &Table) -> Lab {
+        let folder = Folder::new();
+        folder.write("fleet.toml", &fleet.to_string());
+        ip("link set lo up");
+        for bridge in ["br0", "br1", "br2"] {
+            ip(&format!("link add {bridge} type bridge"));
+            ip(&format!("link set {bridge} up"));
+        }
+        ip("addr add 10.77.0.254/24 dev br0");
+        let fleet = fleet["name"].as_str().expect("a fleet has a name").to_owned();
+        Lab { fleet, hosts: BTreeMap::new(), links: 0, commands: 0, folder }
+    }
+
+    /// Adds a host without a cable.
+    pub(crate) fn add_apart(&mut self, name: &str) {
+        let number = self.hosts.len() + 1;
+        ip(&format!("netns add {name}"));
+        ip(&format!("-n {name} link set lo up"));
+        self.hosts.insert(name.to_owned(), Host { number, links: BTreeMap::new(), program: None });
+    }
+
+    /// Adds a host with a cable to the switch.
+    pub(crate) fn add(&mut self, name: &str) {
+        self.add_apart(name);
+        let number = self.hosts[name].number;
+        ip(&format!("link add port{number} type veth peer name eth0 netns {name}"));
+        ip(&format!("link set port{number} master br0 up"));
+        ip(&format!("-n {name} addr add 10.77.0.{number}/24 dev eth0"));
+        ip(&format!("-n {name} link set eth0 up"));
+    }
+
+    /// Joins two hosts by a cable of their own.
+    pub(crate) fn link(&mut self, a: &str, b: &str) {
+        self.links += 1;
+        let number = self.links;
+        ip(&format!("link add l{number} netns {a} type veth peer name l{number} netns {b}"));
+        for (host, other, last) in [(a, b, 1), (b, a, 2)] {
+            ip(&format!("-n {host} addr add 10.78.{number}.{last}/24 dev l{number}"));
+            ip(&format!("-n {host} link set l{number} up"));
+            let address = format!("tcp/10.78.{number}.{last}:7447");
+            self.hosts.get_mut(host).expect("a host").links.insert(other.to_owned(), address);
+        }
+    }
+
+    /// Where `to` is reached, by `from` if they have a cable of their own.
+    pub(crate) fn address(&self, to: &str, from: &str) -> String {
+        let host = &self.hosts[to];
+        host.links.get(from).cloned().unwrap_or_else(|| format!("tcp/10.77.0.{}:7447", host.number))
+    }
+
+    /// Starts a host's node: `consort KIND --config FILE`, on all its addresses, linked with these others.
+    pub(crate) fn start(&mut self, kind: &str, mut node: Table, neighbours: &[&str]) {
+        let name = node["name"].as_str().expect("a node has a name").to_owned();
+        let connect: Vec<String> = neighbours.iter().map(|other| self.address(other, &name)).collect();
+        let mut bus = Table::new();
+        bus.insert("listen".to_owned(), vec!["tcp/0.0.0.0:7447"].into());
+        bus.insert("connect".to_owned(), connect.into());
+        node.insert("bus".to_owned(), bus.into());
+        let file = self.folder.write(&format!("{name}.toml"), &node.to_string()).display().to_string();
+        let arguments = [kind, "--config", &file, "--until-stdin-closes"];
+        let program = Program::start_by(&within(&name), &self.folder, &name, &arguments);
+        self.hosts.get_mut(&name).expect("a host").program = Some(program);
+    }
+
+    /// Waits until these nodes listen.
+    pub(crate) fn await_open(&mut self) {
+        for (name, host) in &mut self.hosts {
+            let Some(program) = &mut host.program else { continue };
+            until(&format!("{name} is open"), PATIENCE, || {
+                assert!(!program.has_ended(), "{name} has ended:\n{}", program.stderr());
+                program.stderr().contains("listening=\"").then_some(())
+            });
+        }
+    }
+
+    /// Runs a command that asks the fleet, on a host, to its end; it asks that host's own node for `patience`.
+    pub(crate) fn run(&mut self, arguments: &[&str], on: &str, patience: Duration) -> Ended {
+        self.commands += 1;
+        let (name, patience) = (format!("command-{}", self.commands), patience.as_secs().to_string());
+        let more = ["--connect", "tcp/127.0.0.1:7447", "--fleet", &self.fleet, "--timeout", &patience];
+        let program = Program::start_by(&within(on), &self.folder, &name, &[arguments, &more].concat());
+        program.end(PATIENCE * 2)
+    }
+
+    /// Takes the cable of a host out of the switch: both ends notice that the line is dead.
+    pub(crate) fn unplug(&self, name: &str) {
+        ip(&format!("link set port{} down", self.hosts[name].number));
+    }
+
+    /// Plugs the cable of a host into a bridge.
+    pub(crate) fn plug(&self, name: &str, bridge: &str) {
+        let number = self.hosts[name].number;
+        ip(&format!("link set port{number} master {bridge}"));
+        ip(&format!("link set port{number} up"));
+    }
+
+    /// From now on this share of the packets of a host is lost, in percent, besides what was lost before. Its own with
+    /// itself are not.
+    pub(crate) fn lose(&self, name: &str, way: Way, percent: u32) {
+        let (hook, device) = match way {
+            Way::In => ("input", "iifname"),
+            Way::Out => ("output", "oifname"),
+        };
+        let rules = format!(
+            "add table inet faults; add chain inet faults {hook} {{ type filter hook {hook} priority 0; }}; \
+             add rule inet faults {hook} {device} != lo numgen random mod 100 < {percent} drop"
+        );
+        run("ip", &["netns", "exec", name, "nft", &rules]);
+    }
+
+    /// Ends all loss at a host.
+    pub(crate) fn lose_nothing(&self, name: &str) {
+        run("ip", &["netns", "exec", name, "nft", "add table inet faults; delete table inet faults"]);
+    }
+
+    /// Ends a node's process with SIGKILL.
+    pub(crate) fn kill(&mut self, name: &str) {
+        self.hosts.get_mut(name).and_then(|host| host.program.take()).expect("a node that runs").kill();
+    }
+
+    /// What a node has logged.
+    pub(crate) fn log(&self, name: &str) -> String {
+        self.hosts[name].program.as_ref().map(Program::stderr).unwrap_or_default()
+    }
+
+    /// What all have logged, for the message of a failed test.
+    pub(crate) fn logs(&self) -> String {
+        self.hosts.keys().map(|name| format!("--- {name}\n{}", self.log(name))).collect()
+    }
+}
+
+fn within(host: &str) -> [&str; 4] {
+    ["ip", "netns", "exec", host]
+}

@@ -1,0 +1,134 @@
+//! A fleet on the hosts of a laboratory, with a mission to carry out.
+
+use crate::lab::Lab;
+use crate::support::{Client, example, until};
+use serde_json::Value;
+use std::collections::BTreeMap;
+use std::time::Duration;
+use toml::Table;
+
+/// How long whatever is certain to happen may take.
+pub(crate) const LONG: Duration = Duration::from_secs(90);
+
+/// The fleet's name.
+pub(crate) const FLEET: &str = "hosts";
+
+pub(crate) fn with(mut table: Table, key: &str, value: impl Into<toml::Value>) -> Table {
+    table.insert(key.to_owned(), value.into());
+    table
+}
+
+/// The fleet's file, where so many nodes found the ledger.
+pub(crate) fn fleet(voters: i64) -> Table {
+    with(with(example("fleet"), "name", FLEET), "bootstrap_expect", voters)
+}
+
+/// The world, with a second carrier, and at this speed.
+pub(crate) fn world(speed: f64) -> Table {
+    let mut world = with(example("world"), "speed", speed);
+    let bodies = world["robot"].as_array_mut().expect("bodies");
+    let ada = bodies[0].as_table().expect("a body").clone();
+    bodies.push(with(with(ada, "id", "bob"), "place", "PC Room 4").into());
+    world
+}
+
+/// A robot that does not keep the ledger.
+pub(crate) fn robot(kind: &str) -> Table {
+    with(example(kind), "may_vote", false)
+}
+
+/// Five stations that keep the ledger, a world, a carrier and an arm, a host each; and a client beside the switch, linked
+/// with the world's host.
+pub(crate) fn hospital(speed: f64) -> (Lab, Client) {
+    let mut lab = Lab::new(&fleet(5));
+    let stations = ["s1", "s2", "s3", "s4", "s5"];
+    for host in stations.into_iter().chain(["world", "ada", "lab-arm"]) {
+        lab.add(host);
+    }
+    for (number, station) in stations.into_iter().enumerate() {
+        lab.start("station", with(example("station"), "name", station), &stations[..number]);
+    }
+    lab.start("world", world(speed), &stations);
+    lab.start("robot", robot("robot"), &["world", "s1", "s2", "s3"]);
+    lab.start("robot", robot("arm"), &["world", "s1", "s2", "s3"]);
+    lab.await_open();
+    let client = Client::open(&lab.address("world", ""), FLEET);
+    until("the carrier and the arm are members, and five keep the ledger", LONG, || {
+        let members = client.all("view/fleet", "").into_iter().next()?.1["ensembles"][0]["nodes"].clone();
+        let members = members.as_array()?.iter().filter(|entry| entry["member"] == true).count();
+        let voters = client.all("view/coordinator", "").into_iter().next()?.1["voters"].as_array()?.len();
+        (members == 2 && voters == 5).then_some(())
+    });
+    (lab, client)
+}
+
+/// Who coordinates, by what all that answer say; and in which term.
+pub(crate) fn coordinator(client: &Client) -> (String, u64) {
+    until("somebody coordinates", LONG, || {
+        let (_, view) = client.all("view/coordinator", "").into_iter().next()?;
+        Some((view["node"].as_str()?.to_owned(), view["term"].as_u64()?))
+    })
+}
+
+/// Asks for lab samples, and gives the mission's name.
+pub(crate) fn submit(client: &Client, request: &str) -> String {
+    let asked =
+        format!(r#"{{"mission": "lab-samples", "parameters": {{"room": "IC Room 6"}}, "request": "{request}"}}"#);
+    until("the mission is acknowledged", LONG, || {
+        let (_, answer) = client.all("api/submit", &asked).into_iter().next()?;
+        answer["mission"].as_str().map(str::to_owned)
+    })
+}
+
+/// Waits until a robot has begun the first task of the mission.
+pub(crate) fn begins(client: &mut Client, mission: &str) -> Value {
+    client.hears("the carrier sets out", LONG, |event| {
+        event["event"] == "task_began" && event["role"] == "r1" && event["mission"] == mission
+    })
+}
+
+/// Waits until another coordinates than the one before, in a later term.
+pub(crate) fn succession(client: &mut Client, before: &str, term: u64) -> String {
+    let elected = client.hears("another is elected", LONG, |event| {
+        event["event"] == "elected" && event["node"] != before && event["term"].as_u64() > Some(term)
+    });
+    elected["node"].as_str().expect("a name").to_owned()
+}
+
+/// Waits until the mission has completed, with each task begun and ended once.
+#[track_caller]
+pub(crate) fn completes_once(client: &mut Client, mission: &str, lab: &Lab) {
+    completes(client, mission);
+    let tasks = client.tasks(mission);
+    assert_eq!(tasks.len(), 11, "{tasks:?}");
+    let once: BTreeMap<_, _> = tasks.keys().map(|task| (task.clone(), (1, 1))).collect();
+    assert_eq!(tasks, once, "{}", lab.logs());
+}
+
+pub(crate) fn completes(client: &mut Client, mission: &str) {
+    client.hears("the mission completes", LONG * 2, |event| {
+        event["event"] == "mission" && event["mission"] == mission && event["state"] == "completed"
+    });
+}
+
+/// Waits until all these hosts name the same coordinator, and gives it.
+pub(crate) fn agreed(lab: &mut Lab, hosts: &[&str]) -> String {
+    until("all hosts name one coordinator", LONG * 2, || {
+        let mut named: Vec<String> = vec![];
+        for host in hosts {
+            let ended = lab.run(&["fleet", "--json"], host, Duration::from_secs(20));
+            named.push(
+                (ended.status.success()).then(|| ended.json()["coordinator"]["node"].as_str().map(str::to_owned))??,
+            );
+        }
+        named.dedup();
+        (named.len() == 1).then(|| named.remove(0))
+    })
+}
+
+/// A host without a majority serves nobody.
+#[track_caller]
+pub(crate) fn serves_nobody(lab: &mut Lab, host: &str) {
+    let ended = lab.run(&["submit", "lab-samples", "--set", "room=IC Room 6"], host, Duration::from_secs(4));
+    assert_ne!(ended.status.code(), Some(0), "{host} acknowledged a mission: {}\n{}", ended.stdout, lab.log(host));
+}

@@ -1,0 +1,245 @@
+//! Schedules drawn from a seed.
+
+use super::cast::{ARM, Cast, ROOMS, WORLD};
+use super::schedule::{Act, Fate, Kind, Mishap, Schedule, Step};
+use rand::seq::{IndexedRandom, SliceRandom};
+use rand::{RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use std::time::Duration;
+
+/// Share of a run after which no fault is in force any more.
+pub const LIFTED: f64 = 0.7;
+
+/// When the first fault may come: the fleet has been founded by then, as a rule.
+const FIRST_MS: u64 = 4_000;
+
+/// A schedule with faults of these kinds, for a fleet that runs so long.
+pub fn generate(seed: u64, cast: &Cast, minutes: f64, kinds: &[Kind]) -> Schedule {
+    let chance = ChaCha8Rng::seed_from_u64(seed ^ 0x5eed_0fc4_a05f);
+    let end_ms = u64::try_from(Duration::from_secs_f64(minutes * 60.0 * LIFTED).as_millis()).unwrap_or(u64::MAX);
+    let mut draw =
+        Draw { chance, cast, end_ms: end_ms.max(FIRST_MS + 2_000), steps: vec![], wiped: vec![], flat: vec![] };
+    draw.requests(minutes);
+    if !kinds.is_empty() {
+        // About one fault in twenty seconds, some runs far fewer, some far more.
+        let most = (draw.end_ms / 12_000).max(2);
+        let count = draw.chance.random_range(1..=most);
+        for _ in 0..count {
+            let kind = *kinds.choose(&mut draw.chance).expect("there are some");
+            draw.fault(kind);
+        }
+    }
+    Schedule { steps: draw.steps }.in_order()
+}
+
+struct Draw<'a> {
+    chance: ChaCha8Rng,
+    cast: &'a Cast,
+    end_ms: u64,
+    steps: Vec<Step>,
+    /// Nodes whose disk is lost.
+    wiped: Vec<&'static str>,
+    /// Robots whose battery runs down.
+    flat: Vec<&'static str>,
+}
+
+impl Draw<'_> {
+    fn requests(&mut self, minutes: f64) {
+        // The arm serves one mission at a time, for half a minute or so.
+        let most = ((minutes * 1.2).ceil() as usize).clamp(1, ROOMS.len());
+        let count = self.chance.random_range(most.div_ceil(2)..=most);
+        for (number, room) in ROOMS.iter().take(count).enumerate() {
+            let at_ms = self.chance.random_range(1_000..self.end_ms * 9 / 10);
+            let request = format!("r{number}");
+            self.steps.push(Step { at_ms, act: Act::Submit { request: request.clone(), room: (*room).to_owned() } });
+            if self.chance.random_bool(0.1) {
+                let at_ms = self.chance.random_range(at_ms..self.end_ms);
+                self.steps.push(Step { at_ms, act: Act::Cancel { request } });
+            }
+        }
+    }
+
+    fn fault(&mut self, kind: Kind) {
+        let at_ms = self.chance.random_range(FIRST_MS..self.end_ms - 1_000);
+        let Some(act) = self.act(kind, at_ms) else { return };
+        self.steps.push(Step { at_ms, act });
+    }
+
+    /// A node; the host of the world less often than others.
+    fn node(&mut self) -> String {
+        let nodes = self.cast.nodes();
+        let node = nodes.choose(&mut self.chance).expect("a fleet has nodes");
+        let node = if *node == WORLD { nodes.choose(&mut self.chance).expect("a fleet has nodes") } else { node };
+        (*node).to_owned()
+    }
+
+    fn voter(&mut self) -> String {
+        (*self.cast.voters().choose(&mut self.chance).expect("a fleet has voters")).to_owned()
+    }
+
+    /// A time that is short, middling or long, and over before all faults lift.
+    fn lasting(&mut self, at_ms: u64, longest_ms: u64) -> u64 {
+        let longest = match self.chance.random_range(0..3) {
+            0 => 1_000,
+            1 => 8_000,
+            _ => longest_ms,
+        };
+        self.chance.random_range(100..=longest).min(self.end_ms.saturating_sub(at_ms)).max(50)
+    }
+
+    fn act(&mut self, kind: Kind, at_ms: u64) -> Option<Act> {
+        let for_ms = self.lasting(at_ms, 40_000);
+        Some(match kind {
+            Kind::None => return None,
+            Kind::Crash => Act::Crash { node: self.node(), disk: Fate::Kept, for_ms },
+            Kind::CrashTorn => {
+                let node = self.node();
+                self.tire(&node, at_ms);
+                Act::Crash { node, disk: Fate::Torn, for_ms }
+            }
+            Kind::CrashEmpty => return self.wipe(for_ms),
+            Kind::CoordinatorCrash => {
+                let disk = if self.chance.random_bool(0.5) { Fate::Kept } else { Fate::Torn };
+                Act::Crash { node: "coordinator".to_owned(), disk, for_ms }
+            }
+            Kind::Blackout => {
+                for voter in self.cast.voters() {
+                    self.tire(voter, at_ms);
+                }
+                Act::Blackout { disk: Fate::Torn, for_ms: for_ms.min(10_000) }
+            }
+            Kind::Pause => Act::Pause { node: self.node(), for_ms: for_ms.min(20_000) },
+            Kind::Partition => Act::Partition { groups: self.groups(), for_ms },
+            Kind::OneWayCut => {
+                let (mut from, mut to) = (self.node(), self.node());
+                match self.chance.random_range(0..4) {
+                    0 => from = "*".to_owned(),
+                    1 => to = "*".to_owned(),
+                    _ if from == to => to = "*".to_owned(),
+                    _ => {}
+                }
+                Act::Cut { from, to, for_ms }
+            }
+            Kind::Loss => self.weather(for_ms, |chance, weather| weather.0 = Self::share(chance, 1, 40)),
+            Kind::Duplication => self.weather(for_ms, |chance, weather| weather.1 = Self::share(chance, 5, 80)),
+            Kind::Reordering => self.weather(for_ms, |chance, weather| {
+                weather.2 = Self::share(chance, 5, 80);
+                weather.3 = 20;
+            }),
+            Kind::Delay => self.weather(for_ms, |chance, weather| weather.3 = chance.random_range(10..400)),
+            Kind::SlowDisk => Act::SlowDisk { node: self.voter(), write_ms: self.chance.random_range(10..500), for_ms },
+            Kind::Drift => {
+                let rate = 1.0 + f64::from(self.chance.random_range(-DRIFT_MAX..=DRIFT_MAX)) / 1000.0;
+                let node = self.node();
+                self.steps.push(Step { at_ms: 0, act: Act::Drift { node, rate } });
+                return None;
+            }
+            Kind::Battery => {
+                let left: Vec<_> = self.cast.carriers.iter().filter(|robot| !self.flat.contains(robot)).collect();
+                // Somebody must be able to carry on.
+                if left.len() < 2 {
+                    return None;
+                }
+                let robot = **left.choose(&mut self.chance).expect("two at least");
+                self.flat.push(robot);
+                Act::Battery { robot: robot.to_owned() }
+            }
+            Kind::Skill => {
+                let robots: Vec<_> = self.cast.carriers.iter().copied().chain([ARM]).collect();
+                let robot = (*robots.choose(&mut self.chance).expect("the arm is one")).to_owned();
+                let how = *[Mishap::Fails, Mishap::Panics, Mishap::Hangs].choose(&mut self.chance).expect("three");
+                Act::Skill { robot, how, times: self.chance.random_range(1..=3) }
+            }
+        })
+    }
+
+    /// Now and then the disk that is to lose its last writes is busy just before.
+    fn tire(&mut self, node: &str, at_ms: u64) {
+        if node != WORLD && self.chance.random_bool(0.6) {
+            let begins = at_ms.saturating_sub(self.chance.random_range(500..6_000)).max(FIRST_MS);
+            let write_ms = self.chance.random_range(20..300);
+            let act = Act::SlowDisk { node: node.to_owned(), write_ms, for_ms: at_ms.saturating_sub(begins) + 100 };
+            self.steps.push(Step { at_ms: begins, act });
+        }
+    }
+
+    /// A disk is lost, unless too few would be left for a majority of the voters.
+    fn wipe(&mut self, for_ms: u64) -> Option<Act> {
+        let voters = self.cast.voters();
+        let node = *voters.choose(&mut self.chance).expect("a fleet has voters");
+        if self.wiped.contains(&node) || (self.wiped.len() + 1) * 2 >= voters.len() {
+            return None;
+        }
+        self.wiped.push(node);
+        Some(Act::Crash { node: node.to_owned(), disk: Fate::Empty, for_ms })
+    }
+
+    fn groups(&mut self) -> Vec<Vec<String>> {
+        let mut nodes: Vec<String> = self.cast.nodes().into_iter().map(str::to_owned).collect();
+        nodes.shuffle(&mut self.chance);
+        let parts = if self.chance.random_bool(0.7) { 2 } else { 3 };
+        let mut groups: Vec<Vec<String>> = vec![vec![]; parts];
+        for (number, node) in nodes.into_iter().enumerate() {
+            let group = if number < parts { number } else { self.chance.random_range(0..parts) };
+            groups[group].push(node);
+        }
+        let with_client = self.chance.random_range(0..parts);
+        groups[with_client].push("client".to_owned());
+        groups
+    }
+
+    /// A share with two decimals, as people write it.
+    fn share(chance: &mut ChaCha8Rng, least: u32, most: u32) -> f64 {
+        f64::from(chance.random_range(least..=most)) / 100.0
+    }
+
+    fn weather(&mut self, for_ms: u64, set: impl FnOnce(&mut ChaCha8Rng, &mut (f64, f64, f64, u64))) -> Act {
+        let mut weather = (0.0, 0.0, 0.0, 3);
+        set(&mut self.chance, &mut weather);
+        let (loss, duplication, reordering, delay_ms) = weather;
+        Act::Weather { loss, duplication, reordering, delay_ms, for_ms }
+    }
+}
+
+/// How far a clock may be off, in thousandths.
+const DRIFT_MAX: i32 = 50;
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn equal_seeds_give_equal_schedules_and_every_fault_is_over_in_time() {
+        let cast = Cast::of(7);
+        for seed in 0..200 {
+            let schedule = generate(seed, &cast, 5.0, &Kind::FAULTS);
+            assert_eq!(schedule, generate(seed, &cast, 5.0, &Kind::FAULTS));
+            for step in &schedule.steps {
+                let over = step.at_ms + step.act.for_ms().unwrap_or(0);
+                assert!(over <= 210_050, "seed {seed}: {step}");
+            }
+        }
+    }
+
+    #[test]
+    fn a_schedule_is_the_same_after_it_was_written_and_read() {
+        let cast = Cast::of(7);
+        for seed in 0..50 {
+            let schedule = generate(seed, &cast, 5.0, &Kind::FAULTS);
+            let text = serde_json::to_string(&schedule).expect("plain data");
+            assert_eq!(serde_json::from_str::<Schedule>(&text).expect("what was written"), schedule);
+        }
+    }
+
+    #[test]
+    fn a_majority_of_the_voters_keeps_its_disks_and_a_carrier_its_charge() {
+        let cast = Cast::of(7);
+        for seed in 0..500 {
+            let steps = generate(seed, &cast, 5.0, &[Kind::CrashEmpty, Kind::Battery]).steps;
+            let lost = |step: &&Step| matches!(step.act, Act::Crash { disk: Fate::Empty, .. });
+            let flat = |step: &&Step| matches!(step.act, Act::Battery { .. });
+            assert!(steps.iter().filter(lost).count() <= 2, "seed {seed}");
+            assert!(steps.iter().filter(flat).count() <= 2, "seed {seed}");
+        }
+    }
+}

@@ -1,0 +1,70 @@
+//! A mission that was acknowledged is there, once, for whoever coordinates from then on.
+
+use super::Invariant;
+use crate::{Entry, Fleet, slug};
+use consort_protocol::ids::{MissionId, NodeId};
+use consort_protocol::ledger::Ledger;
+use std::collections::BTreeMap;
+use std::time::Duration;
+
+#[derive(Default)]
+pub(super) struct Acknowledged {
+    /// By request.
+    missions: BTreeMap<String, MissionId>,
+}
+
+impl Acknowledged {
+    fn all_in_ledger_of(&self, node: &NodeId, fleet: &Fleet) -> Result<(), String> {
+        let Some(replica) = fleet.nodes.get(node.as_str()).and_then(|node| node.replica.as_ref()) else {
+            return Ok(());
+        };
+        replica.read(|ledger| {
+            for (request, mission) in &self.missions {
+                let found = ledger.requested(&slug(request)).map(|entry| &entry.id);
+                if found != Some(mission) {
+                    let found = found.map_or("no mission".to_owned(), ToString::to_string);
+                    return Err(format!(
+                        "{request} was acknowledged as {mission}; {node}, who leads, has {found} for it"
+                    ));
+                }
+            }
+            once_each(ledger)
+        })
+    }
+}
+
+fn once_each(ledger: &Ledger) -> Result<(), String> {
+    let mut seen = BTreeMap::new();
+    for entry in ledger.missions() {
+        if let Some(other) = seen.insert(&entry.submission.request, &entry.id) {
+            return Err(format!("request {} stands for both {other} and {}", entry.submission.request, entry.id));
+        }
+    }
+    Ok(())
+}
+
+impl Invariant for Acknowledged {
+    fn name(&self) -> &'static str {
+        "acknowledged"
+    }
+
+    fn see(&mut self, _: Duration, entry: &Entry, fleet: &Fleet) -> Result<(), String> {
+        match entry {
+            Entry::Acknowledged { request, mission, .. } => match self.missions.get(request) {
+                Some(known) if known != mission => {
+                    Err(format!("{request} was acknowledged as {known} and then as {mission}"))
+                }
+                _ => {
+                    self.missions.insert(request.clone(), mission.clone());
+                    Ok(())
+                }
+            },
+            Entry::Believes { node, leads: Some(_), .. } => self.all_in_ledger_of(node, fleet),
+            _ => Ok(()),
+        }
+    }
+
+    fn end(&mut self, fleet: &Fleet) -> Result<(), String> {
+        fleet.coordinating().map_or(Ok(()), |node| self.all_in_ledger_of(&node, fleet))
+    }
+}

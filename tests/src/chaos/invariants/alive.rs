@@ -1,0 +1,23 @@
+//! A node ends only when it is killed.
+//!
+//! An actor that fails takes its node with it, by design: its supervisor starts it anew. No fault of the network, of
+//! another node or of a slow disk may cause that.
+
+use super::Invariant;
+use crate::{Entry, Fleet};
+use std::time::Duration;
+
+pub(super) struct Alive;
+
+impl Invariant for Alive {
+    fn name(&self) -> &'static str {
+        "alive"
+    }
+
+    fn see(&mut self, _: Duration, _: &Entry, fleet: &Fleet) -> Result<(), String> {
+        match fleet.nodes.iter().find(|(_, node)| node.has_ended()) {
+            Some((name, _)) => Err(format!("the node {name} ended by itself")),
+            None => Ok(()),
+        }
+    }
+}

@@ -1,0 +1,52 @@
+//! What was committed is never lost and never changed.
+//!
+//! A copy of the ledger takes in nothing but committed entries. So whatever stands at an index on one node stands there,
+//! word for word and of the same term, on every node that ever takes that index in: before and after takeovers, restarts
+//! and lost disks.
+
+use super::Invariant;
+use crate::{Entry, Fleet};
+use consort_protocol::ids::NodeId;
+use std::collections::BTreeMap;
+use std::time::Duration;
+
+#[derive(Default)]
+pub(super) struct Committed {
+    /// By index: the term, a digest of the command, and who took it in first.
+    entries: BTreeMap<u64, (u64, Option<u64>, NodeId)>,
+    /// The last index that each node has taken in, in this life.
+    last: BTreeMap<NodeId, u64>,
+}
+
+impl Invariant for Committed {
+    fn name(&self) -> &'static str {
+        "committed"
+    }
+
+    fn see(&mut self, _: Duration, entry: &Entry, _: &Fleet) -> Result<(), String> {
+        match entry {
+            Entry::Done { node, what: "starts again" } => {
+                self.last.remove(node);
+            }
+            Entry::Applied { node, at, digest } => {
+                let known = self.entries.entry(at.index).or_insert_with(|| (at.term, *digest, node.clone()));
+                if (known.0, known.1) != (at.term, *digest) {
+                    let (term, _, who) = known;
+                    return Err(format!(
+                        "entry {} is of term {term} on {who} and of term {} on {node}, with commands that {}",
+                        at.index,
+                        at.term,
+                        if known.1 == *digest { "agree" } else { "differ" }
+                    ));
+                }
+                if let Some(last) = self.last.insert(node.clone(), at.index)
+                    && at.index <= last
+                {
+                    return Err(format!("{node} took in entry {} after entry {last}", at.index));
+                }
+            }
+            _ => {}
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,71 @@
+//! A role has one active holder at most, a robot one role at most, and awards of a role follow one another in the order of
+//! their epochs.
+//!
+//! Active is who has begun or resumed a role and has not suspended it, put it down or been killed since: as the robots
+//! themselves tell, each at its own place.
+
+use super::Invariant;
+use crate::{Entry, Fleet};
+use consort_protocol::event::Happening;
+use consort_protocol::ids::{MissionId, NodeId, RoleId};
+use consort_protocol::lease::Epoch;
+use std::collections::BTreeMap;
+use std::time::Duration;
+
+type Part = (MissionId, RoleId);
+
+#[derive(Default)]
+pub(super) struct OneHolder {
+    active: BTreeMap<Part, NodeId>,
+    latest: BTreeMap<Part, Epoch>,
+}
+
+impl OneHolder {
+    fn begins(&mut self, node: &NodeId, mission: &MissionId, role: &RoleId) -> Result<(), String> {
+        let part = (mission.clone(), role.clone());
+        if let Some(other) = self.active.get(&part).filter(|other| *other != node) {
+            return Err(format!("{node} acts as {role} of {mission} while {other} still does"));
+        }
+        let elsewhere = self.active.iter().find(|(other, who)| *who == node && **other != part);
+        if let Some(((other, as_role), _)) = elsewhere {
+            return Err(format!("{node} acts as {role} of {mission} while it acts as {as_role} of {other}"));
+        }
+        self.active.insert(part, node.clone());
+        Ok(())
+    }
+}
+
+impl Invariant for OneHolder {
+    fn name(&self) -> &'static str {
+        "one_holder"
+    }
+
+    fn see(&mut self, _: Duration, entry: &Entry, _: &Fleet) -> Result<(), String> {
+        let node = entry.node();
+        if let Entry::Done { what: "killed", .. } = entry {
+            self.active.retain(|_, who| who != node);
+        }
+        match entry.happening() {
+            Some(Happening::Started { mission, role, epoch }) => {
+                let part = (mission.clone(), role.clone());
+                if let Some(latest) = self.latest.insert(part, *epoch)
+                    && latest > *epoch
+                {
+                    return Err(format!(
+                        "{node} begins {role} of {mission} under epoch {epoch}, after {latest} was begun"
+                    ));
+                }
+                self.begins(node, mission, role)
+            }
+            Some(Happening::Resumed { mission, role }) => self.begins(node, mission, role),
+            Some(Happening::Suspended { mission, role } | Happening::Halted { mission, role, .. }) => {
+                let part = (mission.clone(), role.clone());
+                if self.active.get(&part) == Some(node) {
+                    self.active.remove(&part);
+                }
+                Ok(())
+            }
+            _ => Ok(()),
+        }
+    }
+}

@@ -1,0 +1,271 @@
+//! Does to a fleet what a schedule says.
+
+use super::cast::{Cast, WORLD};
+use super::gear::Gear;
+use super::schedule::{Act, Fate};
+use crate::{Entry, Fleet, slug};
+use consort_actors::bus::{Bus, LinkModel};
+use consort_protocol::ids::NodeId;
+use consort_protocol::keys::{ApiCall, Key};
+use consort_protocol::units::BatteryShare;
+use serde_json::{Value, json};
+use std::collections::{BTreeMap, BTreeSet};
+use std::time::Duration;
+use tokio::sync::watch;
+
+/// How long a client waits before it asks again.
+const ASK_AGAIN: Duration = Duration::from_millis(700);
+
+/// Acknowledged requests and the missions that they stand for.
+pub(super) type Acknowledged = watch::Sender<BTreeMap<String, String>>;
+
+/// The hand that does it: the faults in force, and what ends each of them.
+pub(super) struct Hand {
+    cast: Cast,
+    gear: Gear,
+    acknowledged: Acknowledged,
+    /// Nodes that are down, by the step that will start them again.
+    down: BTreeMap<usize, Vec<String>>,
+    partitions: BTreeMap<usize, Vec<Vec<String>>>,
+    cuts: BTreeMap<usize, Vec<(String, String)>>,
+    weather: BTreeMap<usize, LinkModel>,
+    slow: BTreeMap<usize, (String, u64)>,
+    paused: BTreeMap<usize, String>,
+}
+
+impl Hand {
+    pub(super) fn new(cast: Cast, gear: Gear) -> Hand {
+        Hand {
+            cast,
+            gear,
+            acknowledged: watch::Sender::default(),
+            down: BTreeMap::new(),
+            partitions: BTreeMap::new(),
+            cuts: BTreeMap::new(),
+            weather: BTreeMap::new(),
+            slow: BTreeMap::new(),
+            paused: BTreeMap::new(),
+        }
+    }
+
+    /// What clients have been promised.
+    pub(super) fn acknowledged(&self) -> BTreeMap<String, String> {
+        self.acknowledged.borrow().clone()
+    }
+
+    /// The same, as it grows.
+    pub(super) fn acknowledged_receiver(&self) -> watch::Receiver<BTreeMap<String, String>> {
+        self.acknowledged.subscribe()
+    }
+
+    /// Begins step `number`.
+    pub(super) async fn begin(&mut self, fleet: &mut Fleet, number: usize, act: &Act) {
+        match act {
+            Act::Submit { request, room } => self.submit(fleet, request, room),
+            Act::Cancel { request } => self.cancel(fleet, request),
+            Act::Crash { node, disk, .. } => {
+                let node = if node == "coordinator" {
+                    let Some(coordinator) = fleet.coordinating() else { return };
+                    coordinator.to_string()
+                } else {
+                    node.clone()
+                };
+                self.crash(fleet, number, &[node], *disk).await;
+            }
+            Act::Blackout { disk, .. } => {
+                let nodes = fleet.running();
+                self.crash(fleet, number, &nodes, *disk).await;
+            }
+            Act::Pause { node, .. } => {
+                fleet.network.pause(&slug(node));
+                self.paused.insert(number, node.clone());
+            }
+            Act::Partition { groups, .. } => {
+                self.partitions.insert(number, groups.clone());
+                self.part(fleet);
+            }
+            Act::Cut { from, to, .. } => {
+                let links = self.links(from, to);
+                for (from, to) in &links {
+                    fleet.network.cut(slug(from), slug(to));
+                }
+                self.cuts.insert(number, links);
+            }
+            Act::Weather { loss, duplication, reordering, delay_ms, .. } => {
+                let slowest = Duration::from_millis(*delay_ms);
+                let model = LinkModel {
+                    latency_max: slowest.max(LinkModel::LAN.latency_max),
+                    loss: *loss,
+                    duplication: *duplication,
+                    reordering: *reordering,
+                    reordering_delay: slowest.max(LinkModel::LAN.latency_max) * 2,
+                    ..LinkModel::LAN
+                };
+                self.weather.insert(number, model);
+                self.change_weather(fleet);
+            }
+            Act::SlowDisk { node, write_ms, .. } => {
+                self.slow.insert(number, (node.clone(), *write_ms));
+                self.change_disks();
+            }
+            Act::Drift { .. } => {} // in force from the start: see the gear
+            Act::Battery { robot } => {
+                let charge = BatteryShare::new(0.04).expect("a share");
+                fleet.world.with(|world| world.set_charge(&slug(robot), charge));
+            }
+            Act::Skill { robot, how, times } => self.gear.stumble(robot, *how, *times),
+        }
+    }
+
+    /// Ends step `number`, if it was begun and has an end.
+    pub(super) async fn end(&mut self, fleet: &mut Fleet, number: usize) {
+        if let Some(nodes) = self.down.remove(&number) {
+            for node in nodes {
+                self.start(fleet, &node).await;
+            }
+        }
+        if let Some(node) = self.paused.remove(&number)
+            && !self.paused.values().any(|other| *other == node)
+        {
+            fleet.network.resume(&slug(&node));
+        }
+        if self.partitions.remove(&number).is_some() {
+            self.part(fleet);
+        }
+        if let Some(links) = self.cuts.remove(&number) {
+            let still: BTreeSet<_> = self.cuts.values().flatten().collect();
+            for (from, to) in links.iter().filter(|link| !still.contains(link)) {
+                fleet.network.mend(slug(from), slug(to));
+            }
+        }
+        if self.weather.remove(&number).is_some() {
+            self.change_weather(fleet);
+        }
+        if let Some((node, _)) = self.slow.remove(&number) {
+            self.gear.disk(&node).set_slow(None);
+            self.change_disks();
+        }
+    }
+
+    /// Ends all that is in force, and lets every node run.
+    pub(super) async fn lift(&mut self, fleet: &mut Fleet) {
+        let numbers: BTreeSet<usize> = (self.down.keys().chain(self.paused.keys()))
+            .chain(self.partitions.keys().chain(self.cuts.keys()))
+            .chain(self.weather.keys().chain(self.slow.keys()))
+            .copied()
+            .collect();
+        for number in numbers {
+            self.end(fleet, number).await;
+        }
+        self.gear.steady();
+    }
+
+    pub(super) async fn crash(&mut self, fleet: &mut Fleet, number: usize, nodes: &[String], disk: Fate) {
+        for node in nodes {
+            if !fleet.nodes.contains_key(node) {
+                continue; // down already
+            }
+            fleet.kill(node).await;
+            self.gear.disk(node).crash(disk.torn());
+            if disk == Fate::Empty {
+                self.gear.lose_disk(node);
+            }
+            self.down.entry(number).or_default().push(node.clone());
+        }
+    }
+
+    /// Starts a node, for the first time or again, and follows what it believes.
+    pub(super) async fn start(&mut self, fleet: &mut Fleet, node: &str) {
+        fleet.chronicle.add(Entry::Done { node: slug(node), what: "starts again" });
+        let known = self.cast.nodes().into_iter().find(|known| *known == node).expect("a node of the cast");
+        if known == WORLD {
+            fleet.start_world().await;
+        } else if self.cast.stations.contains(&known) {
+            fleet.start_station(known).await;
+        } else {
+            fleet.start_robot(known).await;
+        }
+        // Whoever was frozen before is so again.
+        if self.paused.values().any(|paused| paused == node) {
+            fleet.network.pause(&slug(node));
+        }
+        fleet.follow_beliefs(node);
+    }
+
+    fn links(&self, from: &str, to: &str) -> Vec<(String, String)> {
+        let all = || self.cast.nodes().into_iter().map(str::to_owned).chain(["client".to_owned()]);
+        let named = |name: &str| if name == "*" { all().collect() } else { vec![name.to_owned()] };
+        let (from, to) = (named(from), named(to));
+        let pairs = from.iter().flat_map(|from| to.iter().map(move |to| (from.clone(), to.clone())));
+        pairs.filter(|(from, to)| from != to).collect()
+    }
+
+    /// The latest partition is the one in force.
+    fn part(&self, fleet: &Fleet) {
+        let groups = self.partitions.values().last().cloned().unwrap_or_default();
+        let named = |group: Vec<String>| group.iter().map(|name| slug(name)).collect::<Vec<NodeId>>();
+        fleet.network.partition(groups.into_iter().map(named));
+    }
+
+    fn change_weather(&self, fleet: &Fleet) {
+        fleet.network.set_link_model(self.weather.values().last().cloned().unwrap_or(LinkModel::LAN));
+    }
+
+    fn change_disks(&self) {
+        for (node, most) in self.slow.values() {
+            let most = Duration::from_millis(*most);
+            self.gear.disk(node).set_slow(Some((most / 4, most)));
+        }
+    }
+
+    fn submit(&self, fleet: &Fleet, request: &str, room: &str) {
+        let (client, key) = (fleet.client.clone(), fleet.keys.write(&Key::Api(ApiCall::Submit)));
+        let (chronicle, acknowledged, request) =
+            (fleet.chronicle.clone(), self.acknowledged.clone(), request.to_owned());
+        let asked = json!({ "mission": "lab-samples", "parameters": { "room": room }, "request": request });
+        tokio::spawn(async move {
+            loop {
+                for answer in ask(&client, &key, &asked).await {
+                    if let Some(mission) = answer["mission"].as_str() {
+                        let (node, mission_id) = (slug("client"), slug(mission));
+                        chronicle.add(Entry::Acknowledged { node, request: request.clone(), mission: mission_id });
+                        acknowledged.send_modify(|known| drop(known.insert(request, mission.to_owned())));
+                        return;
+                    }
+                }
+                tokio::time::sleep(ASK_AGAIN).await;
+            }
+        });
+    }
+
+    fn cancel(&self, fleet: &Fleet, request: &str) {
+        let (client, key) = (fleet.client.clone(), fleet.keys.write(&Key::Api(ApiCall::Cancel)));
+        let (mut acknowledged, request) = (self.acknowledged.subscribe(), request.to_owned());
+        tokio::spawn(async move {
+            let Ok(mission) =
+                acknowledged.wait_for(|known| known.contains_key(&request)).await.map(|m| m[&request].clone())
+            else {
+                return;
+            };
+            let asked = json!({ "mission": mission, "by": "chaos" });
+            // Any answer will do: it may have ended by itself.
+            while ask(&client, &key, &asked).await.is_empty() {
+                tokio::time::sleep(ASK_AGAIN).await;
+            }
+        });
+    }
+}
+
+/// What whoever coordinates says; several may believe that they do, and none may be heard.
+async fn ask(client: &impl Bus, key: &str, asked: &Value) -> Vec<Value> {
+    let mut answers = vec![];
+    let Ok(mut replies) = client.query(key, asked.to_string().into(), Duration::from_secs(3)).await else {
+        return answers;
+    };
+    while let Some(reply) = replies.recv().await {
+        if let Ok(answer) = reply.payload.map(|payload| serde_json::from_slice(&payload).unwrap_or(Value::Null)) {
+            answers.push(answer);
+        }
+    }
+    answers
+}

@@ -1,0 +1,70 @@
+//! What is counted in a run, for the scoreboard.
+
+use super::run::ms;
+use crate::{Entry, Fleet, slug};
+use consort_protocol::ids::{MissionId, NodeId};
+use consort_protocol::ledger::MissionState;
+use serde::Serialize;
+use std::collections::{BTreeMap, BTreeSet};
+use std::time::Duration;
+
+/// What was counted in a run.
+#[derive(Debug, Clone, Default, PartialEq, Serialize)]
+pub struct Tally {
+    /// Simulated milliseconds.
+    pub simulated_ms: u64,
+    /// Missions that were acknowledged.
+    pub acknowledged: usize,
+    /// Those of them that were carried out.
+    pub completed: usize,
+    /// Those that failed with a cause.
+    pub failed: usize,
+    /// Those that wait for a person to fetch what a lost robot holds.
+    pub rescues: usize,
+    /// Those that were withdrawn.
+    pub canceled: usize,
+    /// Those that no ledger has: there must be none.
+    pub lost: usize,
+    /// From the loss of each leader to the next one's taking over, in milliseconds.
+    pub takeovers_ms: Vec<u64>,
+    /// From the lifting of all faults until every mission had ended.
+    pub converged_ms: Option<u64>,
+    #[serde(skip)]
+    leading: BTreeSet<NodeId>,
+    #[serde(skip)]
+    leaderless_since: Option<Duration>,
+}
+
+impl Tally {
+    pub(super) fn see(&mut self, at: Duration, entry: &Entry) {
+        match entry {
+            Entry::Believes { node, leads: Some(_), .. } => {
+                self.leading.insert(node.clone());
+                if let Some(since) = self.leaderless_since.take() {
+                    self.takeovers_ms.push(ms(at.saturating_sub(since)));
+                }
+            }
+            Entry::Believes { node, leads: None, .. } | Entry::Done { node, what: "killed" } => {
+                if self.leading.remove(node) && self.leading.is_empty() {
+                    self.leaderless_since = Some(at);
+                }
+            }
+            _ => {}
+        }
+    }
+
+    pub(super) fn end(&mut self, fleet: &Fleet, acknowledged: &BTreeMap<String, String>) {
+        self.simulated_ms = ms(fleet.elapsed());
+        self.acknowledged = acknowledged.len();
+        for mission in acknowledged.values() {
+            match fleet.state_of(&slug::<MissionId>(mission)) {
+                Some(MissionState::Completed) => self.completed += 1,
+                Some(MissionState::Failed { .. }) => self.failed += 1,
+                Some(MissionState::NeedsRescue { .. }) => self.rescues += 1,
+                Some(MissionState::Canceled { .. }) => self.canceled += 1,
+                Some(MissionState::Pending | MissionState::Running) => {}
+                None => self.lost += 1,
+            }
+        }
+    }
+}

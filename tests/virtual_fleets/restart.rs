@@ -1,0 +1,183 @@
+//! A robot's node that crashes and comes back goes on where it was, if its role is still its own.
+
+use consort_protocol::event::Happening;
+use consort_protocol::ids::MissionId;
+use consort_tests::{Fleet, Member, slug, tell};
+use std::cell::Cell;
+use std::collections::BTreeMap;
+use std::time::Duration;
+
+const ROOM: &str = "IC Room 6";
+const SOON: Duration = Duration::from_secs(60);
+
+fn began(task: &'static str) -> impl Fn(&Happening) -> bool {
+    move |what| matches!(what, Happening::TaskBegan { task: of, .. } if of.as_str() == task)
+}
+
+fn released(what: &Happening) -> bool {
+    matches!(what, Happening::Released { .. })
+}
+
+fn resumed(what: &Happening) -> bool {
+    matches!(what, Happening::Resumed { .. })
+}
+
+/// `gorse` is near and wins; the ledger is kept by the stations and the arm.
+async fn under_way(seed: u64, others: &[&'static str], task: &'static str) -> (Fleet, MissionId) {
+    let mut robots = vec![Member::carrier("gorse", "IC Room 4")];
+    robots.extend(others.iter().map(|name| Member::carrier(name, "Dock")));
+    let mut fleet = Fleet::hospital(seed, robots, &["aster", "basil", "clove", "dill"], &[ROOM]).await;
+    fleet.coordinator().await;
+    let mission = fleet.submit("a", ROOM).await;
+    fleet.until(task, SOON, |fleet| fleet.happened(began(task))).await;
+    assert_eq!(fleet.holder(&mission, "r1").expect("held").as_str(), "gorse", "seed {seed}");
+    (fleet, mission)
+}
+
+/// The mission was completed by those who began it, and nothing was done twice but what a crash had broken off.
+fn done_once(fleet: &Fleet, mission: &MissionId, begun_twice: &[&str]) {
+    let story = fleet.tale();
+    let tasks: BTreeMap<String, (usize, usize)> = fleet.tasks(mission);
+    for (task, (began, ended)) in &tasks {
+        let expected = if begun_twice.contains(&task.as_str()) { 2 } else { 1 };
+        assert_eq!((*began, *ended), (expected, 1), "seed {}: {task}\n{story}", fleet.seed);
+    }
+    assert!(!fleet.happened(released), "seed {}\n{story}", fleet.seed);
+    fleet.sample_delivered(ROOM);
+    fleet.one_role_one_robot();
+}
+
+#[test]
+fn a_carrier_that_is_back_within_its_lease_goes_on_with_the_sample_in_its_drawer() {
+    tell([301, 302, 303], async |seed| {
+        let (mut fleet, mission) = under_way(seed, &["fern"], "navto_lab").await;
+        fleet.kill("gorse").await;
+        // From at once, while its body still drives, to after its body was found undriven.
+        tokio::time::sleep(Duration::from_millis(50 + (seed - 301) * 1500)).await;
+        fleet.restart("gorse").await;
+        fleet.completes(&mission).await;
+        done_once(&fleet, &mission, &["navto_lab"]);
+        assert_eq!(fleet.chronicle.count(resumed), 1, "seed {seed}\n{}", fleet.tale());
+        assert_eq!(fleet.notebook("gorse").await, None, "seed {seed}: its page is torn out");
+    });
+}
+
+#[test]
+fn a_robot_that_is_back_too_late_learns_that_the_role_is_gone_and_is_free_for_the_next() {
+    tell([311, 312], async |seed| {
+        let (mut fleet, mission) = under_way(seed, &["fern"], "navto_room").await;
+        fleet.kill("gorse").await;
+        fleet
+            .until("fern to take over", SOON, |fleet| {
+                fleet.spells_of(&mission, "r1").last().is_some_and(|spell| spell.robot.as_str() == "fern")
+            })
+            .await;
+        fleet.restart("gorse").await;
+        let halted = |fleet: &Fleet| {
+            let entries = fleet.chronicle.entries();
+            let gorse = entries.iter().filter(|(_, entry)| entry.node().as_str() == "gorse");
+            gorse.filter_map(|(_, entry)| entry.happening()).any(|what| matches!(what, Happening::Halted { .. }))
+        };
+        fleet.until("gorse to learn it", SOON, halted).await;
+        assert_eq!(fleet.notebook("gorse").await, None, "seed {seed}: its page is torn out");
+        let place = fleet.position("gorse");
+        fleet.completes(&mission).await;
+        assert_eq!(fleet.position("gorse"), place, "seed {seed}: it stood still\n{}", fleet.tale());
+        fleet.sample_delivered(ROOM);
+        fleet.one_role_one_robot();
+        assert_eq!(fleet.chronicle.count(resumed), 0, "seed {seed}\n{}", fleet.tale());
+        let doers = &fleet.chronicle.doers(&mission)["navto_room"];
+        assert_eq!(*doers, (vec!["gorse".to_owned(), "fern".into()], vec!["fern".into()]), "seed {seed}");
+
+        let next = fleet.submit("b", ROOM).await;
+        fleet.until("an award", SOON, |fleet| fleet.holder(&next, "r1").is_some()).await;
+        assert_eq!(fleet.holder(&next, "r1").expect("held").as_str(), "gorse", "seed {seed}: the nearest again");
+    });
+}
+
+#[test]
+fn a_page_that_cannot_be_read_is_torn_out_and_the_robot_treated_as_one_that_forgot() {
+    let pages: [&[u8]; 3] = [&[], &[99, 1, 2, 3], &[1, 1, 255, 255, 255]];
+    for (page, seed) in pages.into_iter().zip(321..) {
+        tell([seed], async |seed| {
+            let (mut fleet, mission) = under_way(seed, &[], "navto_room").await;
+            fleet.kill("gorse").await;
+            fleet.forge_notebook("gorse", page.to_vec()).await;
+            fleet.restart("gorse").await;
+            fleet.until("the role to be released", SOON, |fleet| fleet.happened(released)).await;
+            fleet.completes(&mission).await;
+            assert_eq!(fleet.chronicle.count(resumed), 0, "seed {seed}\n{}", fleet.tale());
+            fleet.sample_delivered(ROOM);
+            fleet.one_role_one_robot();
+        });
+    }
+}
+
+#[test]
+fn a_robot_that_asks_whether_its_role_is_still_its_own_is_not_free() {
+    tell([331], async |seed| {
+        let (mut fleet, mission) = under_way(seed, &[], "navto_room").await;
+        fleet.kill("gorse").await;
+        // It finds nobody whom it could ask.
+        fleet.cut_off(&["gorse"]);
+        fleet.restart("gorse").await;
+        let place = fleet.position("gorse");
+        let says = |fleet: &Fleet| {
+            let me = slug("gorse");
+            fleet.knowledge_of("gorse", &me).map(|worker| worker.availability)
+        };
+        use consort_protocol::knowledge::Availability;
+        let held = Availability::Holding { mission: mission.clone(), role: slug("r1"), suspended: true };
+        fleet.until("it to say that it holds a role", SOON, |fleet| says(fleet) == Some(held.clone())).await;
+        fleet.never("something else", Duration::from_secs(20), |fleet| says(fleet) != Some(held.clone())).await;
+        assert!(fleet.position("gorse") == place && !fleet.happened(resumed), "seed {seed}\n{}", fleet.tale());
+        fleet.heal();
+        fleet.completes(&mission).await;
+        fleet.sample_delivered(ROOM);
+        fleet.one_role_one_robot();
+    });
+}
+
+/// Kills `robot` after the `nth` happening since the request and brings it back; false when the mission was over before.
+async fn interrupted(seed: u64, nth: usize, robot: &'static str, away: Duration) -> bool {
+    let robots = vec![Member::carrier("gorse", "PC Room 8").at_speed(1.5)];
+    let room = "PC Room 8";
+    let mut fleet = Fleet::hospital(seed, robots, &["aster", "basil", "clove", "dill"], &[room]).await;
+    fleet.coordinator().await;
+    let before = fleet.chronicle.len();
+    let mission = fleet.submit("a", room).await;
+    let over = |fleet: &Fleet| fleet.state_of(&mission).is_some_and(|state| state.is_end());
+    fleet.until(&format!("{nth} things"), SOON, |fleet| fleet.chronicle.len() >= before + nth || over(fleet)).await;
+    if over(&fleet) {
+        return false;
+    }
+    fleet.kill(robot).await;
+    tokio::time::sleep(away).await;
+    fleet.restart(robot).await;
+    fleet.completes(&mission).await;
+    let story = format!("seed {seed}: {robot} killed after {nth} things\n{}", fleet.tale());
+    let tasks = fleet.tasks(&mission);
+    let again = tasks.values().filter(|(began, _)| *began > 1).count();
+    assert!(again <= 1 && tasks.values().all(|(began, _)| *began <= 2), "{tasks:?}\n{story}");
+    assert!(tasks.values().all(|(_, ended)| *ended == 1), "{tasks:?}\n{story}");
+    fleet.sample_delivered(room);
+    fleet.one_role_one_robot();
+    true
+}
+
+#[test]
+fn a_carrier_may_crash_at_any_step() {
+    let went_on = Cell::new(true);
+    let mut kills = 0;
+    for nth in (0..).step_by(3) {
+        tell([340 + nth as u64 % 7], async |seed| {
+            let away = Duration::from_millis(40 + (nth as u64 * 379) % 3000);
+            went_on.set(interrupted(seed, nth, "gorse", away).await);
+        });
+        if !went_on.get() {
+            break;
+        }
+        kills += 1;
+    }
+    assert!(kills > 10, "the mission was over after {kills} kills");
+}

@@ -1,0 +1,175 @@
+//! Skills that fail, crash or come to no end are tried again before anybody else is asked for help.
+
+use consort_protocol::event::Happening;
+use consort_skills::bt::{Cause, Leaf, LeafContext, Manifest, NodeKind, Status};
+use consort_skills::library::SkillLibrary;
+use consort_skills::skill::TaskContext;
+use consort_tests::{Fleet, Member, tell};
+use std::cell::RefCell;
+use std::time::Duration;
+
+const ROOM: &str = "IC Room 6";
+const SOON: Duration = Duration::from_secs(60);
+
+/// What goes wrong at one attempt.
+#[derive(Debug, Clone, Copy, PartialEq)]
+enum Mishap {
+    Fails,
+    Crashes,
+    Stalls,
+}
+
+thread_local! {
+    /// What is yet to go wrong: of this thread, and so of this test, alone.
+    static MISHAPS: RefCell<Vec<Mishap>> = const { RefCell::new(vec![]) };
+}
+
+/// Goes wrong as often as it is to, and then no more.
+struct Stumble {
+    stalled: bool,
+}
+
+impl Leaf for Stumble {
+    fn tick(&mut self, _: &mut LeafContext<'_, '_>) -> Result<Status, Cause> {
+        if self.stalled {
+            return Ok(Status::Running);
+        }
+        match MISHAPS.with(|mishaps| mishaps.borrow_mut().pop()) {
+            None => Ok(Status::Success),
+            Some(Mishap::Fails) => Err(Cause::new("nobody stands there")),
+            Some(Mishap::Crashes) => panic!("tripped over a cable"),
+            Some(Mishap::Stalls) => {
+                self.stalled = true;
+                Ok(Status::Running)
+            }
+        }
+    }
+
+    fn halt(&mut self, _: &mut LeafContext<'_, '_>) {
+        self.stalled = false;
+    }
+}
+
+fn stumbles(library: &mut SkillLibrary) {
+    library
+        .extend(|registry| {
+            let manifest = Manifest::new("Stumble", NodeKind::Action, []);
+            registry.register(manifest, |_: &TaskContext| Box::new(Stumble { stalled: false }))
+        })
+        .expect("a name of its own");
+    let tree = r#"<root BTCPP_format="4" main_tree_to_execute="navigation">
+        <BehaviorTree ID="navigation"><Sequence>
+            <PlanRoute to="{to}" legs="{legs}"/>
+            <LoopString queue="{legs}" value="{leg}" if_empty="SUCCESS"><NavigateToPose place="{leg}"/></LoopString>
+            <Stumble/>
+        </Sequence></BehaviorTree></root>"#;
+    library.register_xml("navigation".parse().expect("a slug"), "stumbling.xml", tree).expect("a sound tree");
+}
+
+fn retried(what: &Happening) -> Option<(String, u8, String)> {
+    match what {
+        Happening::TaskRetried { task, attempt, cause, .. } => Some((task.to_string(), *attempt, cause.clone())),
+        _ => None,
+    }
+}
+
+/// The first drive goes wrong once; what the robot made of it.
+fn one_mishap(mishap: Mishap, cause: &'static str) {
+    tell([201, 202], async |seed| {
+        MISHAPS.with(|mishaps| *mishaps.borrow_mut() = vec![mishap]);
+        let robots = vec![Member::carrier("gorse", "IC Room 4").trained(stumbles)];
+        let mut fleet = Fleet::hospital(seed, robots, &["aster"], &[ROOM]).await;
+        fleet.coordinator().await;
+        let mission = fleet.submit("a", ROOM).await;
+        fleet.completes(&mission).await;
+        let retries: Vec<_> = fleet.happenings().iter().filter_map(retried).collect();
+        let story = format!("seed {seed}: {retries:?}\n{}", fleet.tale());
+        assert!(matches!(&retries[..], [(task, 1, why)] if task == "navto_room" && why.contains(cause)), "{story}");
+        assert_eq!(fleet.tasks(&mission)["navto_room"], (2, 1), "{story}");
+        fleet.sample_delivered(ROOM);
+        let unwanted = |what: &Happening| matches!(what, Happening::TaskFailed { .. } | Happening::Released { .. });
+        assert!(!fleet.happened(unwanted), "{story}");
+    });
+}
+
+#[test]
+fn a_skill_that_fails_is_tried_again() {
+    one_mishap(Mishap::Fails, "nobody stands there");
+}
+
+#[test]
+fn a_skill_that_crashes_is_tried_again() {
+    one_mishap(Mishap::Crashes, "tripped over a cable");
+}
+
+#[test]
+fn a_task_that_comes_to_no_end_is_broken_off_and_tried_again() {
+    one_mishap(Mishap::Stalls, "no end after");
+}
+
+#[test]
+fn a_crash_takes_nothing_down_with_it_and_the_robot_wins_again() {
+    tell([203, 204], async |seed| {
+        MISHAPS.with(|mishaps| *mishaps.borrow_mut() = vec![Mishap::Crashes]);
+        let robots = vec![Member::carrier("gorse", "IC Room 4").trained(stumbles)];
+        let mut fleet = Fleet::hospital(seed, robots, &["aster"], &[ROOM, "PC Room 1"]).await;
+        fleet.coordinator().await;
+        for (request, room) in [("a", ROOM), ("b", "PC Room 1")] {
+            let mission = fleet.submit(request, room).await;
+            fleet.completes(&mission).await;
+            assert_eq!(fleet.holder(&mission, "r1").expect("who did it").as_str(), "gorse", "seed {seed}");
+            fleet.sample_delivered(room);
+        }
+    });
+}
+
+#[test]
+fn a_canceled_mission_leaves_the_body_at_rest_and_the_drawer_as_it_was() {
+    use consort_protocol::keys::ApiCall;
+    use consort_sim::world::Happening as InWorld;
+    // At each of these the mission is canceled while the skill is at work.
+    for (number, task) in (0..).zip(["navto_room", "approach_nurse", "open_drawer_for_nurse", "close_drawer_nurse"]) {
+        tell([210 + number], async |seed| {
+            let robots = vec![Member::carrier("gorse", "IC Room 4")];
+            let mut fleet = Fleet::hospital(seed, robots, &["aster"], &[ROOM]).await;
+            fleet.coordinator().await;
+            let mission = fleet.submit("a", ROOM).await;
+            let at_it = |what: &Happening| matches!(what, Happening::TaskBegan { task: of, .. } if of.as_str() == task);
+            fleet.until(task, SOON, |fleet| fleet.happened(at_it)).await;
+            let answer = fleet.answer(ApiCall::Cancel, &serde_json::json!({ "mission": mission, "by": "test" })).await;
+            let put_down = |what: &Happening| matches!(what, Happening::Halted { mission: of, .. } if *of == mission);
+            fleet
+                .until(&format!("both to put their roles down ({answer})"), SOON, |fleet| {
+                    fleet.chronicle.count(put_down) == 2
+                })
+                .await;
+            // A canceled goal ends within a crossing of the network.
+            let goals = |fleet: &Fleet| {
+                fleet.journal().iter().fold((0, 0), |(began, ended), entry| match entry.what {
+                    InWorld::GoalBegan { .. } => (began + 1, ended),
+                    InWorld::GoalEnded { .. } => (began, ended + 1),
+                    _ => (began, ended),
+                })
+            };
+            let at_rest = |fleet: &Fleet| goals(fleet).0 == goals(fleet).1;
+            fleet.until("the body to be at rest", Duration::from_secs(1), at_rest).await;
+            let (place, begun) = (fleet.position("gorse"), goals(&fleet).0);
+            fleet.never("another goal", Duration::from_secs(10), |fleet| goals(fleet).0 != begun).await;
+            assert_eq!(fleet.position("gorse"), place, "seed {seed}\n{}", fleet.tale());
+            // A drawer is open or closed: what was under way had no effect, or had it whole.
+            let opened = fleet.journal().iter().filter(|entry| matches!(entry.what, InWorld::Drawer { .. })).count();
+            let least = usize::from(task == "close_drawer_nurse");
+            assert!(opened == least || opened == least + 1, "seed {seed}: {opened}\n{}", fleet.tale());
+            assert_eq!(fleet.state(&mission).as_deref(), Some("canceled"), "seed {seed}");
+
+            let next = fleet.submit("b", ROOM).await;
+            if least == 0 {
+                fleet.completes(&next).await;
+            } else {
+                // The sample lies in its drawer, and nobody has another; what comes of that is another story.
+                fleet.until("an award", SOON, |fleet| fleet.holder(&next, "r1").is_some()).await;
+            }
+            assert_eq!(fleet.holder(&next, "r1").expect("held").as_str(), "gorse", "seed {seed}: it wins again");
+        });
+    }
+}
