@@ -1,6 +1,7 @@
 //! The mission ledger as the state machine that is replicated.
 
 use crate::replica::StateMachine;
+use consort_protocol::ids::ClusterId;
 use consort_protocol::lease::Epoch;
 use consort_protocol::ledger::{Command, Ledger, Outcome};
 
@@ -22,7 +23,12 @@ impl StateMachine for Ledger {
             | Command::Release { .. }
             | Command::Fail { .. }
             | Command::Cancel { .. }
-            | Command::Rescued { .. } => false,
+            | Command::Rescued { .. }
+            | Command::Found { .. } => false,
         }
+    }
+
+    fn cluster(&self) -> Option<ClusterId> {
+        Ledger::cluster(self)
     }
 }

@@ -327,6 +327,8 @@ fn example_knowledge() -> Knowledge {
         stationary: false,
         mains_powered: false,
         replica: None,
+        cluster: None,
+        leaving: false,
         worker: Some(crate::knowledge::Worker {
             skills: BTreeSet::from([TaskType::new("navigation").expect("a slug")]),
             place: PlaceId::new("dock").expect("a label"),

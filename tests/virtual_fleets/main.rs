@@ -2,12 +2,15 @@
 
 mod again;
 mod canceling;
+mod clusters;
 mod deadlines;
 mod delivery;
 mod determinism;
 mod fencing;
+mod keepers;
 mod leaderless;
 mod leases;
+mod leaving;
 mod queueing;
 mod recovery;
 mod refusals;

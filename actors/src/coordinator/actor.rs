@@ -3,6 +3,7 @@
 use super::interregnum::{nobody_yet, retry};
 use super::reign::Reign;
 use crate::answer;
+use crate::autopilot::Done;
 use crate::bus::{BusError, Query, Sample, SharedBus};
 use crate::clock::Clock;
 use crate::events::Events;
@@ -57,8 +58,16 @@ pub struct CoordinatorSettings {
     /// After how long a held role none of whose steps ends, although it waits for nobody, is taken from its holder; zero for
     /// never. Raised: longer drives are left alone, robots that do nothing keep their roles for longer.
     pub stall_after: Duration,
-    /// How often the coordinator says that it is there and looks after its duties. Default 200 ms.
+    /// How often the coordinator says that it is there and looks after its duties. Default 250 ms.
     pub beat: Duration,
+    /// What the ledger's identity is drawn from, should this node be the first to coordinate.
+    pub cluster_seed: u64,
+    /// Voters that the autopilot aims at.
+    pub voters: usize,
+    /// How long a voter must be gone until the autopilot replaces it.
+    pub dead_after: Duration,
+    /// How long ago a voter may have answered last and still counts as there: several heartbeats.
+    pub near: Duration,
 }
 
 /// After how long a request that was left to another coordinator is looked at again: that one may have been gone already. A
@@ -109,6 +118,8 @@ pub enum CoordinatorMessage {
         /// What it said.
         answer: AwardAnswer,
     },
+    /// A change of the ledger's keepers was made, or was not.
+    Keepers(Done),
     /// A robot reports.
     Report(Query),
     /// Somebody asks which missions are under way.
@@ -204,7 +215,14 @@ impl Actor for Coordinator {
             CoordinatorMessage::Beat => {
                 reign.say_so(settings).await;
                 reign.follow_members(settings);
+                reign.look_abroad(settings);
+                reign.keep_keepers(settings, &myself);
                 reign.attend(settings, &myself);
+            }
+            CoordinatorMessage::Keepers(done) => {
+                reign.keepers_changed(settings, done);
+                // Whoever leaves waits to hear that nobody counts on it any more.
+                reign.say_so(settings).await;
             }
             CoordinatorMessage::Closed { call, expected, tenders } => {
                 reign.close(settings, &myself, *call, expected, tenders);

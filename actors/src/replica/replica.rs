@@ -12,7 +12,7 @@ use super::succession::{self, Resigned, Succession};
 use super::types::{Epoch, Peer, Raft, RaftId, Reign, StateMachine, epoch_of, reign_of};
 use crate::bus::{BusError, SharedBus};
 use consort_protocol::codec::{self, CodecError};
-use consort_protocol::ids::NodeId;
+use consort_protocol::ids::{ClusterId, NodeId};
 use consort_protocol::keys::Keys;
 use consort_protocol::mutants::{self, Mutant};
 use openraft::error::{
@@ -21,8 +21,8 @@ use openraft::error::{
 use openraft::{ChangeMembers, ServerState};
 use std::collections::{BTreeMap, BTreeSet};
 use std::future::Future;
-use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::{Arc, OnceLock};
 use std::time::Duration;
 use tokio::sync::{mpsc, oneshot, watch};
 use tokio::task::JoinHandle;
@@ -59,6 +59,8 @@ pub struct Leadership {
     pub cut_off: bool,
     /// Who votes.
     pub voters: BTreeMap<RaftId, NodeId>,
+    /// While voters are being changed: those that vote in the end. Until then, a majority of the former ones counts too.
+    pub changing_to: Option<BTreeSet<RaftId>>,
     /// Who is replicated to without a vote.
     pub observers: BTreeMap<RaftId, NodeId>,
 }
@@ -275,6 +277,7 @@ impl<S: StateMachine> Replica<S> {
             bus,
             keys: keys.clone(),
             me: id,
+            cluster: machine.cluster(),
             heard,
             pause: settings.heartbeat,
             muted: Arc::clone(&muted),
@@ -311,6 +314,8 @@ impl<S: StateMachine> Replica<S> {
             heartbeat: settings.heartbeat,
             refused: Arc::clone(&refused),
             keys,
+            cluster: machine.cluster(),
+            followed: OnceLock::new(),
         };
         let serving = Task::spawn(service.run(queries));
         let (proposals, proposed) = mpsc::unbounded_channel();
@@ -378,6 +383,22 @@ impl<S: StateMachine> Replica<S> {
     /// Who leads, now and whenever that changes.
     pub fn leadership(&self) -> watch::Receiver<Leadership> {
         self.inner.leadership.subscribe()
+    }
+
+    /// Which founding of the fleet's ledger this node's copy belongs to, once it says so.
+    pub fn cluster(&self) -> watch::Receiver<Option<ClusterId>> {
+        self.inner.machine.cluster()
+    }
+
+    /// How far behind the end of the log each voter and observer is, in entries; `None` for those that have not answered
+    /// in this reign. Empty on a node that does not lead.
+    pub fn lags(&self) -> BTreeMap<RaftId, Option<u64>> {
+        let metrics = self.inner.raft.metrics();
+        let now = metrics.borrow();
+        let last = now.last_log_index.unwrap_or(0);
+        let lag = |matched: &openraft::LogId<RaftId>| last.saturating_sub(matched.index);
+        let replication = now.replication.iter().flatten();
+        replication.map(|(id, matched)| (*id, matched.as_ref().map(lag))).collect()
     }
 
     /// The place of the last entry applied on this node, now and whenever it grows.
@@ -784,6 +805,7 @@ fn believe(metrics: &Metrics, quorum: Quorum) -> Leadership {
         is_me: elected && caught_up && quorum == Quorum::Hears,
         cut_off,
         voters: named(membership.voter_ids().collect()),
+        changing_to: membership.get_joint_config().get(1).cloned(),
         observers: named(membership.learner_ids().collect()),
     }
 }

@@ -7,6 +7,7 @@ use super::types::{
 };
 use consort_protocol::codec;
 use consort_protocol::mutants::{self, Mutant};
+use consort_protocol::ids::ClusterId;
 use openraft::storage::{LogFlushed, RaftLogStorage, RaftStateMachine};
 use openraft::{AnyError, Entry, EntryPayload, LogState, OptionalSend, RaftLogReader, RaftSnapshotBuilder, Snapshot};
 use serde::{Deserialize, Serialize};
@@ -31,10 +32,11 @@ pub(super) async fn open<S: StateMachine>(
     observer: Option<Applied<S>>,
 ) -> Result<(LogStore<S>, MachineStore<S>), std::io::Error> {
     let (log, machine) = take_up::<S>(journal.load().await?)?;
-    let applied = watch::Sender::new(machine.applied.as_ref().map(epoch_of).unwrap_or_default());
+    let applied = Arc::new(watch::Sender::new(machine.applied.as_ref().map(epoch_of).unwrap_or_default()));
+    let cluster = Arc::new(watch::Sender::new(machine.state.cluster()));
     let log = LogStore { journal: Arc::clone(&journal), log: Arc::new(Mutex::new(log)), appended: Arc::default() };
     let machine = Arc::new(Mutex::new(machine));
-    Ok((log, MachineStore { journal, machine, applied: Arc::new(applied), observer, snapshots: Arc::default() }))
+    Ok((log, MachineStore { journal, machine, applied, cluster, observer, snapshots: Arc::default() }))
 }
 
 /// Reads what a journal recorded: the log, and the state machine as of the last snapshot.
@@ -265,6 +267,7 @@ pub(super) struct MachineStore<S: StateMachine> {
     journal: Arc<dyn Journal>,
     machine: Arc<Mutex<Machine<S>>>,
     applied: Arc<watch::Sender<Epoch>>,
+    cluster: Arc<watch::Sender<Option<ClusterId>>>,
     observer: Option<Applied<S>>,
     /// Held while a snapshot goes to the journal: openraft builds one while it installs another.
     snapshots: Arc<tokio::sync::Mutex<()>>,
@@ -276,6 +279,7 @@ impl<S: StateMachine> Clone for MachineStore<S> {
             journal: Arc::clone(&self.journal),
             machine: Arc::clone(&self.machine),
             applied: Arc::clone(&self.applied),
+            cluster: Arc::clone(&self.cluster),
             observer: self.observer.clone(),
             snapshots: Arc::clone(&self.snapshots),
         }
@@ -286,6 +290,15 @@ impl<S: StateMachine> MachineStore<S> {
     /// What `look` sees in the state as applied so far on this node.
     pub(super) fn read<R>(&self, look: impl FnOnce(&S) -> R) -> R {
         look(&lock(&self.machine).state)
+    }
+
+    /// Which founding the state belongs to, once it says so.
+    pub(super) fn cluster(&self) -> watch::Receiver<Option<ClusterId>> {
+        self.cluster.subscribe()
+    }
+
+    fn tell_cluster(&self, cluster: Option<ClusterId>) {
+        self.cluster.send_if_modified(|known| std::mem::replace(known, cluster) != cluster);
     }
 
     /// The place of the last applied entry, told anew after each batch.
@@ -326,7 +339,9 @@ impl<S: StateMachine> RaftStateMachine<Types<S>> for MachineStore<S> {
             outcomes.push(machine.carry_out(entry));
         }
         let applied = machine.applied.as_ref().map(epoch_of).unwrap_or_default();
+        let cluster = machine.state.cluster();
         drop(machine);
+        self.tell_cluster(cluster);
         self.applied.send_replace(applied);
         Ok(outcomes)
     }
@@ -356,11 +371,13 @@ impl<S: StateMachine> RaftStateMachine<Types<S>> for MachineStore<S> {
         snapshot: Box<Cursor<Vec<u8>>>,
     ) -> Result<(), StorageError> {
         let kept = Kept { meta: meta.clone(), state: snapshot.into_inner() };
-        let state = read_record(&kept.state).map_err(reading_snapshot)?;
+        let state: S = read_record(&kept.state).map_err(reading_snapshot)?;
+        let cluster = state.cluster();
         let record = write_record(&kept).map_err(writing_snapshot)?;
         let _alone = self.snapshots.lock().await;
         self.journal.keep_snapshot(record).await.map_err(writing_snapshot)?;
         lock(&self.machine).restore(state, kept);
+        self.tell_cluster(cluster);
         self.applied.send_replace(meta.last_log_id.as_ref().map(epoch_of).unwrap_or_default());
         Ok(())
     }

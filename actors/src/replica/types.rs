@@ -2,7 +2,7 @@
 
 use super::journal::StoreIdentity;
 use super::runtime::SeededRuntime;
-use consort_protocol::ids::NodeId;
+use consort_protocol::ids::{ClusterId, NodeId};
 pub use consort_protocol::lease::Epoch;
 use openraft::RaftTypeConfig;
 use serde::de::DeserializeOwned;
@@ -29,6 +29,12 @@ pub trait StateMachine: Clone + Send + Sync + Default + Serialize + DeserializeO
     /// is, and each gets an entry of its own: slower with many clients, and always right.
     fn grants_epoch(_command: &Self::Command) -> bool {
         true
+    }
+
+    /// Which founding of the fleet's ledger this state belongs to, once it says so. Replicas of different ones refuse one
+    /// another's questions.
+    fn cluster(&self) -> Option<ClusterId> {
+        None
     }
 }
 

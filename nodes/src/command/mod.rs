@@ -6,6 +6,7 @@ pub mod check;
 pub mod dry_run;
 pub mod flags;
 pub mod fleet;
+pub mod leave;
 pub mod missions;
 pub mod recover;
 pub mod rescue;
