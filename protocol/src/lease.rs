@@ -12,6 +12,7 @@
 //! [`Tenure`] is the robot's side. The coordinator's is [`Watch`].
 
 use crate::ids::{MissionId, RobotId, RoleId};
+use crate::mutants::{self, Mutant};
 use crate::plan::{LocalPlan, StepIndex};
 use crate::units::NodeTime;
 use serde::{Deserialize, Serialize};
@@ -264,7 +265,9 @@ impl Tenure {
 
     /// Whether the plan may be acted on at this instant: confirmed, and the lease has not run out.
     pub fn may_act(&self, now: NodeTime) -> bool {
-        self.held.as_ref().is_some_and(|held| held.phase == Phase::Active && now < held.until)
+        self.held.as_ref().is_some_and(|held| {
+            held.phase == Phase::Active && (now < held.until || mutants::is(Mutant::LeaseNotChecked))
+        })
     }
 
     /// Whether the plan is held up: the lease has run out, or the award is a former life's and nobody has confirmed it yet.
@@ -367,6 +370,9 @@ impl Tenure {
     }
 
     fn lapse(&mut self, now: NodeTime) -> Vec<Action> {
+        if mutants::is(Mutant::LeaseNotChecked) {
+            return vec![];
+        }
         let Some(held) = self.held.as_mut().filter(|held| held.until <= now) else { return vec![] };
         match held.phase {
             Phase::Heard => {
@@ -418,7 +424,8 @@ impl Watch {
 
     /// Whether the holder has certainly suspended by now, so that its role may go to another.
     pub fn is_over(&self, epoch: Epoch, robot: &RobotId, now: NodeTime) -> bool {
-        self.silence(epoch, robot, now) > self.terms.lease + self.terms.grace
+        let sure = self.terms.lease + self.terms.grace;
+        self.silence(epoch, robot, now) > if mutants::is(Mutant::EarlyRelease) { sure / 3 } else { sure }
     }
 
     /// Forgets awards that are none of `live`.

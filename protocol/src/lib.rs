@@ -15,6 +15,7 @@ pub mod lease;
 pub mod ledger;
 pub mod message;
 pub mod mission;
+pub mod mutants;
 pub mod plan;
 pub mod pose;
 pub mod units;

@@ -9,6 +9,7 @@ mod fencing;
 mod leaderless;
 mod leases;
 mod queueing;
+mod recovery;
 mod refusals;
 mod requests;
 mod rescue;

@@ -13,7 +13,7 @@ const SOON: Duration = Duration::from_secs(60);
 
 /// What goes wrong at one attempt.
 #[derive(Debug, Clone, Copy, PartialEq)]
-enum Mishap {
+pub(super) enum Mishap {
     Fails,
     Crashes,
     Stalls,
@@ -50,7 +50,13 @@ impl Leaf for Stumble {
     }
 }
 
-fn stumbles(library: &mut SkillLibrary) {
+/// These go wrong from now on, the first first.
+pub(super) fn mishaps(list: &[Mishap]) {
+    MISHAPS.with(|mishaps| *mishaps.borrow_mut() = list.iter().rev().copied().collect());
+}
+
+/// Drives go wrong at their end.
+pub(super) fn stumbles(library: &mut SkillLibrary) {
     library
         .extend(|registry| {
             let manifest = Manifest::new("Stumble", NodeKind::Action, []);
@@ -76,7 +82,7 @@ fn retried(what: &Happening) -> Option<(String, u8, String)> {
 /// The first drive goes wrong once; what the robot made of it.
 fn one_mishap(mishap: Mishap, cause: &'static str) {
     tell([201, 202], async |seed| {
-        MISHAPS.with(|mishaps| *mishaps.borrow_mut() = vec![mishap]);
+        mishaps(&[mishap]);
         let robots = vec![Member::carrier("gorse", "IC Room 4").trained(stumbles)];
         let mut fleet = Fleet::hospital(seed, robots, &["aster"], &[ROOM]).await;
         fleet.coordinator().await;
@@ -110,7 +116,7 @@ fn a_task_that_comes_to_no_end_is_broken_off_and_tried_again() {
 #[test]
 fn a_crash_takes_nothing_down_with_it_and_the_robot_wins_again() {
     tell([203, 204], async |seed| {
-        MISHAPS.with(|mishaps| *mishaps.borrow_mut() = vec![Mishap::Crashes]);
+        mishaps(&[Mishap::Crashes]);
         let robots = vec![Member::carrier("gorse", "IC Room 4").trained(stumbles)];
         let mut fleet = Fleet::hospital(seed, robots, &["aster"], &[ROOM, "PC Room 1"]).await;
         fleet.coordinator().await;

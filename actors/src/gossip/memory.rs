@@ -7,6 +7,7 @@ use super::exchange::{RECORD_MAX, size};
 use super::shared::Known;
 use consort_protocol::ids::NodeId;
 use consort_protocol::knowledge::{Digest, Knowledge, Record, Stamp};
+use consort_protocol::mutants::{self, Mutant};
 use consort_protocol::units::NodeTime;
 use std::collections::BTreeMap;
 use std::time::Duration;
@@ -168,7 +169,8 @@ impl Memory {
     /// forgotten everywhere, whoever asks meanwhile.
     pub(super) fn lacking<'a>(&self, known: &'a Known, digest: &Digest) -> Vec<&'a Record> {
         let mut records = known.base.missing_for(digest);
-        records.retain(|record| known.alive(&record.owner));
+        let relayed = |record: &Record| record.owner == self.own.owner || !mutants::is(Mutant::LostRelay);
+        records.retain(|record| known.alive(&record.owner) && relayed(record));
         records
     }
 }

@@ -13,6 +13,7 @@ use crate::bus::{BusError, SharedBus};
 use consort_protocol::codec::{self, CodecError};
 use consort_protocol::ids::NodeId;
 use consort_protocol::keys::Keys;
+use consort_protocol::mutants::{self, Mutant};
 use openraft::error::{
     ChangeMembershipError, CheckIsLeaderError, ClientWriteError, Fatal, ForwardToLeader, InitializeError, RaftError,
 };
@@ -701,6 +702,10 @@ impl Watcher {
                 changed = metrics.changed() => return changed,
                 () = tokio::time::sleep_until(doubt_at) => {}
             }
+        }
+        if mutants::is(Mutant::DeafLeader) {
+            self.tell(latest, Quorum::Hears);
+            return metrics.changed().await;
         }
         // Metrics come with each of openraft's ticks, so this is looked at often enough.
         self.muted.store(self.falls_silent(doubt_at.elapsed()), Ordering::Relaxed);

@@ -5,6 +5,7 @@ use super::types::{
     Epoch, LogId, SnapshotMeta, StateMachine, StorageError, StorageIOError, StoredMembership, Types, Vote, epoch_of,
 };
 use consort_protocol::codec;
+use consort_protocol::mutants::{self, Mutant};
 use openraft::storage::{LogFlushed, RaftLogStorage, RaftStateMachine};
 use openraft::{AnyError, Entry, EntryPayload, LogState, OptionalSend, RaftLogReader, RaftSnapshotBuilder, Snapshot};
 use serde::{Deserialize, Serialize};
@@ -138,7 +139,12 @@ impl<S: StateMachine> RaftLogStorage<Types<S>> for LogStore<S> {
 
     async fn save_vote(&mut self, vote: &Vote) -> Result<(), StorageError> {
         let bytes = write_record(vote).map_err(writing_vote)?;
-        self.journal.record_vote(bytes).await.map_err(writing_vote)?;
+        if mutants::is(Mutant::SkipFsync) {
+            let journal = Arc::clone(&self.journal);
+            tokio::spawn(async move { journal.record_vote(bytes).await });
+        } else if !mutants::is(Mutant::DoubleVote) {
+            self.journal.record_vote(bytes).await.map_err(writing_vote)?;
+        }
         lock(&self.log).vote = Some(*vote);
         Ok(())
     }
@@ -166,7 +172,13 @@ impl<S: StateMachine> RaftLogStorage<Types<S>> for LogStore<S> {
         let entries: Vec<_> = entries.into_iter().collect();
         let records =
             entries.iter().map(|entry| Ok((entry.log_id.index, write_record(entry)?))).collect::<Result<_, _>>();
-        self.journal.append(records.map_err(writing_logs)?).await.map_err(writing_logs)?;
+        let records = records.map_err(writing_logs)?;
+        if mutants::is(Mutant::SkipFsync) {
+            let journal = Arc::clone(&self.journal);
+            tokio::spawn(async move { journal.append(records).await });
+        } else {
+            self.journal.append(records).await.map_err(writing_logs)?;
+        }
         lock(&self.log).entries.extend(entries.into_iter().map(|entry| (entry.log_id.index, entry)));
         callback.log_io_completed(Ok(()));
         Ok(())

@@ -3,10 +3,10 @@
 use crate::exit::Failure;
 use crate::output;
 use clap::{ArgGroup, Args as ClapArgs};
-use consort_tests::chaos::many::be_quiet;
-use consort_tests::chaos::{
-    Cast, Kind, Many, Order, Outcome, Schedule, Violation, cast, generate, run as play, shrink,
-};
+use consort_protocol::mutants::{self, Mutant};
+use consort_tests::chaos::mutants::{HUNTS, hunt};
+use consort_tests::chaos::scoreboard::{self, markdown};
+use consort_tests::chaos::{Cast, Kind, Many, Order, Outcome, Schedule, Violation, cast, generate, shrink};
 use indicatif::{ProgressBar, ProgressStyle};
 use std::ops::RangeInclusive;
 use std::path::{Path, PathBuf};
@@ -28,7 +28,7 @@ const SHRINK_TRIES: usize = 300;
 /// faults it takes, having left out whatever could be spared; and how to repeat it.
 #[derive(Debug, ClapArgs)]
 #[command(
-    group = ArgGroup::new("what").args(["seeds", "seed"]),
+    group = ArgGroup::new("what").args(["seeds", "seed", "mutants", "scoreboard"]),
     after_long_help = "\
 Examples:
   # the first thousand seeds on all cores
@@ -42,6 +42,12 @@ Examples:
 
   # some kinds of faults alone
   consort chaos --seeds 1..100 --faults partition,coordinator-crash
+
+  # how the fleet fares under each kind of fault
+  consort chaos --scoreboard --runs 50
+
+  # whether deliberate mistakes are found, and by what
+  cargo run --release --features mutants -- chaos --mutants
 
 The same seed, nodes, minutes and faults give the same run, to the byte, on any machine.
 
@@ -69,6 +75,18 @@ pub struct Args {
     /// The kinds of faults [default: all]
     #[arg(long, value_name = "KIND,…", value_delimiter = ',')]
     faults: Vec<Kind>,
+    /// Have the fleet make a deliberate mistake (in programs built with the feature `mutants`)
+    #[arg(long, value_name = "NAME")]
+    mutant: Option<Mutant>,
+    /// Look for every deliberate mistake, and print how many seeds it took and what found it
+    #[arg(long)]
+    mutants: bool,
+    /// Print how the fleet fares under each kind of fault, as a table (Markdown, or JSON with --json)
+    #[arg(long)]
+    scoreboard: bool,
+    /// Runs for each line of the scoreboard
+    #[arg(long, value_name = "N", default_value_t = 50, value_parser = clap::value_parser!(u64).range(1..), requires = "scoreboard")]
+    runs: u64,
     /// Print what is done in the run
     #[arg(long, requires = "seed")]
     verbose: bool,
@@ -101,7 +119,11 @@ fn nodes(text: &str) -> Result<usize, String> {
 /// # Errors
 /// [`Failure::Usage`] for a wrong schedule; [`Failure::Unsuccessful`] if something did not hold.
 pub fn run(args: &Args) -> Result<(), Failure> {
+    // Whether this program can make mistakes is found out here, and not on each thread.
+    mutants::choose(args.mutant).map_err(|problem| Failure::Usage(problem.to_string()))?;
     match args.seed {
+        _ if args.mutants => hunts(args),
+        _ if args.scoreboard => score(args),
         Some(seed) => one(args, seed),
         None => many(args),
     }
@@ -121,6 +143,11 @@ impl Args {
         self.jobs.unwrap_or_else(|| std::thread::available_parallelism().map_or(1, Into::into)).max(1)
     }
 
+    /// Makes the chosen mistake on the current thread.
+    fn err(&self) {
+        mutants::choose(self.mutant).expect("it was chosen before");
+    }
+
     /// The flags that a run depends on besides its seed, where they are not the default.
     fn flags(&self) -> String {
         let mut flags = String::new();
@@ -130,8 +157,61 @@ impl Args {
         if self.nodes != 7 {
             flags.push_str(&format!(" --nodes {}", self.nodes));
         }
+        if !self.faults.is_empty() {
+            let names: Vec<_> = self.faults.iter().map(|kind| kind.name()).collect();
+            flags.push_str(&format!(" --faults {}", names.join(",")));
+        }
+        if let Some(mutant) = self.mutant {
+            flags.push_str(&format!(" --mutant {mutant}"));
+        }
         flags
     }
+}
+
+/// Looks for every deliberate mistake.
+fn hunts(args: &Args) -> Result<(), Failure> {
+    let bar = ProgressBar::new_spinner();
+    let mut rows = vec![["mutant", "must be found within", "found by seed", "by"].map(str::to_owned).to_vec()];
+    let mut missed = vec![];
+    for wanted in HUNTS {
+        let mut runs = 0;
+        let found = hunt(wanted, args.jobs(), || {
+            runs += 1;
+            bar.set_message(format!("{}: {runs} of {} seeds", wanted.mutant, wanted.within));
+            bar.tick();
+        })
+        .map_err(|problem| Failure::Usage(problem.to_string()))?;
+        if args.json {
+            json(&found)?;
+        }
+        if found.seeds.is_none() {
+            missed.push(found.mutant);
+        }
+        let or = |text: Option<String>| text.unwrap_or_else(|| "not found".to_owned());
+        let seeds = or(found.seeds.map(|seeds| seeds.to_string()));
+        rows.push(vec![found.mutant.to_owned(), found.within.to_string(), seeds, or(found.invariant)]);
+    }
+    bar.finish_and_clear();
+    if !args.json {
+        output::line(output::table(&rows))?;
+    }
+    if missed.is_empty() { Ok(()) } else { Err(Failure::Unsuccessful(format!("not found: {}", missed.join(", ")))) }
+}
+
+/// Fills in the scoreboard.
+fn score(args: &Args) -> Result<(), Failure> {
+    let kinds = scoreboard::kinds();
+    let bar = ProgressBar::new(args.runs * kinds.len() as u64);
+    bar.set_style(ProgressStyle::with_template("{bar:40} {pos}/{len} runs  {msg}").expect("the template is sound"));
+    let mut rows = vec![];
+    for (name, kinds) in kinds {
+        bar.set_message(name);
+        rows.push(scoreboard::row(name, &kinds, args.runs, args.minutes, args.jobs(), || bar.inc(1)));
+    }
+    bar.finish_and_clear();
+    if args.json { json(&rows)? } else { output::line(markdown(&rows).trim_end())? }
+    let broken: Vec<_> = rows.iter().filter(|row| !row.violations.is_empty()).map(|row| row.fault).collect();
+    if broken.is_empty() { Ok(()) } else { Err(Failure::Unsuccessful(format!("something did not hold: {}", broken.join(", ")))) }
 }
 
 fn one(args: &Args, seed: u64) -> Result<(), Failure> {
@@ -143,12 +223,7 @@ fn one(args: &Args, seed: u64) -> Result<(), Failure> {
         output::line(format_args!("{schedule}"))?;
     }
     let order = args.order(seed);
-    // On a thread of its own, where panics that are part of the run are not printed.
-    let single = (order.clone(), schedule.clone());
-    let many = Many { seeds: seed..=seed, jobs: 1, order: &move |_| single.clone(), prepare: &|| () };
-    let mut outcome = None;
-    many.run(|told| outcome = Some(told.clone()));
-    let Some(outcome) = outcome else { return Err(Failure::Unsuccessful("the run came to nothing".to_owned())) };
+    let outcome = in_quiet(args, &order, &schedule);
     if args.json {
         json(&outcome)?;
     }
@@ -170,7 +245,7 @@ fn many(args: &Args) -> Result<(), Failure> {
         seeds: args.seeds.clone(),
         jobs: args.jobs(),
         order: &|seed| (args.order(seed), args.generated(seed)),
-        prepare: &|| (),
+        prepare: &|| args.err(),
     };
     let mut printed = Ok(());
     let found = many.run(|outcome| {
@@ -250,7 +325,6 @@ fn broken(
     violation: &Violation,
     cut_down: bool,
 ) -> Result<(), Failure> {
-    be_quiet();
     let at = violation.at_ms as f64 / 1000.0;
     output::line(format_args!("seed {}: {} does not hold at {at:.3} s", order.seed, violation.invariant))?;
     output::line(format_args!("  {}\n", violation.why))?;
@@ -260,7 +334,7 @@ fn broken(
         let smallest = shrink(schedule, SHRINK_TRIES, |tried| {
             bar.set_message(format!("leaving out what does not matter: {} steps", tried.steps.len()));
             bar.tick();
-            let again = in_quiet(order, tried).violation.filter(|again| again.invariant == violation.invariant);
+            let again = in_quiet(args, order, tried).violation.filter(|again| again.invariant == violation.invariant);
             let fails = again.is_some();
             last = again.unwrap_or_else(|| last.clone());
             fails
@@ -287,12 +361,12 @@ fn broken(
 }
 
 /// A run on a thread where its own panics are not printed.
-fn in_quiet(order: &Order, schedule: &Schedule) -> Outcome {
+fn in_quiet(args: &Args, order: &Order, schedule: &Schedule) -> Outcome {
     let again = (order.clone(), schedule.clone());
-    let many = Many { seeds: order.seed..=order.seed, jobs: 1, order: &move |_| again.clone(), prepare: &|| () };
+    let many = Many { seeds: order.seed..=order.seed, jobs: 1, order: &move |_| again.clone(), prepare: &|| args.err() };
     let mut outcome = None;
     many.run(|told| outcome = Some(told.clone()));
-    outcome.unwrap_or_else(|| play(order, schedule))
+    outcome.expect("a run has an outcome")
 }
 
 fn read(file: &Path) -> Result<Schedule, Failure> {

@@ -7,6 +7,7 @@ use crate::auction::AuctionRecord;
 use crate::ids::{ItemId, MissionId, PlaceId, RequestId, RobotId, RoleId};
 use crate::lease::Epoch;
 use crate::mission::RoleKind;
+use crate::mutants::{self, Mutant};
 use crate::plan::StepIndex;
 use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, BTreeSet};
@@ -291,7 +292,9 @@ impl Ledger {
     }
 
     fn submit(&mut self, submission: Submission) -> Outcome {
-        if let Some(mission) = self.requests.get(&submission.request) {
+        if let Some(mission) = self.requests.get(&submission.request)
+            && !mutants::is(Mutant::RequestForgotten)
+        {
             return Outcome::Submitted { mission: mission.clone(), again: true };
         }
         self.submitted += 1;
@@ -432,7 +435,7 @@ impl Ledger {
             return Err(Refused::NoRole { mission: mission_id, role: role_id });
         };
         let held = role.holder.as_ref().map(|holder| holder.epoch);
-        if role.kind == RoleKind::Managed && held != Some(epoch) {
+        if role.kind == RoleKind::Managed && held != Some(epoch) && !mutants::is(Mutant::RefusedApplied) {
             return Err(Refused::Epoch { mission: mission_id, role: role_id, held });
         }
         Ok(role)

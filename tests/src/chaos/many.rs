@@ -68,7 +68,7 @@ impl Many<'_> {
 }
 
 /// Panics of skills that chaos makes panic are no news; those of a run are told as its violation.
-pub fn be_quiet() {
+fn be_quiet() {
     static ONCE: Once = Once::new();
     ONCE.call_once(|| {
         let usual = panic::take_hook();

@@ -15,9 +15,11 @@ mod gear;
 pub mod generate;
 pub mod invariants;
 pub mod many;
+pub mod mutants;
 mod perform;
 pub mod run;
 pub mod schedule;
+pub mod scoreboard;
 pub mod shrink;
 pub mod tally;
 

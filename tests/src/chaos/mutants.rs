@@ -1,0 +1,80 @@
+//! Whether chaos finds what it should: deliberate mistakes, one at a time, under the same generated faults as ever.
+
+use super::cast::Cast;
+use super::generate::generate;
+use super::many::Many;
+use super::run::Order;
+use super::schedule::Kind;
+use consort_protocol::mutants::{self, Mutant, NotBuilt};
+use serde::Serialize;
+
+/// How a mistake is looked for.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Hunt {
+    /// Which.
+    pub mutant: Mutant,
+    /// Within how many seeds, from 1 on, it must be found.
+    pub within: u64,
+}
+
+/// Simulated minutes of each run of a hunt.
+pub const MINUTES: f64 = 3.0;
+
+/// Nodes of a hunted fleet.
+pub const NODES: usize = 7;
+
+/// All mistakes, each with the number of seeds within which it must be found: about twice what was measured.
+pub const HUNTS: [Hunt; Mutant::ALL.len()] = [
+    Hunt { mutant: Mutant::SkipFsync, within: 100 },
+    Hunt { mutant: Mutant::DoubleVote, within: 100 },
+    Hunt { mutant: Mutant::DeafLeader, within: 100 },
+    Hunt { mutant: Mutant::IgnoreEpoch, within: 100 },
+    Hunt { mutant: Mutant::LeaseNotChecked, within: 100 },
+    Hunt { mutant: Mutant::EarlyRelease, within: 100 },
+    Hunt { mutant: Mutant::RefusedApplied, within: 100 },
+    Hunt { mutant: Mutant::UncommittedReport, within: 100 },
+    Hunt { mutant: Mutant::RequestForgotten, within: 100 },
+    Hunt { mutant: Mutant::LostRelay, within: 100 },
+    Hunt { mutant: Mutant::WaitSkipped, within: 100 },
+    Hunt { mutant: Mutant::GuardSkipped, within: 100 },
+];
+
+/// What came of a hunt.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+pub struct Hunted {
+    /// The mistake.
+    pub mutant: &'static str,
+    /// Within how many seeds it must be found.
+    pub within: u64,
+    /// How many it took, if it was.
+    pub seeds: Option<u64>,
+    /// By which invariant.
+    pub invariant: Option<String>,
+    /// What was wrong, in words.
+    pub why: Option<String>,
+}
+
+/// Looks for a mistake on so many threads; `each` is called after each run.
+///
+/// # Errors
+/// [`NotBuilt`]; nothing was run.
+pub fn hunt(hunt: Hunt, jobs: usize, mut each: impl FnMut()) -> Result<Hunted, NotBuilt> {
+    mutants::choose(Some(hunt.mutant))?;
+    mutants::choose(None)?;
+    let cast = Cast::of(NODES);
+    let found = Many {
+        seeds: 1..=hunt.within,
+        jobs,
+        order: &|seed| (Order { seed, nodes: NODES, minutes: MINUTES }, generate(seed, &cast, MINUTES, &Kind::FAULTS)),
+        prepare: &|| mutants::choose(Some(hunt.mutant)).expect("it could be chosen a moment ago"),
+    }
+    .run(|_| each());
+    let violation = found.as_ref().and_then(|outcome| outcome.violation.clone());
+    Ok(Hunted {
+        mutant: hunt.mutant.name(),
+        within: hunt.within,
+        seeds: found.map(|outcome| outcome.seed),
+        invariant: violation.as_ref().map(|violation| violation.invariant.clone()),
+        why: violation.map(|violation| violation.why),
+    })
+}
