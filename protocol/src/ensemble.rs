@@ -160,13 +160,16 @@ impl Ensemble {
     pub fn compile(spec: EnsembleSpec) -> Result<Ensemble, ConditionError> {
         let membership = compile_all(&spec, &spec.membership)?;
         let coordinator = compile_all(&spec, &spec.coordinator)?;
-        let ensemble = Ensemble { spec, membership, coordinator, functions: Arc::new(Env::stdlib()), judged: Mutex::default() };
+        let ensemble =
+            Ensemble { spec, membership, coordinator, functions: Arc::new(Env::stdlib()), judged: Mutex::default() };
         let example = NodeId::new("example").expect("a slug");
         let knowledge = example_knowledge();
         let facts = ensemble.facts((&example, &knowledge), (&example, &knowledge)).expect("an example can be told");
         for condition in ensemble.membership.iter().chain(&ensemble.coordinator) {
-            condition.holds(&facts).map_err(|problem| {
-                ConditionError { ensemble: ensemble.spec.name.clone(), condition: condition.text.clone(), problem }
+            condition.holds(&facts).map_err(|problem| ConditionError {
+                ensemble: ensemble.spec.name.clone(),
+                condition: condition.text.clone(),
+                problem,
             })?;
         }
         Ok(ensemble)
@@ -208,9 +211,7 @@ impl Ensemble {
         // A verdict is replaced as a whole, so a poisoned lock still guards sound ones.
         let mut judged = self.judged.lock().unwrap_or_else(PoisonError::into_inner);
         let as_before = |known: &&Judged| {
-            known.coordinator == *coordinator
-                && known.member == *knows
-                && known.coordinator_knows == *coordinator_knows
+            known.coordinator == *coordinator && known.member == *knows && known.coordinator_knows == *coordinator_knows
         };
         if let Some(known) = judged.get(node).filter(as_before) {
             return known.verdict.clone();

@@ -4,6 +4,7 @@ mod again;
 mod delivery;
 mod determinism;
 mod fencing;
+mod found_by_chaos;
 mod leases;
 mod queueing;
 mod refusals;

@@ -1,7 +1,7 @@
 use super::support::run;
 
-const COMMANDS: [&str; 10] =
-    ["robot", "station", "world", "submit", "missions", "cancel", "rescue", "fleet", "check", "dry-run"];
+const COMMANDS: [&str; 11] =
+    ["robot", "station", "world", "submit", "missions", "cancel", "rescue", "fleet", "check", "dry-run", "chaos"];
 
 #[test]
 fn the_help_names_every_command_and_the_exit_codes() {

@@ -17,7 +17,8 @@ const FIRST_MS: u64 = 4_000;
 pub fn generate(seed: u64, cast: &Cast, minutes: f64, kinds: &[Kind]) -> Schedule {
     let chance = ChaCha8Rng::seed_from_u64(seed ^ 0x5eed_0fc4_a05f);
     let end_ms = u64::try_from(Duration::from_secs_f64(minutes * 60.0 * LIFTED).as_millis()).unwrap_or(u64::MAX);
-    let mut draw = Draw { chance, cast, end_ms: end_ms.max(FIRST_MS + 2_000), steps: vec![], wiped: vec![], flat: vec![] };
+    let mut draw =
+        Draw { chance, cast, end_ms: end_ms.max(FIRST_MS + 2_000), steps: vec![], wiped: vec![], flat: vec![] };
     draw.requests(minutes);
     if !kinds.is_empty() {
         // About one fault in twenty seconds, some runs far fewer, some far more.
@@ -128,9 +129,7 @@ impl Draw<'_> {
                 weather.3 = 20;
             }),
             Kind::Delay => self.weather(for_ms, |chance, weather| weather.3 = chance.random_range(10..400)),
-            Kind::SlowDisk => {
-                Act::SlowDisk { node: self.voter(), write_ms: self.chance.random_range(10..500), for_ms }
-            }
+            Kind::SlowDisk => Act::SlowDisk { node: self.voter(), write_ms: self.chance.random_range(10..500), for_ms },
             Kind::Drift => {
                 let rate = 1.0 + f64::from(self.chance.random_range(-DRIFT_MAX..=DRIFT_MAX)) / 1000.0;
                 let node = self.node();

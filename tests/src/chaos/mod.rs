@@ -24,8 +24,8 @@ pub mod shrink;
 pub mod tally;
 
 pub use cast::Cast;
-pub use many::Many;
 pub use generate::generate;
+pub use many::Many;
 pub use run::{Order, Outcome, Violation, run};
 pub use schedule::{Act, Kind, Schedule, Step};
 pub use shrink::shrink;

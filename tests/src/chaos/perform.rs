@@ -220,7 +220,8 @@ impl Hand {
 
     fn submit(&self, fleet: &Fleet, request: &str, room: &str, priority: i64) {
         let (client, key) = (fleet.client.clone(), fleet.keys.write(&Key::Api(ApiCall::Submit)));
-        let (chronicle, acknowledged, request) = (fleet.chronicle.clone(), self.acknowledged.clone(), request.to_owned());
+        let (chronicle, acknowledged, request) =
+            (fleet.chronicle.clone(), self.acknowledged.clone(), request.to_owned());
         let asked = json!({ "mission": "lab-samples", "parameters": { "room": room }, "request": request, "priority": priority });
         tokio::spawn(async move {
             loop {
@@ -241,7 +242,8 @@ impl Hand {
         let (client, key) = (fleet.client.clone(), fleet.keys.write(&Key::Api(ApiCall::Cancel)));
         let (mut acknowledged, request) = (self.acknowledged.subscribe(), request.to_owned());
         tokio::spawn(async move {
-            let Ok(mission) = acknowledged.wait_for(|known| known.contains_key(&request)).await.map(|m| m[&request].clone())
+            let Ok(mission) =
+                acknowledged.wait_for(|known| known.contains_key(&request)).await.map(|m| m[&request].clone())
             else {
                 return;
             };

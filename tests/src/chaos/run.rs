@@ -127,7 +127,8 @@ impl Run {
         let hand = self.hand.acknowledged_receiver();
         self.until("an end of every mission", ENDS_WITHIN, move |fleet| {
             let acknowledged = hand.borrow();
-            requests.iter().all(|request| acknowledged.contains_key(request)) && unfinished(fleet, &acknowledged).is_empty()
+            requests.iter().all(|request| acknowledged.contains_key(request))
+                && unfinished(fleet, &acknowledged).is_empty()
         })
         .await?;
         self.judge.tally.converged_ms = Some(ms(self.fleet.elapsed() - since));
@@ -185,12 +186,7 @@ impl Run {
     }
 
     /// Lets time pass until `done` says so.
-    async fn until(
-        &mut self,
-        what: &str,
-        limit: Duration,
-        done: impl Fn(&Fleet) -> bool,
-    ) -> Result<(), Violation> {
+    async fn until(&mut self, what: &str, limit: Duration, done: impl Fn(&Fleet) -> bool) -> Result<(), Violation> {
         let end = self.fleet.elapsed() + limit;
         loop {
             self.judge.look(&self.fleet)?;
@@ -227,7 +223,8 @@ impl Run {
         let (one_id, other_id) = (slug::<NodeId>(one), slug::<NodeId>(other));
         self.fleet.network.cut(one_id.clone(), other_id.clone());
         self.fleet.network.cut(other_id.clone(), one_id.clone());
-        self.judge.tell(self.fleet.elapsed(), &format!("*** {one} and {other} do not hear one another; {one} starts anew"));
+        self.judge
+            .tell(self.fleet.elapsed(), &format!("*** {one} and {other} do not hear one another; {one} starts anew"));
         let step = usize::MAX;
         self.hand.crash(&mut self.fleet, step, &[one.to_owned()], Fate::Kept).await;
         self.hand.end(&mut self.fleet, step).await;
@@ -244,7 +241,9 @@ impl Run {
             }
             if self.fleet.elapsed() >= end {
                 let limit = RELAYED_WITHIN.as_secs();
-                let why = format!("{other} has not heard within {limit} s that {one} started anew (life {own:?}, heard {heard:?})");
+                let why = format!(
+                    "{other} has not heard within {limit} s that {one} started anew (life {own:?}, heard {heard:?})"
+                );
                 return Err(self.judge.violation("relay", why, &self.fleet));
             }
             self.pass(end).await;
@@ -266,7 +265,9 @@ fn of_one_mind(fleet: &Fleet) -> bool {
 /// Who does not count whom alive.
 fn strangers(fleet: &Fleet) -> impl Iterator<Item = String> {
     let pairs = fleet.nodes.iter().flat_map(|(name, node)| fleet.nodes.keys().map(move |other| (name, node, other)));
-    pairs.filter(|(_, node, other)| !node.knowledge.alive(&slug(other))).map(|(name, _, other)| format!("{other} by {name}"))
+    pairs
+        .filter(|(_, node, other)| !node.knowledge.alive(&slug(other)))
+        .map(|(name, _, other)| format!("{other} by {name}"))
 }
 
 /// Acknowledged missions that have not ended, as the coordinator's ledger says; all, while there is none.

@@ -253,7 +253,9 @@ impl Act {
             | Act::Cut { for_ms, .. }
             | Act::Weather { for_ms, .. }
             | Act::SlowDisk { for_ms, .. } => Some(*for_ms),
-            Act::Submit { .. } | Act::Cancel { .. } | Act::Drift { .. } | Act::Battery { .. } | Act::Skill { .. } => None,
+            Act::Submit { .. } | Act::Cancel { .. } | Act::Drift { .. } | Act::Battery { .. } | Act::Skill { .. } => {
+                None
+            }
         }
     }
 

@@ -23,7 +23,9 @@ impl Acknowledged {
                 let found = ledger.requested(&slug(request)).map(|entry| &entry.id);
                 if found != Some(mission) {
                     let found = found.map_or("no mission".to_owned(), ToString::to_string);
-                    return Err(format!("{request} was acknowledged as {mission}; {node}, who leads, has {found} for it"));
+                    return Err(format!(
+                        "{request} was acknowledged as {mission}; {node}, who leads, has {found} for it"
+                    ));
                 }
             }
             once_each(ledger)

@@ -67,9 +67,13 @@ impl Invariant for UnderLease {
             Some(Happening::Sent { mission, signal }) => {
                 self.acts(node, mission, &signal.from, &format!("says {:?} of {}", signal.kind, signal.task), fleet)
             }
-            Some(Happening::Heard { mission, signal }) => {
-                self.acts(node, mission, &signal.to, &format!("goes on after {:?} of {}", signal.kind, signal.task), fleet)
-            }
+            Some(Happening::Heard { mission, signal }) => self.acts(
+                node,
+                mission,
+                &signal.to,
+                &format!("goes on after {:?} of {}", signal.kind, signal.task),
+                fleet,
+            ),
             _ => Ok(()),
         }
     }
