@@ -11,4 +11,18 @@ impl StateMachine for Ledger {
     fn apply(&mut self, at: Epoch, command: Command) -> Outcome {
         Ledger::apply(self, at, command)
     }
+
+    fn grants_epoch(command: &Command) -> bool {
+        match command {
+            Command::Award { .. } => true,
+            Command::Submit(_)
+            | Command::Defer { .. }
+            | Command::Accept { .. }
+            | Command::Progress { .. }
+            | Command::Release { .. }
+            | Command::Fail { .. }
+            | Command::Cancel { .. }
+            | Command::Rescued { .. } => false,
+        }
+    }
 }

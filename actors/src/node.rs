@@ -275,7 +275,7 @@ async fn assemble(
         let replica_settings = ReplicaSettings::new(fleet.fleet.clone(), node.clone());
         let applied = observer.map(|observer| {
             let node = node.clone();
-            Arc::new(move |at, command: Option<&Command>| observer.applied(&node, at, command)) as Applied<Ledger>
+            Arc::new(move |at, commands: &[Command]| observer.applied(&node, at, commands)) as Applied<Ledger>
         });
         let (bus, seed) = (bus.clone(), rng.next_u64());
         Some(Replica::start_observed(replica_settings, bus, store.journal, seed, applied).await?)

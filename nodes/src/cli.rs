@@ -1,6 +1,6 @@
 //! The command line.
 
-use crate::command::{cancel, chaos, check, dry_run, fleet, missions, rescue, robot, station, submit, world};
+use crate::command::{cancel, chaos, check, dry_run, fleet, missions, recover, rescue, robot, station, submit, world};
 use crate::demo;
 use crate::exit::Failure;
 use crate::output;
@@ -58,6 +58,7 @@ enum Command {
     Fleet(fleet::Args),
     Check(check::Args),
     DryRun(dry_run::Args),
+    Recover(recover::Args),
     Chaos(chaos::Args),
 }
 
@@ -75,6 +76,7 @@ pub fn run() -> ExitCode {
         Command::Fleet(args) => fleet::run(args),
         Command::Check(args) => check::run(args),
         Command::DryRun(args) => dry_run::run(args),
+        Command::Recover(args) => recover::run(args),
         Command::Chaos(args) => chaos::run(&args),
     };
     match done {

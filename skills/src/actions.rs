@@ -242,6 +242,13 @@ pub trait BodyHost: Send + Sync {
     /// The state of one goal under way (`Executing` with fresh feedback) or lately ended; `None` if unknown.
     fn status(&self, robot: &RobotId, id: GoalId) -> Option<GoalStatus>;
 
+    /// The goals of a robot that are under way or lately ended, in the order of their ids: for a host that is started anew
+    /// while bodies are at work.
+    fn goals(&self, robot: &RobotId) -> Vec<GoalId>;
+
+    /// What came of an ask; `None` for one that has not ended, was withdrawn, or ended long ago.
+    fn answer(&self, id: GoalId) -> Option<Result<(), ActionError>>;
+
     /// The body's report as of `now`; `None` for a robot that is not here.
     fn telemetry(&self, robot: &RobotId) -> Option<Telemetry>;
 

@@ -1,14 +1,19 @@
 //! Whole fleets on virtual time.
 
 mod again;
+mod canceling;
+mod deadlines;
 mod delivery;
 mod determinism;
 mod fencing;
 mod found_by_chaos;
+mod leaderless;
 mod leases;
 mod queueing;
+mod recovery;
 mod refusals;
 mod requests;
+mod rescue;
 mod restart;
 mod setbacks;
 mod supervision;

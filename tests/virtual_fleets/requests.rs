@@ -75,7 +75,11 @@ fn a_request_that_cannot_be_understood_says_what_would_be_and_changes_nothing() 
             (ApiCall::Submit, "{", &["an example is", "lab-samples"]),
             (ApiCall::Submit, "", &["an example is"]),
             (ApiCall::Submit, r#"{"mision": "lab-samples"}"#, &["unknown field `mision`", "expected one of `mission`"]),
-            (ApiCall::Submit, r#"{"mission": "tea"}"#, &["\"tea\"", "bed-transfer, lab-samples, ward-disinfection"]),
+            (
+                ApiCall::Submit,
+                r#"{"mission": "tea"}"#,
+                &["\"tea\"", "bed-transfer, lab-samples, lab-samples-watched, ward-disinfection"],
+            ),
             (ApiCall::Submit, r#"{"mission": "lab-samples", "parameters": {"romm": "IC Room 6"}}"#, &["romm", "room"]),
             (ApiCall::Submit, r#"{"mission": "lab-samples", "request": "a b/c*"}"#, &["a b/c*"]),
             (ApiCall::Cancel, r#"{"mission": "lab-samples-9"}"#, &["no mission lab-samples-9"]),
@@ -116,8 +120,8 @@ fn a_mission_canceled_under_way_stops_its_robots_and_frees_them() {
         let mut fleet = fleet(seed).await;
         let mission = fleet.submit("a", ROOM).await;
         let began =
-            |what: &Happening| matches!(what, Happening::TaskBegan { task, .. } if task.as_str() == "navto_lab");
-        fleet.until("the way to the laboratory", SOON, |fleet| fleet.happened(began)).await;
+            |what: &Happening| matches!(what, Happening::TaskBegan { task, .. } if task.as_str() == "navto_room");
+        fleet.until("the way to the room", SOON, |fleet| fleet.happened(began)).await;
         let robot = fleet.holder(&mission, "r1").expect("held").to_string();
         fleet.answer(ApiCall::Cancel, &json!({ "mission": mission })).await;
         let halted = |what: &Happening| matches!(what, Happening::Halted { reason: Ending::Canceled, .. });

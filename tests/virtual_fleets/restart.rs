@@ -47,6 +47,15 @@ fn done_once(fleet: &Fleet, mission: &MissionId, begun_twice: &[&str]) {
     fleet.one_role_one_robot();
 }
 
+/// Waits until a robot's notebook is empty.
+async fn page_torn_out(fleet: &Fleet, robot: &str) {
+    let deadline = fleet.elapsed() + SOON;
+    while fleet.notebook(robot).await.is_some() {
+        assert!(fleet.elapsed() < deadline, "seed {}: {robot} keeps its page\n{}", fleet.seed, fleet.tale());
+        tokio::time::sleep(Duration::from_millis(10)).await;
+    }
+}
+
 #[test]
 fn a_carrier_that_is_back_within_its_lease_goes_on_with_the_sample_in_its_drawer() {
     tell([301, 302, 303], async |seed| {
@@ -58,7 +67,7 @@ fn a_carrier_that_is_back_within_its_lease_goes_on_with_the_sample_in_its_drawer
         fleet.completes(&mission).await;
         done_once(&fleet, &mission, &["navto_lab"]);
         assert_eq!(fleet.chronicle.count(resumed), 1, "seed {seed}\n{}", fleet.tale());
-        assert_eq!(fleet.notebook("gorse").await, None, "seed {seed}: its page is torn out");
+        page_torn_out(&fleet, "gorse").await;
     });
 }
 
@@ -79,7 +88,7 @@ fn a_robot_that_is_back_too_late_learns_that_the_role_is_gone_and_is_free_for_th
             gorse.filter_map(|(_, entry)| entry.happening()).any(|what| matches!(what, Happening::Halted { .. }))
         };
         fleet.until("gorse to learn it", SOON, halted).await;
-        assert_eq!(fleet.notebook("gorse").await, None, "seed {seed}: its page is torn out");
+        page_torn_out(&fleet, "gorse").await;
         let place = fleet.position("gorse");
         fleet.completes(&mission).await;
         assert_eq!(fleet.position("gorse"), place, "seed {seed}: it stood still\n{}", fleet.tale());
@@ -180,4 +189,44 @@ fn a_carrier_may_crash_at_any_step() {
         kills += 1;
     }
     assert!(kills > 10, "the mission was over after {kills} kills");
+}
+
+/// Kills the node that hosts bodies and people after the `nth` happening since the request and brings it back; false when the
+/// mission was over before.
+async fn world_interrupted(seed: u64, nth: usize) -> bool {
+    let room = "PC Room 8";
+    let robots = vec![Member::carrier("gorse", room).at_speed(1.5)];
+    let mut fleet = Fleet::hospital(seed, robots, &["aster", "basil", "clove", "dill"], &[room]).await;
+    fleet.coordinator().await;
+    let before = fleet.chronicle.len();
+    let mission = fleet.submit("a", room).await;
+    let over = |fleet: &Fleet| fleet.state_of(&mission).is_some_and(|state| state.is_end());
+    fleet.until(&format!("{nth} things"), SOON, |fleet| fleet.chronicle.len() >= before + nth || over(fleet)).await;
+    if over(&fleet) {
+        return false;
+    }
+    fleet.kill("world").await;
+    tokio::time::sleep(Duration::from_millis(40 + (nth as u64 * 379) % 3000)).await;
+    fleet.start_world().await;
+    fleet.completes(&mission).await;
+    let story = format!("seed {seed}: the world's node killed after {nth} things\n{}", fleet.tale());
+    let tasks = fleet.tasks(&mission);
+    assert!(tasks.values().all(|(_, ended)| (1..=2).contains(ended)), "{tasks:?}\n{story}");
+    assert!(!fleet.happened(released), "{story}");
+    fleet.sample_delivered(room);
+    fleet.one_role_one_robot();
+    true
+}
+
+#[test]
+fn what_people_have_done_and_said_survives_the_node_that_speaks_for_them() {
+    let (went_on, mut kills) = (Cell::new(true), 0);
+    for nth in (0..).step_by(4) {
+        tell([360 + nth as u64 % 5], async |seed| went_on.set(world_interrupted(seed, nth).await));
+        if !went_on.get() {
+            break;
+        }
+        kills += 1;
+    }
+    assert!(kills > 8, "the mission was over after {kills} kills");
 }

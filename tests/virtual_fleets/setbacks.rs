@@ -13,7 +13,7 @@ const SOON: Duration = Duration::from_secs(60);
 
 /// What goes wrong at one attempt.
 #[derive(Debug, Clone, Copy, PartialEq)]
-enum Mishap {
+pub(super) enum Mishap {
     Fails,
     Crashes,
     Stalls,
@@ -50,7 +50,13 @@ impl Leaf for Stumble {
     }
 }
 
-fn stumbles(library: &mut SkillLibrary) {
+/// These go wrong from now on, the first first.
+pub(super) fn mishaps(list: &[Mishap]) {
+    MISHAPS.with(|mishaps| *mishaps.borrow_mut() = list.iter().rev().copied().collect());
+}
+
+/// Drives go wrong at their end.
+pub(super) fn stumbles(library: &mut SkillLibrary) {
     library
         .extend(|registry| {
             let manifest = Manifest::new("Stumble", NodeKind::Action, []);
@@ -76,7 +82,7 @@ fn retried(what: &Happening) -> Option<(String, u8, String)> {
 /// The first drive goes wrong once; what the robot made of it.
 fn one_mishap(mishap: Mishap, cause: &'static str) {
     tell([201, 202], async |seed| {
-        MISHAPS.with(|mishaps| *mishaps.borrow_mut() = vec![mishap]);
+        mishaps(&[mishap]);
         let robots = vec![Member::carrier("gorse", "IC Room 4").trained(stumbles)];
         let mut fleet = Fleet::hospital(seed, robots, &["aster"], &[ROOM]).await;
         fleet.coordinator().await;
@@ -110,7 +116,7 @@ fn a_task_that_comes_to_no_end_is_broken_off_and_tried_again() {
 #[test]
 fn a_crash_takes_nothing_down_with_it_and_the_robot_wins_again() {
     tell([203, 204], async |seed| {
-        MISHAPS.with(|mishaps| *mishaps.borrow_mut() = vec![Mishap::Crashes]);
+        mishaps(&[Mishap::Crashes]);
         let robots = vec![Member::carrier("gorse", "IC Room 4").trained(stumbles)];
         let mut fleet = Fleet::hospital(seed, robots, &["aster"], &[ROOM, "PC Room 1"]).await;
         fleet.coordinator().await;
@@ -160,15 +166,15 @@ fn a_canceled_mission_leaves_the_body_at_rest_and_the_drawer_as_it_was() {
             let opened = fleet.journal().iter().filter(|entry| matches!(entry.what, InWorld::Drawer { .. })).count();
             let least = usize::from(task == "close_drawer_nurse");
             assert!(opened == least || opened == least + 1, "seed {seed}: {opened}\n{}", fleet.tale());
-            assert_eq!(fleet.state(&mission).as_deref(), Some("canceled"), "seed {seed}");
+            // With the sample in its drawer, somebody has to come for that first.
+            let state = if least == 0 { "canceled" } else { "needs rescue" };
+            assert_eq!(fleet.state(&mission).as_deref(), Some(state), "seed {seed}\n{}", fleet.tale());
 
-            let next = fleet.submit("b", ROOM).await;
-            if least == 0 {
-                fleet.completes(&next).await;
-            } else {
-                // The sample lies in its drawer, and nobody has another; what comes of that is another story.
-                fleet.until("an award", SOON, |fleet| fleet.holder(&next, "r1").is_some()).await;
+            if state == "needs rescue" {
+                return; // and until then it is given nothing else
             }
+            let next = fleet.submit("b", ROOM).await;
+            fleet.completes(&next).await;
             assert_eq!(fleet.holder(&next, "r1").expect("held").as_str(), "gorse", "seed {seed}: it wins again");
         });
     }

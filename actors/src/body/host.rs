@@ -102,7 +102,14 @@ impl Actor for Host {
         let view = settings.keys.write(&Key::ViewWorld);
         tasks.forward(settings.bus.serve(&view).await?, &myself, HostMessage::View);
         tasks.beat(settings.beat, &myself, || HostMessage::Beat);
-        let bodies = world.robots().into_iter().map(|robot| (robot, BodyEntry::default())).collect();
+        let (now, mut bodies) = (settings.clock.now(), BTreeMap::new());
+        for robot in world.robots() {
+            // Bodies may be at work for those who drove them through a former host.
+            let mut entry = BodyEntry::default();
+            world.goals(&robot).into_iter().for_each(|goal| entry.remember(goal));
+            entry.driver = (!entry.goals.is_empty()).then_some(now);
+            bodies.insert(robot, entry);
+        }
         let (started, origin, number) = (settings.clock.now(), world.now(), settings.clock.wall_ms() << 16);
         let people = BTreeMap::new();
         Ok(HostState { settings, world, started, origin, bodies, people, number, armed: None, tasks })
@@ -195,8 +202,10 @@ impl HostState {
         }
         let events = self.advance();
         self.tell(events).await;
-        let said = match self.people.get(&ask.id) {
-            Some(result) => PersonState::Ended(result.clone()),
+        // Perhaps a former host asked them.
+        let ended = self.people.get(&ask.id).cloned().or_else(|| self.world.answer(ask.id));
+        let said = match ended {
+            Some(result) => PersonState::Ended(result),
             None => PersonState::Asked,
         };
         answer::wire(&query, &query.key, &said).await;

@@ -1,6 +1,7 @@
 //! A node's share in the replicated ledger.
 
 use super::canvass::{self, Ear};
+use super::gather::{Gatherer, Proposal};
 use super::journal::Journal;
 use super::network::{Heard, Switchboard};
 use super::runtime::seed_elections;
@@ -23,15 +24,22 @@ use std::future::Future;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::Duration;
-use tokio::sync::watch;
+use tokio::sync::{mpsc, oneshot, watch};
 use tokio::task::JoinHandle;
 use tokio::time::{Instant, timeout};
 use tracing::info;
 
 type Metrics = openraft::RaftMetrics<RaftId, Peer>;
 
-/// Bytes of a message that are left for its frame when it carries one command.
+/// Bytes of a message that are left for its frame when it carries one entry of commands.
 const FRAME_OVERHEAD: usize = 1024;
+
+/// Bytes that a command may have.
+const COMMAND_MAX: usize = codec::LIMIT - FRAME_OVERHEAD;
+
+/// Bytes up to which commands share an entry: a follower must read it, bring it to disk and answer within a heartbeat, on a
+/// slow machine too. Entries of 63 KiB did not come through on a machine that was busy with much else.
+const SHARED_MAX: usize = 16 * 1024;
 
 /// Who leads, as this node believes. A watch shows the latest belief; a reign that came and went in between is seen
 /// by the next one's being greater.
@@ -205,6 +213,8 @@ struct Inner<S: StateMachine> {
     resigned: Arc<Resigned>,
     board: Switchboard,
     refused: Arc<AtomicU64>,
+    proposals: mpsc::UnboundedSender<Proposal<S>>,
+    _gathering: Task,
     _serving: Task,
     _watching: Task,
     _canvassing: Task,
@@ -256,6 +266,7 @@ impl<S: StateMachine> Replica<S> {
         let place = journal.place();
         let opened = store::open::<S>(journal, applied).await;
         let (log, machine) = opened.map_err(|problem| StartError::Journal { place, problem })?;
+        let appended = log.appended();
         let keys = Keys::new(&settings.fleet);
         let queries = bus.serve(&keys.any_raft(id.0)).await?;
         let heard = Arc::<Heard>::default();
@@ -302,6 +313,9 @@ impl<S: StateMachine> Replica<S> {
             keys,
         };
         let serving = Task::spawn(service.run(queries));
+        let (proposals, proposed) = mpsc::unbounded_channel();
+        let gatherer = Gatherer { raft: raft.clone(), proposals: proposed, appended, size_max: SHARED_MAX };
+        let gathering = Task::spawn(gatherer.run());
         info!(node = %settings.node, raft = %id, "takes part in the ledger");
         let inner = Inner {
             id,
@@ -313,6 +327,8 @@ impl<S: StateMachine> Replica<S> {
             resigned,
             board,
             refused,
+            proposals,
+            _gathering: gathering,
             _serving: serving,
             _watching: watching,
             _canvassing: canvassing,
@@ -346,13 +362,16 @@ impl<S: StateMachine> Replica<S> {
     /// # Errors
     /// [`ProposeError`]: after [`ProposeError::TimedOut`] **the outcome is unknown**.
     pub async fn propose(&self, command: S::Command, limit: Duration) -> Result<S::Outcome, ProposeError> {
-        check_size(&command)?;
+        let size = check_size(&command)?;
         self.refuse_when_cut_off()?;
         self.refuse_when_resigned()?;
-        match timeout(limit, self.inner.raft.client_write(command)).await {
+        let (answer, heard) = oneshot::channel();
+        let proposed = self.inner.proposals.send(Proposal { command, size, answer });
+        proposed.map_err(|_| ProposeError::Closed)?;
+        match timeout(limit, heard).await {
             Err(_) => Err(ProposeError::TimedOut { limit }),
-            Ok(Err(error)) => Err(write_error(error).into_propose()),
-            Ok(Ok(written)) => Ok(written.data.expect("a command's entry has an outcome")),
+            Ok(Err(_)) => Err(ProposeError::Closed),
+            Ok(Ok(outcome)) => outcome,
         }
     }
 
@@ -602,12 +621,12 @@ impl<S: StateMachine> Replica<S> {
     }
 }
 
-fn check_size<C: serde::Serialize>(command: &C) -> Result<(), ProposeError> {
-    const MAX: usize = codec::LIMIT - FRAME_OVERHEAD;
+/// The command's encoded size in bytes.
+fn check_size<C: serde::Serialize>(command: &C) -> Result<usize, ProposeError> {
     match codec::encode(command) {
-        Ok(bytes) if bytes.len() <= MAX => Ok(()),
-        Ok(bytes) => Err(ProposeError::TooLarge { size: bytes.len(), max: MAX }),
-        Err(CodecError::TooLarge { size, .. }) => Err(ProposeError::TooLarge { size, max: MAX }),
+        Ok(bytes) if bytes.len() <= COMMAND_MAX => Ok(bytes.len()),
+        Ok(bytes) => Err(ProposeError::TooLarge { size: bytes.len(), max: COMMAND_MAX }),
+        Err(CodecError::TooLarge { size, .. }) => Err(ProposeError::TooLarge { size, max: COMMAND_MAX }),
         Err(error) => Err(ProposeError::Unencodable(error.to_string())),
     }
 }
@@ -628,9 +647,10 @@ fn write_error(error: RaftError<RaftId, ClientWriteError<RaftId, Peer>>) -> Memb
     }
 }
 
-impl MemberError {
-    fn into_propose(self) -> ProposeError {
-        match self {
+impl ProposeError {
+    /// Why an entry of commands was not committed.
+    pub(super) fn from_write(error: ClientWriteError<RaftId, Peer>) -> ProposeError {
+        match write_error(RaftError::APIError(error)) {
             MemberError::Propose(error) => error,
             MemberError::InProgress | MemberError::NotObserver(_) | MemberError::NobodyLeft => {
                 unreachable!("openraft answers so to a change of membership only")

@@ -8,8 +8,8 @@ use consort_protocol::units::{BatteryShare, MetresPerSecond};
 use consort_skills::descriptor::{Context, Estimator, PriceError};
 
 /// What would be left at the end may lie this much below the floor before it counts as falling short: a bid that was only
-/// just taken is not given back for an error in the last digit of an estimate. A share of a full battery; a guess, half
-/// of what a robot uses on a hospital floor between two beacons of a minute.
+/// just taken is not given back for a small error of an estimate. A share of a full battery; a guess: what a robot of the
+/// published evaluation uses in twelve seconds.
 const SLACK: f64 = 0.005;
 
 /// What will be left of the battery.

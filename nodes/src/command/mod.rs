@@ -7,6 +7,7 @@ pub mod dry_run;
 pub mod flags;
 pub mod fleet;
 pub mod missions;
+pub mod recover;
 pub mod rescue;
 pub mod robot;
 pub mod station;

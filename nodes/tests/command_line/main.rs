@@ -5,4 +5,5 @@ mod dry_run;
 mod files;
 mod help;
 mod network;
+mod recover;
 mod support;

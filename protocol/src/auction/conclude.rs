@@ -71,6 +71,8 @@ pub fn conclude(call: &CallForBids, tenders: &[Tender], circumstances: &Circumst
     }
 
     let for_good = |entry: &AuctionEntry| match &entry.verdict {
+        // Whoever is at work for this very mission will not be free before it ends.
+        Verdict::Refused { reason: RefusalReason::Busy { mission, .. } } => *mission == call.auction.mission,
         Verdict::Refused { reason } => reason.is_for_good(),
         Verdict::Viable { .. } | Verdict::Unviable { .. } => false,
     };

@@ -157,6 +157,14 @@ impl World {
         self.say(BodyEvent::GoalEnded { robot: robot.clone(), goal: id, status });
     }
 
+    pub(super) fn goals_of(&self, robot: Entity) -> Vec<GoalId> {
+        let book = self.get::<GoalBook>(robot);
+        let ended = book.ended.iter().map(|(id, _)| *id);
+        let mut goals: Vec<GoalId> = ended.chain(book.current.as_ref().map(|current| current.id)).collect();
+        goals.sort();
+        goals
+    }
+
     pub(super) fn goal_status(&self, robot: Entity, id: GoalId) -> Option<GoalStatus> {
         let book = self.get::<GoalBook>(robot);
         match &book.current {

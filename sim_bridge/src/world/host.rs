@@ -5,7 +5,7 @@ use super::motion::Whereabouts;
 use super::{Due, World};
 use consort_protocol::ids::RobotId;
 use consort_protocol::units::WorldTime;
-use consort_skills::actions::{BodyEvent, BodyHost, Goal, GoalId, GoalStatus, PersonAsk, Telemetry};
+use consort_skills::actions::{ActionError, BodyEvent, BodyHost, Goal, GoalId, GoalStatus, PersonAsk, Telemetry};
 
 impl World {
     fn happen(&mut self, due: Due, events: &mut Vec<BodyEvent>) {
@@ -68,6 +68,14 @@ impl BodyHost for World {
 
     fn status(&self, robot: &RobotId, id: GoalId) -> Option<GoalStatus> {
         self.goal_status(*self.robots.get(robot)?, id)
+    }
+
+    fn goals(&self, robot: &RobotId) -> Vec<GoalId> {
+        self.robots.get(robot).map_or(vec![], |robot| self.goals_of(*robot))
+    }
+
+    fn answer(&self, id: GoalId) -> Option<Result<(), ActionError>> {
+        self.answer_to(id)
     }
 
     fn telemetry(&self, robot: &RobotId) -> Option<Telemetry> {

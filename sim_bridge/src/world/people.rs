@@ -31,7 +31,8 @@ pub(super) struct AskNumber(u64);
 pub(super) struct Asks {
     open: BTreeMap<AskNumber, Ask>,
     ids: BTreeMap<GoalId, AskNumber>,
-    ended: BTreeSet<GoalId>,
+    /// With what came of each; `None` for one that was withdrawn.
+    ended: BTreeMap<GoalId, Option<Result<(), ActionError>>>,
     /// The same in the order of their ends.
     ended_order: VecDeque<GoalId>,
     next: u64,
@@ -55,7 +56,7 @@ struct HandingOver {
 impl World {
     /// Takes an ask, or answers at once why nobody can do it; an id that was seen before changes nothing.
     pub(super) fn take_ask(&mut self, id: GoalId, ask: &PersonAsk) {
-        if self.asks.ids.contains_key(&id) || self.asks.ended.contains(&id) {
+        if self.asks.ids.contains_key(&id) || self.asks.ended.contains_key(&id) {
             return;
         }
         match self.who_will_do(ask) {
@@ -80,7 +81,7 @@ impl World {
             self.queue.take_back(handing.ends);
             self.get_mut::<HandsBusy>(handing.person).0 = false;
         }
-        drop(self.end_ask(id, Ok(())));
+        self.close(id, None);
         self.serve_asks();
     }
 
@@ -172,10 +173,15 @@ impl World {
     }
 
     fn end_ask(&mut self, id: GoalId, result: Result<(), ActionError>) -> BodyEvent {
+        self.close(id, Some(result.clone()));
+        BodyEvent::PersonEnded { ask: id, result }
+    }
+
+    fn close(&mut self, id: GoalId, result: Option<Result<(), ActionError>>) {
         if let Some(number) = self.asks.ids.remove(&id) {
             self.asks.open.remove(&number);
         }
-        if self.asks.ended.insert(id) {
+        if self.asks.ended.insert(id, result).is_none() {
             self.asks.ended_order.push_back(id);
         }
         if self.asks.ended.len() > self.limits.asks_max
@@ -183,6 +189,10 @@ impl World {
         {
             self.asks.ended.remove(&oldest);
         }
-        BodyEvent::PersonEnded { ask: id, result }
+    }
+
+    /// What came of an ask that lately ended.
+    pub(super) fn answer_to(&self, id: GoalId) -> Option<Result<(), ActionError>> {
+        self.asks.ended.get(&id).cloned().flatten()
     }
 }

@@ -3,7 +3,7 @@
 use super::World;
 use consort_protocol::ids::RobotId;
 use consort_protocol::units::WorldTime;
-use consort_skills::actions::{BodyEvent, BodyHost, Goal, GoalId, GoalStatus, PersonAsk, Telemetry};
+use consort_skills::actions::{ActionError, BodyEvent, BodyHost, Goal, GoalId, GoalStatus, PersonAsk, Telemetry};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 /// A handle on a world; all clones are one world. It hosts bodies as the world itself does.
@@ -58,6 +58,14 @@ impl BodyHost for SharedWorld {
 
     fn advance(&mut self, to: WorldTime) -> Vec<BodyEvent> {
         self.lock().advance(to)
+    }
+
+    fn goals(&self, robot: &RobotId) -> Vec<GoalId> {
+        self.lock().goals(robot)
+    }
+
+    fn answer(&self, id: GoalId) -> Option<Result<(), ActionError>> {
+        self.lock().answer(id)
     }
 
     fn status(&self, robot: &RobotId, id: GoalId) -> Option<GoalStatus> {
