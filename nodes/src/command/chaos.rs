@@ -210,9 +210,9 @@ fn score(args: &Args) -> Result<(), Failure> {
     }
     bar.finish_and_clear();
     if args.json {
-        json(&rows)?
+        json(&rows)?;
     } else {
-        output::line(markdown(&rows).trim_end())?
+        output::line(markdown(&rows).trim_end())?;
     }
     let broken: Vec<_> = rows.iter().filter(|row| !row.violations.is_empty()).map(|row| row.fault).collect();
     if broken.is_empty() {
