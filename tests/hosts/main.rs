@@ -5,6 +5,7 @@
 
 mod cables;
 mod chain;
+#[expect(dead_code, reason = "the benches use the rest")]
 mod lab;
 mod loss;
 mod partition;

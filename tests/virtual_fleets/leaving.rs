@@ -19,9 +19,11 @@ fn a_coordinator_that_is_stopped_hands_over_within_a_tenth_of_a_second_and_keeps
         let other = FIVE.iter().find(|name| **name != coordinator).expect("five");
         let began = Instant::now();
         let stopping = tokio::spawn(node.stop());
-        fleet.submit(other, "after").await;
+        // Whoever leads has committed the first entry of its term.
+        fleet.until("another coordinator", |fleet| fleet.leaders().iter().any(|name| *name != coordinator)).await;
         let took = began.elapsed();
         assert!(took < Duration::from_millis(100), "seed {seed}: {took:?}");
+        fleet.submit(other, "after").await;
         stopping.await.expect("no panic");
         assert_eq!(fleet.voters(), before, "seed {seed}");
         fleet.network.crash(&coordinator.parse().expect("a name"));

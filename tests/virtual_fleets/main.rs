@@ -7,6 +7,7 @@ mod deadlines;
 mod delivery;
 mod determinism;
 mod fencing;
+mod found_by_chaos;
 mod keepers;
 mod leaderless;
 mod leases;

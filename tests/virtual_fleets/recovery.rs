@@ -101,7 +101,7 @@ fn a_robot_that_came_back_having_forgotten_that_it_carries_the_sample_needs_resc
         fleet.kill("gorse").await;
         fleet.start_robot("gorse").await;
         let story = |fleet: &Fleet| format!("seed {seed}\n{}", fleet.tale());
-        fleet.until("a call for rescue", SOON, |fleet| fleet.state(&mission).as_deref() == Some("needs rescue")).await;
+        fleet.until("a call for rescue", SOON, |fleet| fleet.state(&mission).as_deref() == Some("needs_rescue")).await;
         assert_eq!(fleet.keeper(ROOM), Keeper::Drawer(slug("gorse")), "{}", story(&fleet));
         let place = fleet.position("gorse");
         fleet.never("a drive", Duration::from_secs(10), |fleet| fleet.position("gorse") != place).await;

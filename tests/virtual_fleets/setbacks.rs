@@ -167,10 +167,10 @@ fn a_canceled_mission_leaves_the_body_at_rest_and_the_drawer_as_it_was() {
             let least = usize::from(task == "close_drawer_nurse");
             assert!(opened == least || opened == least + 1, "seed {seed}: {opened}\n{}", fleet.tale());
             // With the sample in its drawer, somebody has to come for that first.
-            let state = if least == 0 { "canceled" } else { "needs rescue" };
+            let state = if least == 0 { "canceled" } else { "needs_rescue" };
             assert_eq!(fleet.state(&mission).as_deref(), Some(state), "seed {seed}\n{}", fleet.tale());
 
-            if state == "needs rescue" {
+            if state == "needs_rescue" {
                 return; // and until then it is given nothing else
             }
             let next = fleet.submit("b", ROOM).await;

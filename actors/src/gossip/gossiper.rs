@@ -93,6 +93,8 @@ pub(super) struct Gossiper {
     round: Option<Round>,
     turns: Turns,
     changed: bool,
+    /// When the own record was last published.
+    spoke: NodeTime,
 }
 
 impl Gossiper {
@@ -120,6 +122,7 @@ impl Gossiper {
             round: None,
             turns: Turns::default(),
             changed: true,
+            spoke: now,
             settings,
             rng,
         };
@@ -128,7 +131,7 @@ impl Gossiper {
         let (beat, round) = (gossiper.up_to(beat), gossiper.up_to(round));
         gossiper.at(now + beat, Due::Beat);
         gossiper.at(now + round, Due::Round);
-        let first = gossiper.publish(known);
+        let first = gossiper.publish(known, now);
         (gossiper, vec![first])
     }
 
@@ -190,7 +193,7 @@ impl Gossiper {
             Ok(false) => {}
             Ok(true) => {
                 self.changed = true;
-                actions.push(self.publish(known));
+                actions.push(self.publish(known, now));
             }
             Err(bytes) => return Err(format!("own record of {bytes} bytes is too large, and was not changed")),
         }
@@ -244,7 +247,7 @@ impl Gossiper {
         tracing::warn!(node = %self.settings.node, ?stamp, "others know a later record of this node than it wrote: an \
             earlier incarnation was higher, or another node has the same name");
         self.memory.overtake(stamp, known, now);
-        actions.push(self.publish(known));
+        actions.push(self.publish(known, now));
         let what = self.swim.overtake(stamp.incarnation)?;
         self.obey(what, known, now, actions);
         Ok(())
@@ -342,7 +345,10 @@ impl Gossiper {
             match entry.remove() {
                 Due::Beat => {
                     self.memory.repeat(self.settings.renew, known, now);
-                    actions.push(self.publish(known));
+                    // A change that was told a moment ago said as much.
+                    if now.since(self.spoke) * 2 > self.settings.beat {
+                        actions.push(self.publish(known, now));
+                    }
                     let pause = self.about(self.settings.beat);
                     self.at(now + pause, Due::Beat);
                 }
@@ -498,7 +504,8 @@ impl Gossiper {
         }
     }
 
-    fn publish(&mut self, known: &mut Known) -> Action {
+    fn publish(&mut self, known: &mut Known, now: NodeTime) -> Action {
+        self.spoke = now;
         known.counters.published += 1;
         Action::Publish(self.memory.own().clone())
     }

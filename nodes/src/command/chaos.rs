@@ -31,20 +31,11 @@ const SHRINK_TRIES: usize = 300;
     group = ArgGroup::new("what").args(["seeds", "seed", "mutants", "scoreboard"]),
     after_long_help = "\
 Examples:
-  # the first thousand seeds on all cores
-  consort chaos --seeds 1..1000
-
-  # one of them, with all that is done in it
-  consort chaos --seed 4711 --verbose
-
-  # a violation again, with the schedule that was written beside it
-  consort chaos --seed 4711 --schedule chaos-4711.json
-
-  # some kinds of faults alone
-  consort chaos --seeds 1..100 --faults partition,coordinator-crash
-
-  # how the fleet fares under each kind of fault
-  consort chaos --scoreboard --runs 50
+  consort chaos --seeds 1..1000                         # the first thousand seeds, on all cores
+  consort chaos --seed 4711 --verbose                   # one of them, with all that is done in it
+  consort chaos --seed 4711 --schedule chaos-4711.json  # a violation again, with what was written beside it
+  consort chaos --faults partition,coordinator-crash    # some kinds of faults alone
+  consort chaos --scoreboard --runs 50                  # how the fleet fares under each kind of fault
 
   # whether deliberate mistakes are found, and by what
   cargo run --release --features mutants -- chaos --mutants
@@ -144,7 +135,7 @@ impl Args {
     }
 
     /// Makes the chosen mistake on the current thread.
-    fn err(&self) {
+    fn make_mistakes(&self) {
         mutants::choose(self.mutant).expect("it was chosen before");
     }
 
@@ -253,7 +244,7 @@ fn many(args: &Args) -> Result<(), Failure> {
         seeds: args.seeds.clone(),
         jobs: args.jobs(),
         order: &|seed| (args.order(seed), args.generated(seed)),
-        prepare: &|| args.err(),
+        prepare: &|| args.make_mistakes(),
     };
     let mut printed = Ok(());
     let found = many.run(|outcome| {
@@ -371,8 +362,12 @@ fn broken(
 /// A run on a thread where its own panics are not printed.
 fn in_quiet(args: &Args, order: &Order, schedule: &Schedule) -> Outcome {
     let again = (order.clone(), schedule.clone());
-    let many =
-        Many { seeds: order.seed..=order.seed, jobs: 1, order: &move |_| again.clone(), prepare: &|| args.err() };
+    let many = Many {
+        seeds: order.seed..=order.seed,
+        jobs: 1,
+        order: &move |_| again.clone(),
+        prepare: &|| args.make_mistakes(),
+    };
     let mut outcome = None;
     many.run(|told| outcome = Some(told.clone()));
     outcome.expect("a run has an outcome")
