@@ -31,6 +31,13 @@ pub(super) struct Gatherer<S: StateMachine> {
     pub(super) size_max: usize,
 }
 
+/// The commands of one entry, who waits for each, and the first command that found no room.
+struct Filled<S: StateMachine> {
+    batch: Batch<S::Command>,
+    answers: Vec<Answer<S>>,
+    rest: Option<Proposal<S>>,
+}
+
 /// An entry that is on its way, by its number.
 type OnItsWay = BoxFuture<'static, u64>;
 
@@ -51,7 +58,7 @@ impl<S: StateMachine> Gatherer<S> {
                     },
                 },
             };
-            let (batch, answers, rest) = self.fill(first);
+            let Filled { batch, answers, rest } = self.fill(first);
             left_over = rest;
             if answers.is_empty() {
                 continue;
@@ -71,8 +78,8 @@ impl<S: StateMachine> Gatherer<S> {
     }
 
     /// The commands of one entry: those that wait, as long as they fit and at most one of them needs a place of its own.
-    /// Those whose callers have gone are left out. Gives the first that has no room.
-    fn fill(&mut self, first: Proposal<S>) -> (Batch<S::Command>, Vec<Answer<S>>, Option<Proposal<S>>) {
+    /// Those whose callers have gone are left out.
+    fn fill(&mut self, first: Proposal<S>) -> Filled<S> {
         let (mut commands, mut answers) = (vec![], vec![]);
         let (mut size, mut places) = (0, 0);
         let mut next = Some(first);
@@ -81,14 +88,14 @@ impl<S: StateMachine> Gatherer<S> {
                 size += proposal.size;
                 places += usize::from(S::grants_epoch(&proposal.command));
                 if !commands.is_empty() && (size > self.size_max || places > 1) {
-                    return (Batch(commands), answers, Some(proposal));
+                    return Filled { batch: Batch(commands), answers, rest: Some(proposal) };
                 }
                 commands.push(proposal.command);
                 answers.push(proposal.answer);
             }
             next = self.proposals.try_recv().ok();
         }
-        (Batch(commands), answers, None)
+        Filled { batch: Batch(commands), answers, rest: None }
     }
 
     /// Hands an entry to openraft, and gives what tells its outcome to those who wait.
