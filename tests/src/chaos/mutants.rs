@@ -54,7 +54,8 @@ pub struct Hunted {
     pub why: Option<String>,
 }
 
-/// Looks for a mistake on so many threads; `each` is called after each run.
+/// Looks for a mistake on so many threads; `each` is called after each run. A violation counts only if everything holds
+/// for the same seed without the mistake: else it is the fleet's own.
 ///
 /// # Errors
 /// [`NotBuilt`]; nothing was run.
@@ -62,13 +63,22 @@ pub fn hunt(hunt: Hunt, jobs: usize, mut each: impl FnMut()) -> Result<Hunted, N
     mutants::choose(Some(hunt.mutant))?;
     mutants::choose(None)?;
     let cast = Cast::of(NODES);
-    let found = Many {
-        seeds: 1..=hunt.within,
-        jobs,
-        order: &|seed| (Order { seed, nodes: NODES, minutes: MINUTES }, generate(seed, &cast, MINUTES, &Kind::FAULTS)),
-        prepare: &|| mutants::choose(Some(hunt.mutant)).expect("it could be chosen a moment ago"),
-    }
-    .run(|_| each());
+    let order = |seed| (Order { seed, nodes: NODES, minutes: MINUTES }, generate(seed, &cast, MINUTES, &Kind::FAULTS));
+    let choose = |mutant| mutants::choose(mutant).expect("it could be chosen a moment ago");
+    let mut first = 1;
+    let found = loop {
+        let mistaken = Many { seeds: first..=hunt.within, jobs, order: &order, prepare: &|| choose(Some(hunt.mutant)) };
+        let Some(found) = mistaken.run(|_| each()) else { break None };
+        let seeds = found.seed..=found.seed;
+        let sound = Many { seeds, jobs: 1, order: &order, prepare: &|| choose(None) }.run(|_| each()).is_none();
+        if sound {
+            break Some(found);
+        }
+        first = found.seed + 1;
+        if first > hunt.within {
+            break None;
+        }
+    };
     let violation = found.as_ref().and_then(|outcome| outcome.violation.clone());
     Ok(Hunted {
         mutant: hunt.mutant.name(),
