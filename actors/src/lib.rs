@@ -5,8 +5,10 @@
 //! handed in, and whatever is iterated to choose or to send is an ordered map, so that a whole fleet repeats exactly on
 //! paused time.
 
+pub mod allegiance;
 mod answer;
 pub mod attendant;
+pub mod autopilot;
 pub mod body;
 pub mod bus;
 pub mod clock;

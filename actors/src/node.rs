@@ -5,18 +5,22 @@
 //! body and bids; one node hosts bodies and attends to people. If any of these actors fails, the node stops: what it
 //! promised is in the ledger, and its supervisor (a service manager, a test) starts it anew.
 
+use crate::allegiance::{Allegiance, ClusterBus};
+use crate::answer;
 use crate::attendant::{Attendant, AttendantSettings};
+use crate::autopilot::{self, Farewell, LeaveError, Leaver};
 use crate::body::{Body, BodyLinkSettings, Host, HostSettings};
-use crate::bus::{BusError, SharedBus};
+use crate::bus::{BusError, Query, SharedBus, Stream};
 use crate::clock::Clock;
 use crate::coordinator::{Coordinator, CoordinatorSettings};
 use crate::events::Events;
 use crate::gossip::{self, Gossip, GossipHandle, SharedKnowledge};
 use crate::observe::SharedObserver;
-use crate::replica::{Applied, RaftId, Replica, ReplicaSettings, StartError};
-use crate::robot::{Patience, Robot, RobotSettings};
+use crate::replica::{Applied, Replica, ReplicaSettings, StartError};
+use crate::robot::{Patience, Robot, RobotMessage, RobotSettings};
 use crate::store::{Notebook, Store};
 use crate::tasks::Tasks;
+use crate::timing::Timing;
 use consort_protocol::auction::Limits;
 use consort_protocol::ensemble::Ensemble;
 use consort_protocol::ids::{FleetId, NodeId, RobotId};
@@ -31,14 +35,11 @@ use consort_skills::library::SkillLibrary;
 use ractor::{Actor, ActorProcessingErr, ActorRef, SpawnErr, SupervisionEvent};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
-use std::collections::{BTreeMap, BTreeSet};
 use std::sync::{Arc, OnceLock};
 use std::time::Duration;
+use tokio::sync::watch;
 use tokio::task::JoinHandle;
-use tracing::{debug, error, info};
-
-/// Most voters: more would slow every commit and survive little more.
-pub const VOTERS_MAX: usize = 5;
+use tracing::{error, warn};
 
 /// What all nodes of a fleet agree on.
 #[derive(Clone)]
@@ -61,6 +62,12 @@ pub struct FleetSettings {
     /// Nodes that may vote and must have met before the first election. All nodes that are started together count: a node
     /// that has met so many founds the fleet's ledger, with those it has met.
     pub bootstrap_expect: usize,
+    /// How fast it notices and reacts.
+    pub timing: Timing,
+    /// Voters that the autopilot aims at: odd, up to [`autopilot::VOTERS_MAX`].
+    pub voters: usize,
+    /// How long a voter must be gone until the autopilot replaces it.
+    pub dead_after: Duration,
 }
 
 /// What one node is.
@@ -129,7 +136,8 @@ impl From<SpawnErr> for NodeError {
     }
 }
 
-/// A node that runs. Dropping it leaves it running; see [`kill`](NodeHandle::kill) and [`stop`](NodeHandle::stop).
+/// A node that runs. Dropping it leaves it running; see [`kill`](NodeHandle::kill), [`stop`](NodeHandle::stop) and
+/// [`leave`](NodeHandle::leave).
 pub struct NodeHandle {
     /// Its name.
     pub node: NodeId,
@@ -140,6 +148,11 @@ pub struct NodeHandle {
     pub replica: Option<Replica<Ledger>>,
     /// What it has heard.
     pub knowledge: SharedKnowledge,
+    /// Which cluster it belongs to.
+    pub allegiance: Allegiance,
+    /// How it leaves.
+    pub leaver: Leaver,
+    left: watch::Receiver<Option<Farewell>>,
     tasks: Tasks,
 }
 
@@ -152,9 +165,18 @@ impl NodeHandle {
         let cause = Arc::<OnceLock<String>>::default();
         let (root, ended) = Actor::spawn(None, Root { cause: Arc::clone(&cause) }, settings.node.clone()).await?;
         match assemble(settings, bus, &root).await {
-            Ok((node, replica, knowledge, tasks)) => {
-                Ok(NodeHandle { node, root, ended, cause, replica, knowledge, tasks })
-            }
+            Ok(Assembled { leaver, left, allegiance, tasks }) => Ok(NodeHandle {
+                node: leaver.node.clone(),
+                root,
+                ended,
+                cause,
+                replica: leaver.replica.clone(),
+                knowledge: leaver.knowledge.clone(),
+                allegiance,
+                leaver,
+                left,
+                tasks,
+            }),
             Err(problem) => {
                 root.kill();
                 Err(problem)
@@ -165,6 +187,7 @@ impl NodeHandle {
     /// Ends the node as a crash would: nothing is said to anybody.
     pub async fn kill(mut self) {
         self.tasks = Tasks::default();
+        self.leaver.replica = None;
         for child in self.root.get_children() {
             child.kill();
         }
@@ -173,9 +196,44 @@ impl NodeHandle {
         let _ = self.ended.await;
     }
 
-    /// Ends the node: others are told that it leaves.
-    pub async fn stop(mut self) {
+    /// Ends the node for a while: if it coordinates it hands over first, and others are told that it leaves. Its vote, and
+    /// its robot's role, wait in its store.
+    pub async fn stop(self) {
+        self.leaver.step_down().await;
+        self.end().await;
+    }
+
+    /// Ends the node for good: its robot gives its role back, and its vote is taken over by another or removed.
+    ///
+    /// # Errors
+    /// [`LeaveError`], and the node, which runs on.
+    pub async fn leave(self) -> Result<Farewell, (LeaveError, Box<NodeHandle>)> {
+        match self.leaver.for_good().await {
+            Ok(farewell) => {
+                self.end().await;
+                Ok(farewell)
+            }
+            Err(problem) => Err((problem, Box::new(self))),
+        }
+    }
+
+    /// Waits until the node has left for good because somebody asked it to on `api/leave/{node}`, and is to be
+    /// [ended](Self::end); or until it has ended by itself, and says why as [`ended`](Self::ended) does.
+    ///
+    /// # Errors
+    /// Why it ended by itself.
+    pub async fn ended_or_left(&mut self) -> Result<Farewell, String> {
+        let mut left = self.left.clone();
+        tokio::select! {
+            cause = self.ended() => Err(cause),
+            Ok(farewell) = left.wait_for(Option::is_some) => Ok(farewell.clone().expect("it was waited for")),
+        }
+    }
+
+    /// Ends the node without handing anything over; others are told that it leaves.
+    pub async fn end(mut self) {
         self.tasks = Tasks::default();
+        self.leaver.replica = None;
         for child in self.root.get_children() {
             child.stop(None);
         }
@@ -258,7 +316,12 @@ impl Actor for Root {
     }
 }
 
-type Assembled = (NodeId, Option<Replica<Ledger>>, SharedKnowledge, Tasks);
+struct Assembled {
+    leaver: Leaver,
+    left: watch::Receiver<Option<Farewell>>,
+    allegiance: Allegiance,
+    tasks: Tasks,
+}
 
 async fn assemble(
     settings: NodeSettings,
@@ -272,10 +335,10 @@ async fn assemble(
     let events = Events::open(node.clone(), &keys, bus.clone(), clock, observer.clone());
 
     let replica = if settings.may_vote {
-        let replica_settings = ReplicaSettings::new(fleet.fleet.clone(), node.clone());
+        let replica_settings = ReplicaSettings::new(fleet.fleet.clone(), node.clone()).with_timing(fleet.timing);
         let applied = observer.map(|observer| {
             let node = node.clone();
-            Arc::new(move |at, command: Option<&Command>| observer.applied(&node, at, command)) as Applied<Ledger>
+            Arc::new(move |at, commands: &[Command]| observer.applied(&node, at, commands)) as Applied<Ledger>
         });
         let (bus, seed) = (bus.clone(), rng.next_u64());
         Some(Replica::start_observed(replica_settings, bus, store.journal, seed, applied).await?)
@@ -288,11 +351,13 @@ async fn assemble(
         stationary: settings.stationary,
         mains_powered: settings.mains_powered,
         replica: replica.as_ref().map(|replica| replica.id().0),
+        cluster: None,
+        leaving: false,
         worker: settings.robot.as_ref().map(|robot| robot.worker.clone()),
     };
     let shared = SharedKnowledge::default();
     let start = gossip::Start {
-        settings: gossip::Settings::new(fleet.fleet.clone(), node.clone(), incarnation),
+        settings: gossip::Settings::new(fleet.fleet.clone(), node.clone(), incarnation).with_timing(fleet.timing),
         knowledge,
         shared: shared.clone(),
         bus: bus.clone(),
@@ -303,7 +368,28 @@ async fn assemble(
     let (gossip, _) =
         Gossip::start(start, Some(supervisor.clone())).await.map_err(|problem| NodeError::from(*problem))?;
 
+    let allegiance = Allegiance::default();
+    // Consensus and gossip cross the borders of clusters, to find out about them; nothing else does.
+    let bus: SharedBus = Arc::new(ClusterBus::new(bus, keys.clone(), allegiance.clone()));
+    let told = gossip.clone();
+    tasks.spawn(
+        allegiance.clone().follow(move |own| told.update_with(move |knowledge| knowledge.cluster = own).is_ok()),
+    );
+    let times = fleet.timing.times();
+
     if let Some(replica) = &replica {
+        let (mut own, sworn) = (replica.cluster(), allegiance.clone());
+        tasks.spawn(async move {
+            loop {
+                let cluster = *own.borrow_and_update();
+                if let Some(cluster) = cluster {
+                    sworn.keep(cluster);
+                }
+                if own.changed().await.is_err() {
+                    return;
+                }
+            }
+        });
         let coordinator = CoordinatorSettings {
             node: node.clone(),
             keys: keys.clone(),
@@ -318,7 +404,11 @@ async fn assemble(
             terms: fleet.terms,
             window: fleet.window,
             stall_after: fleet.stall_after,
-            beat: Duration::from_millis(200),
+            beat: times.beacon,
+            cluster_seed: rng.next_u64(),
+            voters: fleet.voters,
+            dead_after: fleet.dead_after,
+            near: times.election_max,
         };
         Actor::spawn_linked(None, Coordinator, coordinator, supervisor.clone()).await?;
         let (watched, root) = (replica.clone(), root.clone());
@@ -327,7 +417,9 @@ async fn assemble(
             // A root that has gone needs not be told.
             let _ = root.send_message(NodeMessage::LedgerFailed(problem));
         });
-        tasks.spawn(bootstrap(node.clone(), replica.clone(), shared.clone(), fleet.bootstrap_expect));
+        let founding = (replica.clone(), shared.clone(), fleet.bootstrap_expect, fleet.voters);
+        let (replica, knowledge, expect, target) = founding;
+        tasks.spawn(autopilot::bootstrap(node.clone(), replica, knowledge, expect, target));
     }
 
     if let Some(host) = settings.host {
@@ -350,24 +442,58 @@ async fn assemble(
         Actor::spawn_linked(None, Attendant, attendant, supervisor.clone()).await?;
     }
 
+    let mut robot = None;
     if let Some(part) = settings.robot {
-        start_robot(
+        let started = start_robot(
             part,
             RobotId::from(node.clone()),
             incarnation,
             &fleet,
             &keys,
-            bus,
+            bus.clone(),
             clock,
             events,
-            gossip,
+            gossip.clone(),
             store.notebook,
             &supervisor,
             &mut tasks,
         )
         .await?;
+        robot = Some(started);
     }
-    Ok((node, replica, shared, tasks))
+    let leaver = Leaver {
+        node: node.clone(),
+        keys: keys.clone(),
+        bus: bus.clone(),
+        replica,
+        gossip,
+        knowledge: shared,
+        robot,
+        terms: fleet.terms,
+        times,
+    };
+    let (leave, left) = watch::channel(None);
+    let asked = bus.serve(&keys.write(&Key::Leave(node))).await?;
+    tasks.spawn(leave_when_asked(leaver.clone(), asked, leave));
+    Ok(Assembled { leaver, left, allegiance, tasks })
+}
+
+/// Leaves for good when somebody asks for it, and answers once it has, or why it has not.
+async fn leave_when_asked(leaver: Leaver, mut asked: Stream<Query>, left: watch::Sender<Option<Farewell>>) {
+    while let Some(query) = asked.recv().await {
+        match leaver.for_good().await {
+            Ok(farewell) => {
+                answer::json(&query, &query.key, &farewell).await;
+                left.send_replace(Some(farewell));
+                // Whoever runs the node ends it now.
+                return;
+            }
+            Err(problem) => {
+                warn!(node = %leaver.node, %problem, "stays");
+                answer::json(&query, &query.key, &serde_json::json!({ "error": problem.to_string() })).await;
+            }
+        }
+    }
 }
 
 #[expect(clippy::too_many_arguments, reason = "the parts of a node that a robot is wired to, once")]
@@ -384,7 +510,7 @@ async fn start_robot(
     notebook: Arc<dyn Notebook>,
     supervisor: &ractor::ActorCell,
     tasks: &mut Tasks,
-) -> Result<(), NodeError> {
+) -> Result<ActorRef<RobotMessage>, NodeError> {
     let link = BodyLinkSettings {
         robot: robot.clone(),
         keys: keys.clone(),
@@ -421,51 +547,6 @@ async fn start_robot(
         beat: Duration::from_millis(250),
         tick: Duration::from_millis(100),
     };
-    Actor::spawn_linked(None, Robot, settings, supervisor.clone()).await?;
-    Ok(())
-}
-
-/// Founds the ledger once enough nodes that may vote have met: the first of them by name does it, with up to
-/// [`VOTERS_MAX`] voters, an odd number, stationary and mains-powered ones before others.
-async fn bootstrap(node: NodeId, replica: Replica<Ledger>, knowledge: SharedKnowledge, expect: usize) {
-    let mut changed = knowledge.changed();
-    loop {
-        if !replica.leadership().borrow().voters.is_empty() {
-            return; // somebody has
-        }
-        let voters = first_voters(&knowledge, expect);
-        if voters.values().min() == Some(&node) {
-            info!(%node, voters = voters.len(), "founds the ledger");
-            if let Err(problem) = replica.bootstrap(voters).await {
-                debug!(%node, %problem, "did not found the ledger");
-            }
-            return;
-        }
-        if changed.changed().await.is_err() {
-            return;
-        }
-    }
-}
-
-fn first_voters(knowledge: &SharedKnowledge, expect: usize) -> BTreeMap<RaftId, NodeId> {
-    let met: Vec<(bool, bool, NodeId, RaftId)> = knowledge.read(|base| {
-        let candidates = base.iter().filter_map(|(node, heard)| {
-            let known = &heard.record.knowledge;
-            let id = known.replica.filter(|_| known.may_vote)?;
-            Some((!known.stationary, !known.mains_powered, node.clone(), RaftId(id)))
-        });
-        candidates.collect()
-    });
-    let mut met: BTreeSet<_> = met.into_iter().filter(|(_, _, node, _)| knowledge.alive(node)).collect();
-    if met.len() < expect.max(1) {
-        return BTreeMap::new();
-    }
-    let odd = |count: usize| if count.is_multiple_of(2) { count - 1 } else { count };
-    let count = odd(met.len().min(VOTERS_MAX));
-    let mut voters = BTreeMap::new();
-    while voters.len() < count {
-        let Some((_, _, node, id)) = met.pop_first() else { break };
-        voters.insert(id, node);
-    }
-    voters
+    let (robot, _) = Actor::spawn_linked(None, Robot, settings, supervisor.clone()).await?;
+    Ok(robot)
 }

@@ -14,9 +14,9 @@ pub trait Observer: Send + Sync + 'static {
     /// The node tells of something on its event stream.
     fn told(&self, event: &Event);
 
-    /// The node's copy of the ledger has taken in the entry at `at`: a command, or one of Raft's own. After a restart the
-    /// entries behind the last snapshot are taken in anew.
-    fn applied(&self, node: &NodeId, at: Epoch, command: Option<&Command>);
+    /// The node's copy of the ledger has taken in the entry at `at`: commands in their order, or none for one of Raft's own.
+    /// After a restart the entries behind the last snapshot are taken in anew.
+    fn applied(&self, node: &NodeId, at: Epoch, commands: &[Command]);
 }
 
 /// An observer that several nodes share.

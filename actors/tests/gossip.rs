@@ -40,7 +40,15 @@ fn fleet_id() -> FleetId {
 }
 
 fn knowledge(replica: u64) -> Knowledge {
-    Knowledge { may_vote: true, stationary: false, mains_powered: false, replica: Some(replica), worker: None }
+    Knowledge {
+        may_vote: true,
+        stationary: false,
+        mains_powered: false,
+        replica: Some(replica),
+        cluster: None,
+        leaving: false,
+        worker: None,
+    }
 }
 
 struct Node {

@@ -191,7 +191,22 @@ fn recognise_toml(text: &str, file: &str) -> Result<Kind, Problems> {
         (Kind::Workers, &["worker"]),
         (Kind::World, &["robot", "person", "seed", "speed", "durations"]),
         (Kind::Robot, &["place", "skills", "speed_mps", "battery", "discharge_share_per_s", "useful_charge"]),
-        (Kind::Fleet, &["map", "bootstrap_expect", "link_lease_ms", "limits", "lease", "auction", "ensemble"]),
+        (
+            Kind::Fleet,
+            &[
+                "map",
+                "bootstrap_expect",
+                "timing",
+                "voters",
+                "dead_after_ms",
+                "link_lease_ms",
+                "stall_after_s",
+                "limits",
+                "lease",
+                "auction",
+                "ensemble",
+            ],
+        ),
         (Kind::Station, &["fleet", "stationary", "mains_powered", "may_vote", "bus"]),
     ];
     let count = |marks: &[&str]| marks.iter().filter(|mark| table.contains_key(**mark)).count();

@@ -1,6 +1,8 @@
 //! The command line.
 
-use crate::command::{cancel, chaos, check, dry_run, fleet, missions, rescue, robot, station, submit, world};
+use crate::command::{
+    cancel, chaos, check, dry_run, fleet, leave, missions, recover, rescue, robot, station, submit, world,
+};
 use crate::demo;
 use crate::exit::Failure;
 use crate::output;
@@ -56,8 +58,10 @@ enum Command {
     Cancel(cancel::Args),
     Rescue(rescue::Args),
     Fleet(fleet::Args),
+    Leave(leave::Args),
     Check(check::Args),
     DryRun(dry_run::Args),
+    Recover(recover::Args),
     Chaos(chaos::Args),
 }
 
@@ -73,8 +77,10 @@ pub fn run() -> ExitCode {
         Command::Cancel(args) => cancel::run(args),
         Command::Rescue(args) => rescue::run(args),
         Command::Fleet(args) => fleet::run(args),
+        Command::Leave(args) => leave::run(args),
         Command::Check(args) => check::run(args),
         Command::DryRun(args) => dry_run::run(args),
+        Command::Recover(args) => recover::run(args),
         Command::Chaos(args) => chaos::run(&args),
     };
     match done {

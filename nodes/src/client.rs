@@ -7,7 +7,7 @@ use crate::running::{describe, start_log};
 use bytes::Bytes;
 use consort_actors::bus::zenoh_bus::Mode;
 use consort_actors::bus::{Bus, ZenohBus, ZenohSettings};
-use consort_protocol::ids::FleetId;
+use consort_protocol::ids::{FleetId, NodeId};
 use consort_protocol::keys::{ApiCall, Key, Keys};
 use serde_json::Value;
 use std::path::Path;
@@ -106,6 +106,22 @@ impl Client {
     /// As [`api`](Self::api).
     pub async fn view(&mut self, key: &Key) -> Result<Value, Failure> {
         self.ask(key, String::new()).await
+    }
+
+    /// Asks one node for something that it does at most once, and waits for its answer.
+    ///
+    /// # Errors
+    /// [`Failure::Unsuccessful`] with what it refused; [`Failure::Unreached`] if the node does not answer.
+    pub async fn ask_node(&mut self, key: &Key, node: &NodeId, limit: Duration) -> Result<Value, Failure> {
+        match self.once(&self.keys.write(key), "", limit).await {
+            Ok(value) => Ok(value),
+            Err(Hindrance::Refused(problem)) => Err(Failure::Unsuccessful(problem)),
+            Err(Hindrance::MayPass(problem, _)) => Err(Failure::Unreached(format!("{node}: {problem}"))),
+            Err(Hindrance::Silence) => Err(Failure::Unreached(format!(
+                "no node {node} answers in fleet {}; linked to {}. `consort fleet` names those that are there",
+                self.fleet, self.to
+            ))),
+        }
     }
 
     /// Says on the standard error what is waited for.

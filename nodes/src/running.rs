@@ -20,8 +20,8 @@ const LOG: &str = "info,zenoh=error,openraft=error,openraft::replication=off,rac
 /// How often a node looks at its links.
 const LOOK: Duration = Duration::from_millis(500);
 
-/// How long a node may take to say goodbye.
-const GOODBYE: Duration = Duration::from_secs(3);
+/// How long a node may take to hand over and say goodbye.
+const GOODBYE: Duration = Duration::from_secs(5);
 
 /// A runtime such as Zenoh needs.
 ///
@@ -51,8 +51,8 @@ pub fn start_log(filter: Option<String>, default: &str) -> Result<(), Failure> {
     Ok(())
 }
 
-/// Runs a node until Ctrl-C or SIGTERM, until its standard input closes if that is asked for, or until an actor of it
-/// fails. `settings` is called once, within the runtime.
+/// Runs a node until Ctrl-C or SIGTERM, until it has left the fleet, until its standard input closes if that is asked for,
+/// or until an actor of it fails. If it coordinates, it hands over before it goes. `settings` is called once, within the runtime.
 ///
 /// # Errors
 /// [`Failure::Usage`] if it cannot start as configured, [`Failure::Unsuccessful`] if it fails.
@@ -90,16 +90,31 @@ async fn until_told(
     let mut node = started.map_err(|problem| Failure::Unsuccessful(format!("{name} did not start: {problem}")))?;
     info!(node = %name, "started");
 
+    let mut left = None;
+    let ended = node.ended_or_left();
     let signal = tokio::select! {
         _ = terminate.recv() => Ok("SIGTERM"),
         _ = interrupt.recv() => Ok("Ctrl-C"),
         () = stdin_closed(until_stdin_closes) => Ok("end of input"),
-        cause = node.ended() => Err(cause),
+        ended = ended => match ended {
+            Ok(farewell) => {
+                left = Some(farewell);
+                Ok("it has left the fleet for good")
+            }
+            Err(cause) => Err(cause),
+        },
     };
     let signal = signal.map_err(|cause| Failure::Unsuccessful(format!("{name} stopped: {cause}")))?;
     info!(node = %name, signal, "stops");
     let goodbye = async {
-        node.stop().await;
+        match left {
+            None => node.stop().await,
+            Some(farewell) => {
+                info!(node = %name, successor = farewell.successor.map(tracing::field::display), released = farewell.released,
+                    role_given_back = farewell.role_given_back, "left");
+                node.end().await;
+            }
+        }
         zenoh.close().await
     };
     match tokio::time::timeout(GOODBYE, goodbye).await {

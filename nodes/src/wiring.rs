@@ -105,9 +105,12 @@ pub fn fleet_settings(config: &FleetConfig) -> Result<FleetSettings, Problems> {
             lease: Duration::from_millis(config.lease.lease_ms),
             grace: Duration::from_millis(config.lease.grace_ms),
         },
-        window: Duration::from_millis(config.auction.window_ms),
+        window: config.times().window,
         stall_after: Duration::from_secs(config.stall_after_s),
         bootstrap_expect: config.bootstrap_expect,
+        timing: config.timing,
+        voters: config.voters,
+        dead_after: config.times().dead_after,
     })
 }
 
@@ -257,7 +260,7 @@ pub fn bus_settings(bus: &BusConfig, fleet: &FleetConfig) -> ZenohSettings {
     ZenohSettings {
         listen: bus.listen.clone(),
         connect: bus.connect.clone(),
-        lease: Duration::from_millis(fleet.link_lease_ms),
+        lease: fleet.times().link_lease,
         ..ZenohSettings::default()
     }
 }

@@ -16,9 +16,9 @@ use crate::knowledge::{Availability, Heard, Knowledge, KnowledgeBase};
 use crate::units::NodeTime;
 use cel::{Context, Env, Program, Value};
 use serde::{Deserialize, Serialize};
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
-use std::sync::Arc;
+use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
 /// An ensemble as a fleet file declares it.
@@ -75,6 +75,17 @@ pub struct Ensemble {
     coordinator: Vec<Condition>,
     /// CEL's own functions. They take longer to set up than any condition to evaluate, so this is done once.
     functions: Arc<Env>,
+    /// What the conditions said last of each node, and from what: they are asked many times a second, and knowledge changes
+    /// once a second at most.
+    judged: Mutex<BTreeMap<NodeId, Judged>>,
+}
+
+/// What the conditions said, and of whom as known when.
+struct Judged {
+    member: Knowledge,
+    coordinator: NodeId,
+    coordinator_knows: Knowledge,
+    verdict: Result<(), String>,
 }
 
 impl fmt::Debug for Ensemble {
@@ -149,7 +160,8 @@ impl Ensemble {
     pub fn compile(spec: EnsembleSpec) -> Result<Ensemble, ConditionError> {
         let membership = compile_all(&spec, &spec.membership)?;
         let coordinator = compile_all(&spec, &spec.coordinator)?;
-        let ensemble = Ensemble { spec, membership, coordinator, functions: Arc::new(Env::stdlib()) };
+        let ensemble =
+            Ensemble { spec, membership, coordinator, functions: Arc::new(Env::stdlib()), judged: Mutex::default() };
         let example = NodeId::new("example").expect("a slug");
         let knowledge = example_knowledge();
         let facts = ensemble.facts((&example, &knowledge), (&example, &knowledge)).expect("an example can be told");
@@ -182,21 +194,55 @@ impl Ensemble {
         let Some(head) = base.get(coordinator) else {
             return verdict(false, format!("nothing heard of the coordinator {coordinator}"));
         };
-        let facts = self.facts((node, &member.record.knowledge), (coordinator, &head.record.knowledge));
-        let facts = match facts {
-            Ok(facts) => facts,
-            Err(problem) => return verdict(false, format!("{node} cannot be judged: {problem}")),
+        match self.ask(node, &member.record.knowledge, coordinator, &head.record.knowledge) {
+            Ok(()) => verdict(true, "all conditions hold".to_owned()),
+            Err(reason) => verdict(false, reason),
+        }
+    }
+
+    /// Whether all conditions hold, and if not, which does not and of whom.
+    fn ask(
+        &self,
+        node: &NodeId,
+        knows: &Knowledge,
+        coordinator: &NodeId,
+        coordinator_knows: &Knowledge,
+    ) -> Result<(), String> {
+        // A verdict is replaced as a whole, so a poisoned lock still guards sound ones.
+        let mut judged = self.judged.lock().unwrap_or_else(PoisonError::into_inner);
+        let as_before = |known: &&Judged| {
+            known.coordinator == *coordinator && known.member == *knows && known.coordinator_knows == *coordinator_knows
         };
+        if let Some(known) = judged.get(node).filter(as_before) {
+            return known.verdict.clone();
+        }
+        let verdict = self.evaluate(node, knows, coordinator, coordinator_knows);
+        let (member, coordinator_knows) = (knows.clone(), coordinator_knows.clone());
+        let known = Judged { member, coordinator: coordinator.clone(), coordinator_knows, verdict: verdict.clone() };
+        judged.insert(node.clone(), known);
+        verdict
+    }
+
+    fn evaluate(
+        &self,
+        node: &NodeId,
+        knows: &Knowledge,
+        coordinator: &NodeId,
+        coordinator_knows: &Knowledge,
+    ) -> Result<(), String> {
+        let facts = self
+            .facts((node, knows), (coordinator, coordinator_knows))
+            .map_err(|problem| format!("{node} cannot be judged: {problem}"))?;
         for (conditions, whose) in [(&self.coordinator, coordinator), (&self.membership, node)] {
             for condition in conditions {
                 match condition.holds(&facts) {
                     Ok(true) => {}
-                    Ok(false) => return verdict(false, format!("`{}` is false for {whose}", condition.text)),
-                    Err(problem) => return verdict(false, format!("`{}` for {whose}: {problem}", condition.text)),
+                    Ok(false) => return Err(format!("`{}` is false for {whose}", condition.text)),
+                    Err(problem) => return Err(format!("`{}` for {whose}: {problem}", condition.text)),
                 }
             }
         }
-        verdict(true, "all conditions hold".to_owned())
+        Ok(())
     }
 
     /// Everyone this node believes to be a member.
@@ -281,6 +327,8 @@ fn example_knowledge() -> Knowledge {
         stationary: false,
         mains_powered: false,
         replica: None,
+        cluster: None,
+        leaving: false,
         worker: Some(crate::knowledge::Worker {
             skills: BTreeSet::from([TaskType::new("navigation").expect("a slug")]),
             place: PlaceId::new("dock").expect("a label"),

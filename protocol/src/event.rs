@@ -1,7 +1,7 @@
 //! What happens, as it happens: the stream on `consort/{fleet}/events`, in JSON, for people and programs to follow.
 
 use crate::auction::{AuctionRecord, Bid};
-use crate::ids::{EnsembleId, MissionId, NodeId, RobotId, RoleId, TaskId};
+use crate::ids::{ClusterId, EnsembleId, MissionId, NodeId, RobotId, RoleId, TaskId};
 use crate::lease::{Ending, Epoch};
 use crate::ledger::MissionState;
 use crate::message::FailureKind;
@@ -38,6 +38,22 @@ pub enum Happening {
     SteppedDown {
         /// The term in which it did.
         term: u64,
+    },
+    /// Somebody coordinates another cluster under this fleet's name: two fleets were founded apart. They do not merge.
+    Foreign {
+        /// The cluster of the node that tells.
+        cluster: ClusterId,
+        /// The other one.
+        foreign: ClusterId,
+        /// A node of the other one.
+        member: NodeId,
+    },
+    /// The coordinator changed who keeps the ledger.
+    Voters {
+        /// Who votes from now on.
+        voters: Vec<NodeId>,
+        /// What was changed, and why.
+        reason: String,
     },
     /// The coordinator counts a node among an ensemble's members.
     Joined {

@@ -133,6 +133,54 @@ names! {
     PlaceId, "place", LABEL;
 }
 
+/// One founding of a fleet's ledger. Two fleets of one name that were founded apart differ in it, and must not merge.
+///
+/// Shown, and written in JSON, as 16 hexadecimal digits; in bincode it takes 8 bytes.
+#[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct ClusterId(pub u64);
+
+impl fmt::Display for ClusterId {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{:016x}", self.0)
+    }
+}
+
+impl fmt::Debug for ClusterId {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "ClusterId({self})")
+    }
+}
+
+impl std::str::FromStr for ClusterId {
+    type Err = NameError;
+    fn from_str(text: &str) -> Result<Self, NameError> {
+        let digits = text.len() == 16 && text.bytes().all(|byte| byte.is_ascii_hexdigit());
+        let number = u64::from_str_radix(text, 16).ok().filter(|_| digits);
+        number.map(ClusterId).ok_or_else(|| NameError {
+            kind: "cluster",
+            text: text.to_owned(),
+            problem: "it is not a number of 16 hexadecimal digits".to_owned(),
+            allowed: "hexadecimal digits, of which there are 16",
+        })
+    }
+}
+
+impl Serialize for ClusterId {
+    fn serialize<S: serde::Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        if serializer.is_human_readable() { serializer.collect_str(self) } else { serializer.serialize_u64(self.0) }
+    }
+}
+
+impl<'de> Deserialize<'de> for ClusterId {
+    fn deserialize<D: serde::Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        if deserializer.is_human_readable() {
+            String::deserialize(deserializer)?.parse().map_err(serde::de::Error::custom)
+        } else {
+            u64::deserialize(deserializer).map(ClusterId)
+        }
+    }
+}
+
 impl From<RobotId> for NodeId {
     /// A robot's node bears the robot's name.
     fn from(robot: RobotId) -> NodeId {
@@ -168,6 +216,17 @@ mod tests {
         assert_eq!(PlaceId::new("IC Room 6").unwrap().as_str(), "IC Room 6");
         assert!(PlaceId::new(" IC Room 6").is_err());
         assert!(PlaceId::new("IC\nRoom").is_err());
+    }
+
+    #[test]
+    fn a_cluster_is_written_in_hexadecimal_digits() {
+        let cluster = ClusterId(0xab);
+        let json = serde_json::to_string(&cluster).unwrap();
+        assert_eq!(json, "\"00000000000000ab\"");
+        assert_eq!(serde_json::from_str::<ClusterId>(&json).unwrap(), cluster);
+        for text in ["", "ab", "+0000000000000ab", "00000000000000ag", "00000000000000ab0"] {
+            assert!(text.parse::<ClusterId>().is_err(), "{text:?}");
+        }
     }
 
     #[test]

@@ -3,7 +3,7 @@
 //! ```text
 //! consort/{fleet}/wire/**   bincode, between nodes             (see `message` for who says what)
 //! consort/{fleet}/view/**   JSON, for people and any client    get: fleet, robots, coordinator, missions, auctions, world
-//! consort/{fleet}/api/**    JSON, for people and any client    query: submit, cancel, get, list
+//! consort/{fleet}/api/**    JSON, for people and any client    query: submit, cancel, get, list, leave/{node}
 //! consort/{fleet}/alive/**  presence tokens                    robot/{id}, node/{id}, coordinator/{term}/{id}
 //! consort/{fleet}/events    JSON, published                    what happens, as it happens
 //! ```
@@ -58,6 +58,8 @@ pub enum Key {
     ViewWorld,
     /// `api/{call}`.
     Api(ApiCall),
+    /// `api/leave/{node}`: asks a node to leave the fleet for good.
+    Leave(NodeId),
     /// `alive/robot/{robot}`.
     AliveRobot(RobotId),
     /// `alive/node/{node}`.
@@ -155,6 +157,16 @@ impl Keys {
         read(text.strip_prefix(&self.prefix)?.strip_prefix('/')?)
     }
 
+    /// Whether what is said on this key, or key expression, concerns missions and is [`Within`](crate::message::Within)
+    /// a cluster.
+    pub fn is_within_cluster(&self, text: &str) -> bool {
+        let below = text.strip_prefix(&self.prefix).and_then(|rest| rest.strip_prefix("/wire/"));
+        let kind = below.map(|rest| rest.split('/').next().unwrap_or(rest));
+        kind.is_some_and(|kind| {
+            ["beacon", "bid", "award", "report", "live", "changed", "signal", "said"].contains(&kind)
+        })
+    }
+
     /// Key expression for all records of knowledge.
     pub fn any_knowledge(&self) -> String {
         format!("{}/wire/knowledge/*", self.prefix)
@@ -232,6 +244,7 @@ impl fmt::Display for Key {
             Key::ViewAuctions => f.write_str("view/auctions"),
             Key::ViewWorld => f.write_str("view/world"),
             Key::Api(call) => write!(f, "api/{}", call.word()),
+            Key::Leave(node) => write!(f, "api/leave/{node}"),
             Key::AliveRobot(robot) => write!(f, "alive/robot/{robot}"),
             Key::AliveNode(node) => write!(f, "alive/node/{node}"),
             Key::AliveCoordinator(term, node) => write!(f, "alive/coordinator/{term}/{node}"),
@@ -267,6 +280,7 @@ fn read(text: &str) -> Option<Key> {
         ["view", "auctions"] => Key::ViewAuctions,
         ["view", "world"] => Key::ViewWorld,
         ["api", call] => Key::Api(ApiCall::read(call)?),
+        ["api", "leave", node] => Key::Leave(node.parse().ok()?),
         ["alive", "robot", robot] => Key::AliveRobot(robot.parse().ok()?),
         ["alive", "node", node] => Key::AliveNode(node.parse().ok()?),
         ["alive", "coordinator", term, node] => Key::AliveCoordinator(term.parse().ok()?, node.parse().ok()?),
@@ -303,6 +317,7 @@ mod tests {
             Key::ViewMission(mission),
             Key::ViewAuctions,
             Key::ViewWorld,
+            Key::Leave(node.clone()),
             Key::AliveRobot(robot.clone()),
             Key::AliveNode(node.clone()),
             Key::AliveCoordinator(7, node),
@@ -330,6 +345,17 @@ mod tests {
         let keys = Keys::new(&FleetId::new("ward").unwrap());
         let texts: std::collections::BTreeSet<String> = all().iter().map(|key| keys.write(key)).collect();
         assert_eq!(texts.len(), all().len());
+    }
+
+    #[test]
+    fn what_concerns_missions_is_within_a_cluster() {
+        let keys = Keys::new(&FleetId::new("ward").unwrap());
+        for text in [keys.any_bid(), keys.any_signal(), keys.write(&Key::Beacon), keys.write(&Key::Changed)] {
+            assert!(keys.is_within_cluster(&text), "{text}");
+        }
+        for text in [keys.any_knowledge(), keys.any_raft(7), keys.any_view(), "consort/warden/wire/beacon".to_owned()] {
+            assert!(!keys.is_within_cluster(&text), "{text}");
+        }
     }
 
     #[test]

@@ -4,7 +4,7 @@
 //! change); merging keeps the later one, so that merging is commutative, associative and idempotent, and knowledge may
 //! reach a node by any way, in any order, any number of times (a state-based CRDT: Shapiro et al. 2011).
 
-use crate::ids::{MissionId, NodeId, PlaceId, RoleId, TaskType};
+use crate::ids::{ClusterId, MissionId, NodeId, PlaceId, RoleId, TaskType};
 use crate::pose::Pose;
 use crate::units::{BatteryShare, MetresPerSecond, NodeTime, SharePerSecond};
 use serde::{Deserialize, Serialize};
@@ -42,6 +42,10 @@ pub struct Knowledge {
     pub mains_powered: bool,
     /// Its member number in the ledger's consensus, where it keeps a copy.
     pub replica: Option<u64>,
+    /// The cluster it belongs to: that of its ledger, else the first whose coordinator it has heard.
+    pub cluster: Option<ClusterId>,
+    /// Whether it is about to leave the fleet for good.
+    pub leaving: bool,
     /// Its robot, if it is a robot's node.
     pub worker: Option<Worker>,
 }
@@ -191,6 +195,8 @@ mod tests {
                 stationary: false,
                 mains_powered: false,
                 replica: Some(incarnation * 1000 + version),
+                cluster: None,
+                leaving: false,
                 worker: None,
             },
         }

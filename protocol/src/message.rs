@@ -12,8 +12,10 @@
 //! | `wire/changed` | publish | coordinator → all | [`Changed`] | – |
 //! | `wire/signal/{mission}/{role}` | publish | role → role | [`Said`] | – |
 //! | `wire/said/{mission}/{role}` | query | late waiter → role | nothing | [`Said`] |
+//!
+//! From `wire/beacon` on, what is published or asked is [`Within`] a cluster.
 
-use crate::ids::{MissionId, NodeId, PlaceId, RobotId, RoleId, TaskId};
+use crate::ids::{ClusterId, MissionId, NodeId, PlaceId, RobotId, RoleId, TaskId};
 use crate::knowledge::{Digest, Record};
 use crate::lease::{Award, Declined, Ending, Epoch, Holding};
 use crate::plan::{LocalPlan, Signal, StepIndex};
@@ -34,12 +36,23 @@ pub struct Exchange {
 pub struct Beacon {
     /// Its node.
     pub node: NodeId,
-    /// Its term: a beacon of an older term is a coordinator that does not know that it no longer is.
+    /// Its term, which it shares with no other of its cluster: a beacon of an older one is a coordinator that does not know
+    /// that it no longer is.
     pub term: u64,
     /// Who keeps the ledger.
     pub voters: BTreeSet<NodeId>,
     /// How long it has coordinated, in milliseconds.
     pub since_ms: u64,
+}
+
+/// What goes around every message that concerns missions, on the bus: two clusters of one fleet name may have missions
+/// of the same name.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Within {
+    /// Which cluster the sender belongs to, if it knows of one.
+    pub cluster: Option<ClusterId>,
+    /// The message.
+    pub said: Vec<u8>,
 }
 
 /// The coordinator tells a robot what the ledger says of it.

@@ -5,14 +5,15 @@ use consort_protocol::auction::{
     Unviable, Verdict,
 };
 use consort_protocol::codec::{LIMIT, decode, encode};
-use consort_protocol::ids::{MissionId, NodeId, PlaceId, RequestId, RobotId, RoleId, TaskId, TaskType};
+use consort_protocol::ids::{ClusterId, MissionId, NodeId, PlaceId, RequestId, RobotId, RoleId, TaskId, TaskType};
 use consort_protocol::knowledge::{Availability, Digest, Knowledge, Record, Stamp, Worker};
 use consort_protocol::lease::{Award, Declined, Ending, Epoch, Holding};
 use consort_protocol::ledger::{
     Command, Ledger, MissionState, Outcome, Priority, Recovery, Refused, Stranded, Submission,
 };
 use consort_protocol::message::{
-    AwardAnswer, AwardNotice, Beacon, Changed, Exchange, FailureKind, LivePlan, Report, ReportAnswer, Said, TaskFailure,
+    AwardAnswer, AwardNotice, Beacon, Changed, Exchange, FailureKind, LivePlan, Report, ReportAnswer, Said,
+    TaskFailure, Within,
 };
 use consort_protocol::mission::{
     Body, Method, Mission, OnLoss, Order, OtherMethod, Role, RoleKind, TaskNode, TaskSpec,
@@ -141,12 +142,13 @@ fn worker() -> impl Strategy<Value = Worker> {
 }
 
 fn record() -> impl Strategy<Value = Record> {
-    let flags = (any::<bool>(), any::<bool>(), any::<bool>());
-    (name(), stamp(), flags, option::of(any::<u64>()), option::of(worker())).prop_map(
-        |(owner, stamp, (may_vote, stationary, mains_powered), replica, worker)| Record {
+    let flags = (any::<bool>(), any::<bool>(), any::<bool>(), any::<bool>());
+    let numbers = (option::of(any::<u64>()), option::of(any::<u64>().prop_map(ClusterId)));
+    (name(), stamp(), flags, numbers, option::of(worker())).prop_map(
+        |(owner, stamp, (may_vote, stationary, mains_powered, leaving), (replica, cluster), worker)| Record {
             owner,
             stamp,
-            knowledge: Knowledge { may_vote, stationary, mains_powered, replica, worker },
+            knowledge: Knowledge { may_vote, stationary, mains_powered, replica, cluster, leaving, worker },
         },
     )
 }
@@ -235,6 +237,7 @@ fn submission() -> impl Strategy<Value = Submission> {
 fn command() -> impl Strategy<Value = Command> {
     let held = || (name::<MissionId>(), name::<RoleId>(), epoch());
     prop_oneof![
+        any::<u64>().prop_map(|cluster| Command::Found { cluster: ClusterId(cluster) }),
         submission().prop_map(|submission| Command::Submit(Box::new(submission))),
         (name(), btree_map(name(), name(), 0..3), auction_record())
             .prop_map(|(mission, holders, auction)| Command::Award { mission, holders, auction }),
@@ -430,6 +433,7 @@ proptest! {
         term in any::<u64>(), voters in btree_set(name::<NodeId>(), 0..4), plan in plan(),
         ended in btree_set(any::<u32>(), 0..4), holders in holders()
     ) {
+        survives(&Within { cluster: Some(ClusterId(term)), said: vec![1, 2, 3] })?;
         survives(&Said { mission: mission.clone(), epoch, signals })?;
         survives(&Beacon { node: node.clone(), term, voters, since_ms: term })?;
         survives(&Changed { node, term })?;

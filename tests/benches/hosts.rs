@@ -39,7 +39,7 @@ fn main() {
         Some("cuts") => inside_again(&again, &[], || print(&cuts(number(20)))),
         Some("wifi") => inside_again(&again, &["nft"], || print(&wifi(Duration::from_secs(60 * number(10))))),
         _ => {
-            print(&json!({ "bench": "hosts", "problem": "say which: idle [SECONDS], cuts [COUNT] or wifi [MINUTES]" }))
+            print(&json!({ "bench": "hosts", "problem": "say which: idle [SECONDS], cuts [COUNT] or wifi [MINUTES]" }));
         }
     }
 }

@@ -27,7 +27,7 @@ fn a_node_whose_disk_is_full_ends_and_says_so_and_the_fleet_goes_on() {
         let table = with(with(example("station"), "name", station), "data_dir", data.clone());
         match station {
             "station-3" => {
-                fleet.start_by(&["unshare", "-Urm", "sh", "-c", SMALL_DISK, "sh", &data], "station", table, &["world"])
+                fleet.start_by(&["unshare", "-Urm", "sh", "-c", SMALL_DISK, "sh", &data], "station", table, &["world"]);
             }
             _ => fleet.start("station", table, &["world"]),
         }

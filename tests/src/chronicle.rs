@@ -222,10 +222,10 @@ impl Observer for Chronicle {
         self.add(Entry::Told(event.clone()));
     }
 
-    fn applied(&self, node: &NodeId, at: Epoch, command: Option<&Command>) {
-        let digest = command.map(|command| {
+    fn applied(&self, node: &NodeId, at: Epoch, commands: &[Command]) {
+        let digest = (!commands.is_empty()).then(|| {
             let mut hasher = DefaultHasher::new();
-            hasher.write(&codec::encode_record(command).expect("it was read from bytes"));
+            hasher.write(&codec::encode_record(&commands).expect("it was read from bytes"));
             hasher.finish()
         });
         self.add(Entry::Applied { node: node.clone(), at, digest });

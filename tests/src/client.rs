@@ -1,7 +1,7 @@
 //! What any client can do: make requests, look, and see who is there.
 
 use crate::{Fleet, slug};
-use consort_actors::bus::Bus;
+use consort_actors::bus::{Bus, Reply, Stream};
 use consort_protocol::ids::MissionId;
 use consort_protocol::keys::{ApiCall, Key};
 use serde_json::{Value, json};
@@ -14,14 +14,37 @@ impl Fleet {
         self.ask_in_words(call, &payload.to_string()).await
     }
 
-    /// Makes a request of any content.
+    /// Makes a request of any content. One who has not heard yet that somebody coordinates may put it off, while the one
+    /// who does carries it out: as any client should, this one listens for a moment whether there is a better answer.
     pub async fn ask_in_words(&self, call: ApiCall, payload: &str) -> Option<Value> {
+        let mut put_off = None;
+        let mut replies = self.query(call, payload).await;
+        let mut patience = Duration::from_secs(3);
+        while let Ok(Some(reply)) = tokio::time::timeout(patience, replies.recv()).await {
+            let voice: Value = serde_json::from_slice(&reply.payload.expect("an answer")).expect("JSON");
+            if voice.get("retry_after_ms").is_none() {
+                return Some(voice);
+            }
+            put_off = Some(voice);
+            patience = Duration::from_millis(100);
+        }
+        put_off
+    }
+
+    /// Makes a request and gives all that answer it, in the order in which they do.
+    pub async fn voices(&self, call: ApiCall, payload: &Value) -> Vec<Value> {
+        let mut replies = self.query(call, &payload.to_string()).await;
+        let mut voices = vec![];
+        while let Some(reply) = replies.recv().await {
+            voices.push(serde_json::from_slice(&reply.payload.expect("an answer")).expect("JSON"));
+        }
+        voices
+    }
+
+    async fn query(&self, call: ApiCall, payload: &str) -> Stream<Reply> {
         let key = self.keys.write(&Key::Api(call));
         let limit = Duration::from_secs(3);
-        let payload = payload.to_owned().into();
-        let mut replies = self.client.query(&key, payload, limit).await.expect("a virtual bus");
-        let payload = replies.recv().await?.payload.expect("an answer");
-        Some(serde_json::from_slice(&payload).expect("JSON"))
+        self.client.query(&key, payload.to_owned().into(), limit).await.expect("a virtual bus")
     }
 
     /// Makes a request to which there must be an answer.

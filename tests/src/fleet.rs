@@ -3,10 +3,12 @@
 use crate::chronicle::{Chronicle, Entry};
 use crate::member::Member;
 use crate::slug;
+use consort_actors::autopilot;
 use consort_actors::bus::{LinkModel, VirtualBus, VirtualNetwork};
 use consort_actors::clock::Clock;
 use consort_actors::node::{FleetSettings, HostPart, NodeHandle, NodeSettings, RobotPart};
 use consort_actors::store::Store;
+use consort_actors::timing::Timing;
 use consort_protocol::auction::Limits;
 use consort_protocol::ensemble::{Ensemble, EnsembleSpec};
 use consort_protocol::event::Happening;
@@ -103,6 +105,9 @@ impl Fleet {
             window: Duration::from_millis(200),
             stall_after: Duration::from_secs(15 * 60),
             bootstrap_expect: all.iter().filter(|member| !member.late).count() + stations.len(),
+            timing: Timing::Lan,
+            voters: autopilot::VOTERS,
+            dead_after: Timing::Lan.times().dead_after,
         };
         let client = network.bus(slug("client"));
         let mut fleet = Fleet {

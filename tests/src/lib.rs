@@ -8,10 +8,12 @@ pub mod disk;
 mod fleet;
 mod look;
 mod member;
+mod stations;
 
 pub use chronicle::{Chronicle, Entry, Spell};
 pub use fleet::{Adjust, Fleet, topology};
 pub use member::Member;
+pub use stations::Stations;
 
 use std::fmt;
 

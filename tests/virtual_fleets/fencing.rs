@@ -1,5 +1,6 @@
 //! What is said under an award that is no longer in force is not listened to.
 
+use consort_actors::allegiance::{Allegiance, ClusterBus};
 use consort_actors::bus::{Bus, Delivery, Encoding};
 use consort_protocol::codec;
 use consort_protocol::event::Happening;
@@ -10,6 +11,7 @@ use consort_protocol::message::Said;
 use consort_protocol::plan::Signal;
 use consort_tests::{Fleet, Member, slug, tell};
 use std::collections::BTreeSet;
+use std::sync::Arc;
 use std::time::Duration;
 
 const ROOM: &str = "IC Room 6";
@@ -37,7 +39,11 @@ async fn told_too_early(seed: u64, epoch: impl Fn(Epoch) -> Epoch) -> (Fleet, Mi
     let said = Said { mission: mission.clone(), epoch, signals: BTreeSet::from([picked_up()]) };
     let key = fleet.keys().write(&Key::Signal(mission.clone(), slug("r1")));
     let bytes = codec::encode(&said).expect("one signal fits a message").into();
-    fleet.client().publish(&key, bytes, Encoding::Wire, Delivery::Drop).await.expect("a virtual bus");
+    // Somebody of the same cluster: it is the epoch alone that tells them apart.
+    let allegiance = Allegiance::default();
+    allegiance.keep(fleet.ledger(|ledger| ledger.cluster()).flatten().expect("a ledger that was founded"));
+    let client = ClusterBus::new(Arc::new(fleet.client().clone()), fleet.keys().clone(), allegiance);
+    client.publish(&key, bytes, Encoding::Wire, Delivery::Drop).await.expect("a virtual bus");
     (fleet, mission)
 }
 

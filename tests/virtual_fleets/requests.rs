@@ -75,7 +75,11 @@ fn a_request_that_cannot_be_understood_says_what_would_be_and_changes_nothing() 
             (ApiCall::Submit, "{", &["an example is", "lab-samples"]),
             (ApiCall::Submit, "", &["an example is"]),
             (ApiCall::Submit, r#"{"mision": "lab-samples"}"#, &["unknown field `mision`", "expected one of `mission`"]),
-            (ApiCall::Submit, r#"{"mission": "tea"}"#, &["\"tea\"", "bed-transfer, lab-samples, ward-disinfection"]),
+            (
+                ApiCall::Submit,
+                r#"{"mission": "tea"}"#,
+                &["\"tea\"", "bed-transfer, lab-samples, lab-samples-watched, ward-disinfection"],
+            ),
             (ApiCall::Submit, r#"{"mission": "lab-samples", "parameters": {"romm": "IC Room 6"}}"#, &["romm", "room"]),
             (ApiCall::Submit, r#"{"mission": "lab-samples", "request": "a b/c*"}"#, &["a b/c*"]),
             (ApiCall::Cancel, r#"{"mission": "lab-samples-9"}"#, &["no mission lab-samples-9"]),

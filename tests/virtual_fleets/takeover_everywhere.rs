@@ -62,12 +62,14 @@ fn a_coordinator_without_a_role_is_never_missed() {
 }
 
 #[test]
-fn a_coordinator_with_a_role_is_replaced_or_its_mission_ends_with_the_reason() {
+fn a_coordinator_with_a_role_is_replaced_or_its_mission_says_who_has_the_sample_and_where() {
     let (completed, otherwise): (Vec<_>, Vec<_>) =
         ends(5, 60, &["post-1", "post-2"], "amber").into_iter().partition(|end| *end == MissionState::Completed);
     for end in &otherwise {
-        let lost = "amber was lost as r1 after others had acted on its work: amber silent for ";
-        assert!(matches!(end, MissionState::Failed { cause } if cause.starts_with(lost)), "{end:?}");
+        let MissionState::NeedsRescue { items, .. } = end else { panic!("{end:?}") };
+        let [stranded] = &items[..] else { panic!("the sample alone: {end:?}") };
+        assert_eq!((stranded.item.as_str(), stranded.robot.as_str()), ("sample", "amber"), "{end:?}");
+        assert!(stranded.place.is_some(), "{end:?}");
     }
     assert!(completed.len() > 3 && otherwise.len() > 3, "{completed:?}, {otherwise:?}");
 }

@@ -1,23 +1,26 @@
 //! The actor that coordinates while its node leads the ledger, and does nothing otherwise.
 
-use super::interregnum::nobody_yet;
+use super::interregnum::{nobody_yet, retry};
 use super::reign::Reign;
 use crate::answer;
-use crate::bus::{BusError, Query, SharedBus};
+use crate::autopilot::Done;
+use crate::bus::{BusError, Query, Sample, SharedBus};
 use crate::clock::Clock;
 use crate::events::Events;
 use crate::gossip::SharedKnowledge;
 use crate::replica::{ProposeError, Replica};
 use crate::tasks::Tasks;
 use consort_protocol::auction::{AuctionId, CallForBids, Limits, Tender};
+use consort_protocol::codec;
 use consort_protocol::ensemble::Ensemble;
 use consort_protocol::event::Happening;
 use consort_protocol::ids::{MissionId, NodeId, RobotId, RoleId};
-use consort_protocol::keys::Keys;
+use consort_protocol::keys::{Key, Keys};
 use consort_protocol::lease::{Epoch, LeaseTerms};
 use consort_protocol::ledger::{Ledger, Outcome};
-use consort_protocol::message::AwardAnswer;
+use consort_protocol::message::{AwardAnswer, Beacon};
 use consort_protocol::mission::Domain;
+use consort_protocol::units::NodeTime;
 use ractor::{Actor, ActorProcessingErr, ActorRef};
 use std::collections::BTreeSet;
 use std::sync::Arc;
@@ -55,9 +58,21 @@ pub struct CoordinatorSettings {
     /// After how long a held role none of whose steps ends, although it waits for nobody, is taken from its holder; zero for
     /// never. Raised: longer drives are left alone, robots that do nothing keep their roles for longer.
     pub stall_after: Duration,
-    /// How often the coordinator says that it is there and looks after its duties. Default 200 ms.
+    /// How often the coordinator says that it is there and looks after its duties. Default 250 ms.
     pub beat: Duration,
+    /// What the ledger's identity is drawn from, should this node be the first to coordinate.
+    pub cluster_seed: u64,
+    /// Voters that the autopilot aims at.
+    pub voters: usize,
+    /// How long a voter must be gone until the autopilot replaces it.
+    pub dead_after: Duration,
+    /// How long ago a voter may have answered last and still counts as there: several heartbeats.
+    pub near: Duration,
 }
+
+/// After how long a request that was left to another coordinator is looked at again: that one may have been gone already. A
+/// killed node is noticed in less.
+const SECOND_THOUGHT: Duration = Duration::from_millis(100);
 
 /// To a coordinator.
 pub enum CoordinatorMessage {
@@ -103,12 +118,18 @@ pub enum CoordinatorMessage {
         /// What it said.
         answer: AwardAnswer,
     },
+    /// A change of the ledger's keepers was made, or was not.
+    Keepers(Done),
     /// A robot reports.
     Report(Query),
     /// Somebody asks which missions are under way.
     Live(Query),
+    /// A coordinator says that it is there.
+    Beacon(Sample),
     /// A client asks for something.
     Api(Query),
+    /// A client has asked for something a moment ago, when somebody else was believed to coordinate.
+    Unanswered(Query),
     /// Somebody looks.
     View(Query),
 }
@@ -120,7 +141,9 @@ pub struct Coordinator;
 pub struct CoordinatorState {
     settings: CoordinatorSettings,
     reign: Option<Reign>,
-    _tasks: Tasks,
+    /// Who was last heard to coordinate, and when.
+    heard: Option<(NodeId, NodeTime)>,
+    tasks: Tasks,
 }
 
 #[ractor::async_trait]
@@ -145,8 +168,10 @@ impl Actor for Coordinator {
         );
         let requests = settings.bus.serve(&settings.keys.any_api()).await?;
         tasks.forward(requests, &myself, CoordinatorMessage::Api);
+        let beacons = settings.bus.subscribe(&settings.keys.write(&Key::Beacon)).await?;
+        tasks.forward(beacons, &myself, CoordinatorMessage::Beacon);
         tasks.beat(settings.beat, &myself, || CoordinatorMessage::Beat);
-        Ok(CoordinatorState { settings, reign: None, _tasks: tasks })
+        Ok(CoordinatorState { settings, reign: None, heard: None, tasks })
     }
 
     async fn handle(
@@ -158,20 +183,46 @@ impl Actor for Coordinator {
         if let CoordinatorMessage::Leadership = message {
             return Ok(state.follow_leadership(&myself).await?);
         }
+        if let CoordinatorMessage::Beacon(sample) = &message {
+            if let Ok(beacon) = codec::decode::<Beacon>(&sample.payload)
+                && beacon.node != state.settings.node
+            {
+                state.heard = Some((beacon.node, state.settings.clock.now()));
+            }
+            return Ok(());
+        }
         let Some(reign) = &mut state.reign else {
-            if let CoordinatorMessage::Api(query) = message {
-                state.put_off(&query).await;
+            match message {
+                CoordinatorMessage::Api(query) => {
+                    if let Some(query) = state.put_off(query).await {
+                        let to = myself.clone();
+                        state.tasks.spawn(async move {
+                            tokio::time::sleep(SECOND_THOUGHT).await;
+                            // A coordinator that has stopped has nothing to say.
+                            let _ = to.cast(CoordinatorMessage::Unanswered(query));
+                        });
+                    }
+                }
+                CoordinatorMessage::Unanswered(query) => drop(state.put_off(query).await),
+                _ => {}
             }
             return Ok(());
         };
         let settings = &state.settings;
         match message {
-            CoordinatorMessage::Leadership => {}
+            CoordinatorMessage::Leadership | CoordinatorMessage::Beacon(_) => {}
             CoordinatorMessage::Ledger => reign.attend(settings, &myself),
             CoordinatorMessage::Beat => {
                 reign.say_so(settings).await;
                 reign.follow_members(settings);
+                reign.look_abroad(settings);
+                reign.keep_keepers(settings, &myself);
                 reign.attend(settings, &myself);
+            }
+            CoordinatorMessage::Keepers(done) => {
+                reign.keepers_changed(settings, done);
+                // Whoever leaves waits to hear that nobody counts on it any more.
+                reign.say_so(settings).await;
             }
             CoordinatorMessage::Closed { call, expected, tenders } => {
                 reign.close(settings, &myself, *call, expected, tenders);
@@ -190,6 +241,10 @@ impl Actor for Coordinator {
             CoordinatorMessage::Report(query) => reign.report(settings, &myself, query).await,
             CoordinatorMessage::Live(query) => reign.live(settings, query).await,
             CoordinatorMessage::Api(query) => reign.api(settings, query),
+            CoordinatorMessage::Unanswered(query) => {
+                // Whether the former coordinator has carried it out, only the same request again can tell.
+                answer::json(&query, &query.key, &retry(String::new())).await;
+            }
             CoordinatorMessage::View(query) => reign.view(settings, &query).await,
         }
         Ok(())
@@ -197,13 +252,17 @@ impl Actor for Coordinator {
 }
 
 impl CoordinatorState {
-    /// Answers a request while this node does not coordinate, if it is for this node to answer.
-    async fn put_off(&self, query: &Query) {
+    /// Answers a request while this node does not coordinate, if it is for this node to answer; else gives it back.
+    async fn put_off(&self, query: Query) -> Option<Query> {
         let CoordinatorSettings { node, replica, knowledge, .. } = &self.settings;
         let leadership = replica.leadership().borrow().clone();
-        if let Some(said) = nobody_yet(node, &leadership, knowledge) {
-            answer::json(query, &query.key, &said).await;
+        let now = self.settings.clock.now();
+        let heard = self.heard.as_ref().map(|(node, at)| (node, now.since(*at)));
+        if let Some(said) = nobody_yet(node, &leadership, knowledge, heard) {
+            answer::json(&query, &query.key, &said).await;
+            return None;
         }
+        Some(query)
     }
 
     async fn follow_leadership(&mut self, myself: &ActorRef<CoordinatorMessage>) -> Result<(), BusError> {

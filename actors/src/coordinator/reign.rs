@@ -8,13 +8,14 @@ use super::reports;
 use super::view::Window;
 use super::whereabouts::{place, places};
 use crate::answer;
+use crate::autopilot::{Autopilot, Done, perform};
 use crate::bus::{BusError, Delivery, Encoding, Query, Token};
 use crate::replica::Leadership;
 use crate::tasks::Tasks;
 use bytes::Bytes;
 use consort_protocol::codec;
 use consort_protocol::event::Happening;
-use consort_protocol::ids::{MissionId, NodeId, RobotId, RoleId};
+use consort_protocol::ids::{ClusterId, MissionId, NodeId, RobotId, RoleId};
 use consort_protocol::keys::Key;
 use consort_protocol::lease::{Award, Ending, Epoch, Holding, Watch};
 use consort_protocol::ledger::{Branch, Command, MissionEntry, MissionState, Outcome, Released, RoleEntry, RolePhase};
@@ -25,11 +26,14 @@ use ractor::ActorRef;
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 use std::time::Duration;
-use tracing::{debug, info, warn};
+use tracing::{debug, error, info, warn};
 use zenoh_keyexpr::keyexpr;
 
 /// How long the ledger may take to accept that a role or a mission is given up.
 const GIVE_UP_LIMIT: Duration = Duration::from_secs(1);
+
+/// How long the ledger may take to accept its identity.
+const FOUND_LIMIT: Duration = Duration::from_secs(2);
 
 /// How long to wait before a mission that should have been given up is given up again.
 const FAIL_AGAIN: Duration = Duration::from_secs(2);
@@ -50,6 +54,9 @@ pub(super) struct Reign {
     /// Those of them that say they are free.
     free: BTreeSet<NodeId>,
     requests: u64,
+    autopilot: Autopilot,
+    /// Other clusters of this fleet's name, and a node of each.
+    foreign: BTreeMap<ClusterId, NodeId>,
     pub(super) tasks: Tasks,
     _token: Token,
 }
@@ -84,6 +91,16 @@ impl Reign {
         info!(%node, term, "coordinates");
         let voters = leadership.voters.values().cloned().collect();
         settings.events.tell(Happening::Elected { term, voters });
+        if settings.replica.cluster().borrow().is_none() {
+            let (replica, cluster) = (settings.replica.clone(), ClusterId(settings.cluster_seed));
+            tasks.spawn(async move {
+                // Should it fail, this node no longer leads, and the next one does it.
+                match replica.propose(Command::Found { cluster }, FOUND_LIMIT).await {
+                    Ok(_) => info!(%cluster, "founded the ledger"),
+                    Err(problem) => debug!(%cluster, %problem, "did not found the ledger"),
+                }
+            });
+        }
         // What stood in the ledger before this reign is not news.
         let seen = settings
             .replica
@@ -100,6 +117,8 @@ impl Reign {
             members: BTreeSet::new(),
             free: BTreeSet::new(),
             requests: 0,
+            autopilot: Autopilot::new(settings.voters, settings.dead_after, settings.near),
+            foreign: BTreeMap::new(),
             tasks,
             _token: token,
         })
@@ -116,6 +135,47 @@ impl Reign {
         let since_ms = u64::try_from(settings.clock.now().since(self.since).as_millis()).unwrap_or(u64::MAX);
         let beacon = Beacon { node: settings.node.clone(), term: self.term, voters, since_ms };
         publish(settings, &Key::Beacon, &beacon).await;
+    }
+
+    /// Says so once when there is another cluster of this fleet's name.
+    pub(super) fn look_abroad(&mut self, settings: &CoordinatorSettings) {
+        let Some(own) = *settings.replica.cluster().borrow() else { return };
+        let foreign: BTreeMap<ClusterId, NodeId> = settings.knowledge.read(|base| {
+            let its = base.iter().filter_map(|(node, heard)| Some((heard.record.knowledge.cluster?, node.clone())));
+            its.filter(|(cluster, _)| *cluster != own).collect()
+        });
+        for (cluster, node) in &foreign {
+            if !self.foreign.contains_key(cluster) {
+                error!(%own, foreign = %cluster, %node, "another cluster of this fleet's name was founded apart: they do not \
+                    merge. Stop the nodes of one of them and start them again with empty stores");
+                let (cluster, foreign, member) = (own, *cluster, node.clone());
+                settings.events.tell(Happening::Foreign { cluster, foreign, member });
+            }
+        }
+        // Once told, a cluster stays told of, though it is shown only while it is heard of.
+        self.foreign.extend(foreign);
+    }
+
+    /// Makes the change of the ledger's keepers that is due.
+    pub(super) fn keep_keepers(&mut self, settings: &CoordinatorSettings, myself: &ActorRef<CoordinatorMessage>) {
+        let Some(change) = self.autopilot.next(&settings.replica, &settings.knowledge) else { return };
+        info!(reason = change.reason(), "changes who keeps the ledger");
+        let (replica, to) = (settings.replica.clone(), myself.clone());
+        self.tasks.spawn(async move {
+            let done = perform(replica, change).await;
+            // A coordinator that has stopped leaves a change that was begun to the next one.
+            let _ = to.cast(CoordinatorMessage::Keepers(done));
+        });
+    }
+
+    pub(super) fn keepers_changed(&mut self, settings: &CoordinatorSettings, done: Done) {
+        match self.autopilot.done(done) {
+            Ok(reason) => {
+                let voters = settings.replica.leadership().borrow().voters.values().cloned().collect();
+                settings.events.tell(Happening::Voters { voters, reason });
+            }
+            Err((reason, problem)) => warn!(reason, %problem, "who keeps the ledger was not changed"),
+        }
     }
 
     /// Tells who joined and left the ensemble, as far as this coordinator has heard.
@@ -370,6 +430,7 @@ impl Reign {
             knowledge: &settings.knowledge,
             ensemble: &settings.ensemble,
             replica: &settings.replica,
+            autopilot: self.autopilot.show(),
         };
         let Ok(asked) = keyexpr::new(query.key.as_str()) else { return };
         for (key, value) in window.all() {
@@ -403,7 +464,15 @@ pub(super) fn propose(settings: &CoordinatorSettings, tasks: &mut Tasks, command
 /// The members of the ensemble that are believed to be alive.
 pub(super) fn members(settings: &CoordinatorSettings, now: NodeTime) -> BTreeSet<NodeId> {
     let members = settings.knowledge.read(|base| settings.ensemble.members(&settings.node, base, now));
-    members.into_iter().filter(|node| settings.knowledge.alive(node)).collect()
+    let own = *settings.replica.cluster().borrow();
+    let ours = settings.knowledge.read(|base| {
+        let ours = |node: &NodeId| {
+            let its = base.get(node).and_then(|heard| heard.record.knowledge.cluster);
+            its.is_none() || own.is_none() || its == own
+        };
+        members.into_iter().filter(ours).collect::<Vec<_>>()
+    });
+    ours.into_iter().filter(|node| settings.knowledge.alive(node)).collect()
 }
 
 /// Why a robot that held a role no longer does; nothing if it carried the role out.

@@ -25,6 +25,7 @@ pub(super) struct Window<'a> {
     pub(super) knowledge: &'a SharedKnowledge,
     pub(super) ensemble: &'a Ensemble,
     pub(super) replica: &'a Replica<Ledger>,
+    pub(super) autopilot: Value,
 }
 
 impl Window<'_> {
@@ -57,8 +58,16 @@ impl Window<'_> {
             };
             self.leadership.voters.iter().filter(is_lost).map(|(_, node)| node.clone()).collect::<Vec<_>>()
         });
+        let own = *self.replica.cluster().borrow();
+        let foreign: BTreeMap<String, NodeId> = self.knowledge.read(|base| {
+            let its = base.iter().filter_map(|(node, heard)| Some((heard.record.knowledge.cluster?, node.clone())));
+            its.filter(|(cluster, _)| Some(*cluster) != own).map(|(c, node)| (c.to_string(), node)).collect()
+        });
         json!({
             "voters_lost": lost,
+            "cluster": own,
+            "foreign": foreign,
+            "autopilot": self.autopilot,
             "node": self.node,
             "term": self.leadership.term,
             "since_ms": self.now.since(self.since).as_millis(),
@@ -81,6 +90,7 @@ impl Window<'_> {
             });
             json!({
                 "seen_by": self.node,
+                "cluster": *self.replica.cluster().borrow(),
                 "coordinator": self.node,
                 "term": self.leadership.term,
                 "nodes": nodes,
@@ -107,6 +117,8 @@ impl Window<'_> {
             "may_vote": record.knowledge.may_vote,
             "stationary": record.knowledge.stationary,
             "mains_powered": record.knowledge.mains_powered,
+            "cluster": record.knowledge.cluster,
+            "leaving": record.knowledge.leaving,
             "robot": record.knowledge.worker,
             "holds": held,
         })

@@ -79,6 +79,8 @@ mod tests {
             stationary: false,
             mains_powered: false,
             replica: Some(u64::MAX),
+            cluster: None,
+            leaving: false,
             worker: None,
         };
         let record = |n| Record {

@@ -194,7 +194,15 @@ mod tests {
     }
 
     fn knowledge(replica: u64) -> Knowledge {
-        Knowledge { may_vote: true, stationary: true, mains_powered: true, replica: Some(replica), worker: None }
+        Knowledge {
+            may_vote: true,
+            stationary: true,
+            mains_powered: true,
+            replica: Some(replica),
+            cluster: None,
+            leaving: false,
+            worker: None,
+        }
     }
 
     fn record(owner: &str, incarnation: u64, version: u64) -> Record {

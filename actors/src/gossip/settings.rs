@@ -1,5 +1,6 @@
 //! How often a node speaks, how long it waits, and when it gives another up.
 
+use crate::timing::Timing;
 use consort_protocol::ids::{FleetId, NodeId};
 use std::num::{NonZeroU8, NonZeroUsize};
 use std::time::Duration;
@@ -43,7 +44,7 @@ pub struct Settings {
 }
 
 impl Settings {
-    /// Defaults for a local network.
+    /// Defaults for a local network: those of [`Timing::Lan`].
     pub fn new(fleet: FleetId, node: NodeId, incarnation: u64) -> Settings {
         Settings {
             fleet,
@@ -58,6 +59,22 @@ impl Settings {
             suspicion: Duration::from_secs(2),
             suspicion_when_vanished: Duration::from_secs(1),
             forget_after: Duration::from_secs(30),
+        }
+    }
+
+    /// The same with the times of a preset.
+    #[must_use]
+    pub fn with_timing(self, timing: Timing) -> Settings {
+        let times = timing.times();
+        Settings {
+            beat: times.gossip_beat,
+            round: times.gossip_round,
+            answer_within: times.gossip_round / 2,
+            probe_period: times.probe_period,
+            probe_rtt: times.probe_rtt,
+            suspicion: times.suspicion,
+            suspicion_when_vanished: times.suspicion / 2,
+            ..self
         }
     }
 

@@ -25,11 +25,13 @@
 //! quorum.
 
 mod canvass;
+mod gather;
 mod journal;
 mod network;
 #[expect(clippy::module_inception, reason = "a module's main type has a file of its own, as elsewhere")]
 mod replica;
 mod runtime;
+mod salvage;
 mod serve;
 mod settings;
 mod store;
@@ -39,6 +41,7 @@ mod types;
 pub use journal::{Journal, MemoryJournal, Recorded, StoreIdentity};
 pub use replica::{BootstrapError, HandOverError, Leadership, MemberError, ProposeError, Replica, StartError};
 pub use runtime::{SeededRuntime, seed_elections};
+pub use salvage::{Holdings, holdings, sole_voter};
 pub use settings::{ReplicaSettings, SettingsError};
 pub use store::Applied;
 pub use types::{Epoch, Peer, RaftId, Reign, StateMachine};

@@ -5,6 +5,7 @@ use super::succession::Succession;
 use super::types::{Peer, RaftId, StateMachine, Types};
 use crate::bus::SharedBus;
 use consort_protocol::codec::{self, CodecError};
+use consort_protocol::ids::ClusterId;
 use consort_protocol::keys::{Key, Keys, RaftCall};
 use futures::StreamExt as _;
 use futures::stream::FuturesUnordered;
@@ -25,6 +26,7 @@ use std::future::Future;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
+use tokio::sync::watch;
 use tokio::time::Instant;
 
 /// Bytes of a snapshot that go in one message; with its frame around it, a message stays within [`codec::LIMIT`].
@@ -61,6 +63,8 @@ pub(super) struct Switchboard {
     pub(super) bus: SharedBus,
     pub(super) keys: Keys,
     pub(super) me: RaftId,
+    /// Which founding this node's ledger belongs to: part of every question.
+    pub(super) cluster: watch::Receiver<Option<ClusterId>>,
     pub(super) heard: Arc<Heard>,
     /// The pause before asking again a voter that cannot be reached.
     pub(super) pause: Duration,
@@ -132,15 +136,19 @@ enum Trouble {
 }
 
 impl Line {
+    fn encode<T: Serialize>(&self, question: &T) -> Result<Vec<u8>, CodecError> {
+        codec::encode(&(*self.board.cluster.borrow(), question))
+    }
+
     /// Whether `target` would have this node stand for election; no answer is a no.
     pub(super) async fn canvass(&self, question: &Canvass, limit: Duration) -> bool {
-        let Ok(question) = codec::encode(question) else { return false };
+        let Ok(question) = self.encode(question) else { return false };
         matches!(self.ask(RaftCall::Canvass, question, limit).await, Ok(Answer::Done(true)))
     }
 
     /// Tells `target` who succeeds this node, and whether it obeyed; no answer is a no.
     pub(super) async fn succeed(&self, word: &Succession, limit: Duration) -> bool {
-        let Ok(question) = codec::encode(word) else { return false };
+        let Ok(question) = self.encode(word) else { return false };
         matches!(self.ask(RaftCall::Succeed, question, limit).await, Ok(Answer::Done(true)))
     }
 
@@ -195,7 +203,7 @@ impl<S: StateMachine> RaftNetwork<Types<S>> for Line {
         question: AppendEntriesRequest<Types<S>>,
         option: RPCOption,
     ) -> Result<AppendEntriesResponse<RaftId>, RPCError<RaftId, Peer, RaftError<RaftId>>> {
-        let bytes = match codec::encode(&question) {
+        let bytes = match self.encode(&question) {
             Ok(bytes) => bytes,
             Err(CodecError::TooLarge { .. }) if question.entries.len() > 1 => {
                 return Err(PayloadTooLarge::new_entries_hint(question.entries.len() as u64 / 2).into());
@@ -223,7 +231,7 @@ impl<S: StateMachine> RaftNetwork<Types<S>> for Line {
         question: InstallSnapshotRequest<Types<S>>,
         option: RPCOption,
     ) -> Result<InstallSnapshotResponse<RaftId>, RPCError<RaftId, Peer, RaftError<RaftId, InstallSnapshotError>>> {
-        let bytes = codec::encode(&question).map_err(|error| unencodable(&error))?;
+        let bytes = self.encode(&question).map_err(|error| unencodable(&error))?;
         match self.ask(RaftCall::Snapshot, bytes, option.hard_ttl()).await {
             Ok(Answer::Done(answer)) => Ok(answer),
             Ok(Answer::Mismatch(mismatch)) => {
@@ -239,7 +247,7 @@ impl<S: StateMachine> RaftNetwork<Types<S>> for Line {
         question: VoteRequest<RaftId>,
         option: RPCOption,
     ) -> Result<VoteResponse<RaftId>, RPCError<RaftId, Peer, RaftError<RaftId>>> {
-        let bytes = codec::encode(&question).map_err(|error| unencodable(&error))?;
+        let bytes = self.encode(&question).map_err(|error| unencodable(&error))?;
         match self.ask(RaftCall::Vote, bytes, option.hard_ttl()).await {
             Ok(Answer::Done(answer)) => Ok(answer),
             Ok(Answer::Mismatch(_)) => Err(out_of_place()),

@@ -1,6 +1,7 @@
 //! A node's share in the replicated ledger.
 
 use super::canvass::{self, Ear};
+use super::gather::{Gatherer, Proposal};
 use super::journal::Journal;
 use super::network::{Heard, Switchboard};
 use super::runtime::seed_elections;
@@ -11,7 +12,7 @@ use super::succession::{self, Resigned, Succession};
 use super::types::{Epoch, Peer, Raft, RaftId, Reign, StateMachine, epoch_of, reign_of};
 use crate::bus::{BusError, SharedBus};
 use consort_protocol::codec::{self, CodecError};
-use consort_protocol::ids::NodeId;
+use consort_protocol::ids::{ClusterId, NodeId};
 use consort_protocol::keys::Keys;
 use consort_protocol::mutants::{self, Mutant};
 use openraft::error::{
@@ -20,18 +21,25 @@ use openraft::error::{
 use openraft::{ChangeMembers, ServerState};
 use std::collections::{BTreeMap, BTreeSet};
 use std::future::Future;
-use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::{Arc, OnceLock};
 use std::time::Duration;
-use tokio::sync::watch;
+use tokio::sync::{mpsc, oneshot, watch};
 use tokio::task::JoinHandle;
 use tokio::time::{Instant, timeout};
 use tracing::info;
 
 type Metrics = openraft::RaftMetrics<RaftId, Peer>;
 
-/// Bytes of a message that are left for its frame when it carries one command.
+/// Bytes of a message that are left for its frame when it carries one entry of commands.
 const FRAME_OVERHEAD: usize = 1024;
+
+/// Bytes that a command may have.
+const COMMAND_MAX: usize = codec::LIMIT - FRAME_OVERHEAD;
+
+/// Bytes up to which commands share an entry: a follower must read it, bring it to disk and answer within a heartbeat, on a
+/// slow machine too. Entries of 63 KiB did not come through on a machine that was busy with much else.
+const SHARED_MAX: usize = 16 * 1024;
 
 /// Who leads, as this node believes. A watch shows the latest belief; a reign that came and went in between is seen
 /// by the next one's being greater.
@@ -51,6 +59,8 @@ pub struct Leadership {
     pub cut_off: bool,
     /// Who votes.
     pub voters: BTreeMap<RaftId, NodeId>,
+    /// While voters are being changed: those that vote in the end. Until then, a majority of the former ones counts too.
+    pub changing_to: Option<BTreeSet<RaftId>>,
     /// Who is replicated to without a vote.
     pub observers: BTreeMap<RaftId, NodeId>,
 }
@@ -205,6 +215,8 @@ struct Inner<S: StateMachine> {
     resigned: Arc<Resigned>,
     board: Switchboard,
     refused: Arc<AtomicU64>,
+    proposals: mpsc::UnboundedSender<Proposal<S>>,
+    _gathering: Task,
     _serving: Task,
     _watching: Task,
     _canvassing: Task,
@@ -256,6 +268,7 @@ impl<S: StateMachine> Replica<S> {
         let place = journal.place();
         let opened = store::open::<S>(journal, applied).await;
         let (log, machine) = opened.map_err(|problem| StartError::Journal { place, problem })?;
+        let appended = log.appended();
         let keys = Keys::new(&settings.fleet);
         let queries = bus.serve(&keys.any_raft(id.0)).await?;
         let heard = Arc::<Heard>::default();
@@ -264,6 +277,7 @@ impl<S: StateMachine> Replica<S> {
             bus,
             keys: keys.clone(),
             me: id,
+            cluster: machine.cluster(),
             heard,
             pause: settings.heartbeat,
             muted: Arc::clone(&muted),
@@ -300,8 +314,13 @@ impl<S: StateMachine> Replica<S> {
             heartbeat: settings.heartbeat,
             refused: Arc::clone(&refused),
             keys,
+            cluster: machine.cluster(),
+            followed: OnceLock::new(),
         };
         let serving = Task::spawn(service.run(queries));
+        let (proposals, proposed) = mpsc::unbounded_channel();
+        let gatherer = Gatherer { raft: raft.clone(), proposals: proposed, appended, size_max: SHARED_MAX };
+        let gathering = Task::spawn(gatherer.run());
         info!(node = %settings.node, raft = %id, "takes part in the ledger");
         let inner = Inner {
             id,
@@ -313,6 +332,8 @@ impl<S: StateMachine> Replica<S> {
             resigned,
             board,
             refused,
+            proposals,
+            _gathering: gathering,
             _serving: serving,
             _watching: watching,
             _canvassing: canvassing,
@@ -346,19 +367,38 @@ impl<S: StateMachine> Replica<S> {
     /// # Errors
     /// [`ProposeError`]: after [`ProposeError::TimedOut`] **the outcome is unknown**.
     pub async fn propose(&self, command: S::Command, limit: Duration) -> Result<S::Outcome, ProposeError> {
-        check_size(&command)?;
+        let size = check_size(&command)?;
         self.refuse_when_cut_off()?;
         self.refuse_when_resigned()?;
-        match timeout(limit, self.inner.raft.client_write(command)).await {
+        let (answer, heard) = oneshot::channel();
+        let proposed = self.inner.proposals.send(Proposal { command, size, answer });
+        proposed.map_err(|_| ProposeError::Closed)?;
+        match timeout(limit, heard).await {
             Err(_) => Err(ProposeError::TimedOut { limit }),
-            Ok(Err(error)) => Err(write_error(error).into_propose()),
-            Ok(Ok(written)) => Ok(written.data.expect("a command's entry has an outcome")),
+            Ok(Err(_)) => Err(ProposeError::Closed),
+            Ok(Ok(outcome)) => outcome,
         }
     }
 
     /// Who leads, now and whenever that changes.
     pub fn leadership(&self) -> watch::Receiver<Leadership> {
         self.inner.leadership.subscribe()
+    }
+
+    /// Which founding of the fleet's ledger this node's copy belongs to, once it says so.
+    pub fn cluster(&self) -> watch::Receiver<Option<ClusterId>> {
+        self.inner.machine.cluster()
+    }
+
+    /// How far behind the end of the log each voter and observer is, in entries; `None` for those that have not answered
+    /// in this reign. Empty on a node that does not lead.
+    pub fn lags(&self) -> BTreeMap<RaftId, Option<u64>> {
+        let metrics = self.inner.raft.metrics();
+        let now = metrics.borrow();
+        let last = now.last_log_index.unwrap_or(0);
+        let lag = |matched: &openraft::LogId<RaftId>| last.saturating_sub(matched.index);
+        let replication = now.replication.iter().flatten();
+        replication.map(|(id, matched)| (*id, matched.as_ref().map(lag))).collect()
     }
 
     /// The place of the last entry applied on this node, now and whenever it grows.
@@ -602,12 +642,12 @@ impl<S: StateMachine> Replica<S> {
     }
 }
 
-fn check_size<C: serde::Serialize>(command: &C) -> Result<(), ProposeError> {
-    const MAX: usize = codec::LIMIT - FRAME_OVERHEAD;
+/// The command's encoded size in bytes.
+fn check_size<C: serde::Serialize>(command: &C) -> Result<usize, ProposeError> {
     match codec::encode(command) {
-        Ok(bytes) if bytes.len() <= MAX => Ok(()),
-        Ok(bytes) => Err(ProposeError::TooLarge { size: bytes.len(), max: MAX }),
-        Err(CodecError::TooLarge { size, .. }) => Err(ProposeError::TooLarge { size, max: MAX }),
+        Ok(bytes) if bytes.len() <= COMMAND_MAX => Ok(bytes.len()),
+        Ok(bytes) => Err(ProposeError::TooLarge { size: bytes.len(), max: COMMAND_MAX }),
+        Err(CodecError::TooLarge { size, .. }) => Err(ProposeError::TooLarge { size, max: COMMAND_MAX }),
         Err(error) => Err(ProposeError::Unencodable(error.to_string())),
     }
 }
@@ -628,9 +668,10 @@ fn write_error(error: RaftError<RaftId, ClientWriteError<RaftId, Peer>>) -> Memb
     }
 }
 
-impl MemberError {
-    fn into_propose(self) -> ProposeError {
-        match self {
+impl ProposeError {
+    /// Why an entry of commands was not committed.
+    pub(super) fn from_write(error: ClientWriteError<RaftId, Peer>) -> ProposeError {
+        match write_error(RaftError::APIError(error)) {
             MemberError::Propose(error) => error,
             MemberError::InProgress | MemberError::NotObserver(_) | MemberError::NobodyLeft => {
                 unreachable!("openraft answers so to a change of membership only")
@@ -764,6 +805,7 @@ fn believe(metrics: &Metrics, quorum: Quorum) -> Leadership {
         is_me: elected && caught_up && quorum == Quorum::Hears,
         cut_off,
         voters: named(membership.voter_ids().collect()),
+        changing_to: membership.get_joint_config().get(1).cloned(),
         observers: named(membership.learner_ids().collect()),
     }
 }

@@ -7,6 +7,7 @@ use super::succession::{self, Succession};
 use super::types::{Raft, RaftId, StateMachine, Types, Vote};
 use crate::bus::{BusError, Encoding, Query, Stream};
 use consort_protocol::codec;
+use consort_protocol::ids::ClusterId;
 use consort_protocol::keys::{Key, Keys, RaftCall};
 use futures::StreamExt as _;
 use futures::stream::FuturesUnordered;
@@ -15,8 +16,8 @@ use openraft::raft::{AppendEntriesRequest, InstallSnapshotRequest};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 use std::fmt::Display;
-use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Arc, OnceLock};
 use std::time::Duration;
 use tokio::sync::watch;
 use tracing::{debug, warn};
@@ -35,6 +36,10 @@ pub(super) struct Service<S: StateMachine> {
     /// Questions refused so far.
     pub(super) refused: Arc<AtomicU64>,
     pub(super) keys: Keys,
+    /// Which founding this node's ledger belongs to.
+    pub(super) cluster: watch::Receiver<Option<ClusterId>>,
+    /// That of the first leader this node has followed: until its own ledger says so, it follows no other.
+    pub(super) followed: OnceLock<ClusterId>,
 }
 
 impl<S: StateMachine> Service<S> {
@@ -72,7 +77,7 @@ impl<S: StateMachine> Service<S> {
     }
 
     async fn vote(&self, query: &Query) -> Result<Vec<u8>, String> {
-        let answer = self.raft.vote(read(query)?).await.map_err(in_words)?;
+        let answer = self.raft.vote(self.read(query)?).await.map_err(in_words)?;
         if answer.vote_granted {
             self.ear.note_vote();
         }
@@ -80,14 +85,14 @@ impl<S: StateMachine> Service<S> {
     }
 
     async fn append(&self, query: &Query) -> Result<Vec<u8>, String> {
-        let question: AppendEntriesRequest<Types<S>> = read(query)?;
+        let question: AppendEntriesRequest<Types<S>> = self.read_and_follow(query)?;
         self.note_leader(&question.vote);
         let answer = self.raft.append_entries(question).await.map_err(in_words)?;
         written(&Answer::Done(answer))
     }
 
     async fn snapshot(&self, query: &Query) -> Result<Vec<u8>, String> {
-        let question: InstallSnapshotRequest<Types<S>> = read(query)?;
+        let question: InstallSnapshotRequest<Types<S>> = self.read_and_follow(query)?;
         self.note_leader(&question.vote);
         match self.raft.install_snapshot(question).await {
             Ok(answer) => written(&Answer::Done(answer)),
@@ -109,7 +114,7 @@ impl<S: StateMachine> Service<S> {
     }
 
     async fn succeed(&self, query: &Query) -> Result<Vec<u8>, String> {
-        let word: Succession = read(query)?;
+        let word: Succession = self.read(query)?;
         let current = self.raft.server_metrics().borrow().vote == word.ends;
         let obeyed = if word.successor != self.me {
             self.ear.note_vote();
@@ -125,8 +130,33 @@ impl<S: StateMachine> Service<S> {
         written(&Answer::Done(obeyed))
     }
 
+    /// Reads a question, unless it comes from another cluster.
+    fn read<T: DeserializeOwned>(&self, query: &Query) -> Result<T, String> {
+        self.read_from(query).map(|(_, question)| question)
+    }
+
+    /// The same for a leader's question: a node that belongs nowhere yet stays with the first leader it follows.
+    fn read_and_follow<T: DeserializeOwned>(&self, query: &Query) -> Result<T, String> {
+        let (asker, question) = self.read_from(query)?;
+        if let Some(asker) = asker {
+            self.followed.get_or_init(|| asker);
+        }
+        Ok(question)
+    }
+
+    fn read_from<T: DeserializeOwned>(&self, query: &Query) -> Result<(Option<ClusterId>, T), String> {
+        let (asker, question): (Option<ClusterId>, T) = codec::decode(&query.payload).map_err(in_words)?;
+        let own = self.cluster.borrow().or_else(|| self.followed.get().copied());
+        match (asker, own) {
+            (Some(asker), Some(own)) if asker != own => {
+                Err(format!("a question of cluster {asker}, where this node belongs to {own}: they do not merge"))
+            }
+            _ => Ok((asker, question)),
+        }
+    }
+
     fn canvass(&self, query: &Query) -> Result<Vec<u8>, String> {
-        let asker: Canvass = read(query)?;
+        let asker: Canvass = self.read(query)?;
         let hears_none = self.ear.hears_none(self.election_min, self.heartbeat) && !self.leadership.borrow().is_me;
         let knows_enough = asker.last >= self.raft.data_metrics().borrow().last_log;
         written(&Answer::Done(hears_none && knows_enough))
@@ -137,10 +167,6 @@ async fn refuse(query: &Query, reason: &str, refused: &AtomicU64) -> Result<(), 
     let count = refused.fetch_add(1, Ordering::Relaxed) + 1;
     warn!(key = query.key, bytes = query.payload.len(), count, reason, "refused a raft question");
     query.replier.refuse(reason).await
-}
-
-fn read<T: DeserializeOwned>(query: &Query) -> Result<T, String> {
-    codec::decode(&query.payload).map_err(in_words)
 }
 
 fn written<T: Serialize>(answer: &T) -> Result<Vec<u8>, String> {

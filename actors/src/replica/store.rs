@@ -2,9 +2,11 @@
 
 use super::journal::{Journal, Recorded};
 use super::types::{
-    Epoch, LogId, SnapshotMeta, StateMachine, StorageError, StorageIOError, StoredMembership, Types, Vote, epoch_of,
+    Batch, Epoch, LogId, SnapshotMeta, StateMachine, StorageError, StorageIOError, StoredMembership, Types, Vote,
+    epoch_of,
 };
 use consort_protocol::codec;
+use consort_protocol::ids::ClusterId;
 use consort_protocol::mutants::{self, Mutant};
 use openraft::storage::{LogFlushed, RaftLogStorage, RaftStateMachine};
 use openraft::{AnyError, Entry, EntryPayload, LogState, OptionalSend, RaftLogReader, RaftSnapshotBuilder, Snapshot};
@@ -21,15 +23,25 @@ fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// Is told of each entry that a copy of the state machine takes in; `None` for those that are Raft's own.
-pub type Applied<S> = Arc<dyn Fn(Epoch, Option<&<S as StateMachine>::Command>) + Send + Sync>;
+/// Is told of each entry that a copy of the state machine takes in, with its commands; none for those that are Raft's own.
+pub type Applied<S> = Arc<dyn Fn(Epoch, &[<S as StateMachine>::Command]) + Send + Sync>;
 
 /// Opens what `journal` holds: the log, and the state machine as of the last snapshot. openraft applies the rest.
 pub(super) async fn open<S: StateMachine>(
     journal: Arc<dyn Journal>,
     observer: Option<Applied<S>>,
 ) -> Result<(LogStore<S>, MachineStore<S>), std::io::Error> {
-    let Recorded { vote, committed, purged, entries, snapshot } = journal.load().await?;
+    let (log, machine) = take_up::<S>(journal.load().await?)?;
+    let applied = Arc::new(watch::Sender::new(machine.applied.as_ref().map(epoch_of).unwrap_or_default()));
+    let cluster = Arc::new(watch::Sender::new(machine.state.cluster()));
+    let log = LogStore { journal: Arc::clone(&journal), log: Arc::new(Mutex::new(log)), appended: Arc::default() };
+    let machine = Arc::new(Mutex::new(machine));
+    Ok((log, MachineStore { journal, machine, applied, cluster, observer, snapshots: Arc::default() }))
+}
+
+/// Reads what a journal recorded: the log, and the state machine as of the last snapshot.
+pub(super) fn take_up<S: StateMachine>(recorded: Recorded) -> Result<(Log<S>, Machine<S>), std::io::Error> {
+    let Recorded { vote, committed, purged, entries, snapshot } = recorded;
     let read = |bytes: Option<Vec<u8>>| bytes.as_deref().map(read_record).transpose();
     let log = Log {
         vote: vote.as_deref().map(read_record).transpose()?,
@@ -51,17 +63,14 @@ pub(super) async fn open<S: StateMachine>(
         let (purged, held) = (shown(log.purged.as_ref()), shown(machine.applied.as_ref()));
         return Err(unsound(format!("its log begins after {purged}, and its snapshot ends with {held}")));
     }
-    let applied = watch::Sender::new(machine.applied.as_ref().map(epoch_of).unwrap_or_default());
-    let log = LogStore { journal: Arc::clone(&journal), log: Arc::new(Mutex::new(log)) };
-    let machine = Arc::new(Mutex::new(machine));
-    Ok((log, MachineStore { journal, machine, applied: Arc::new(applied), observer, snapshots: Arc::default() }))
+    Ok((log, machine))
 }
 
-fn read_record<T: serde::de::DeserializeOwned>(bytes: &[u8]) -> std::io::Result<T> {
+pub(super) fn read_record<T: serde::de::DeserializeOwned>(bytes: &[u8]) -> std::io::Result<T> {
     codec::decode_record(bytes).map_err(|error| std::io::Error::new(std::io::ErrorKind::InvalidData, error.to_string()))
 }
 
-fn write_record<T: Serialize>(value: &T) -> std::io::Result<Vec<u8>> {
+pub(super) fn write_record<T: Serialize>(value: &T) -> std::io::Result<Vec<u8>> {
     codec::encode_record(value).map_err(|error| std::io::Error::new(std::io::ErrorKind::InvalidData, error.to_string()))
 }
 
@@ -88,22 +97,35 @@ fn check_continuity<S: StateMachine>(log: &Log<S>) -> std::io::Result<()> {
 }
 
 /// The log as openraft reads it; the journal holds the same, durably.
-struct Log<S: StateMachine> {
-    vote: Option<Vote>,
-    committed: Option<LogId>,
-    purged: Option<LogId>,
-    entries: BTreeMap<u64, Entry<Types<S>>>,
+pub(super) struct Log<S: StateMachine> {
+    pub(super) vote: Option<Vote>,
+    pub(super) committed: Option<LogId>,
+    pub(super) purged: Option<LogId>,
+    pub(super) entries: BTreeMap<u64, Entry<Types<S>>>,
 }
 
 /// The log and the vote.
 pub(super) struct LogStore<S: StateMachine> {
     journal: Arc<dyn Journal>,
     log: Arc<Mutex<Log<S>>>,
+    /// How often entries have been written.
+    appended: Arc<watch::Sender<u64>>,
 }
 
 impl<S: StateMachine> Clone for LogStore<S> {
     fn clone(&self) -> Self {
-        LogStore { journal: Arc::clone(&self.journal), log: Arc::clone(&self.log) }
+        LogStore {
+            journal: Arc::clone(&self.journal),
+            log: Arc::clone(&self.log),
+            appended: Arc::clone(&self.appended),
+        }
+    }
+}
+
+impl<S: StateMachine> LogStore<S> {
+    /// How often entries have been written, now and whenever it grows.
+    pub(super) fn appended(&self) -> watch::Receiver<u64> {
+        self.appended.subscribe()
     }
 }
 
@@ -180,6 +202,7 @@ impl<S: StateMachine> RaftLogStorage<Types<S>> for LogStore<S> {
             self.journal.append(records).await.map_err(writing_logs)?;
         }
         lock(&self.log).entries.extend(entries.into_iter().map(|entry| (entry.log_id.index, entry)));
+        self.appended.send_modify(|count| *count += 1);
         callback.log_io_completed(Ok(()));
         Ok(())
     }
@@ -202,15 +225,15 @@ impl<S: StateMachine> RaftLogStorage<Types<S>> for LogStore<S> {
 
 /// A snapshot as the journal keeps it.
 #[derive(Clone, Serialize, Deserialize)]
-struct Kept {
-    meta: SnapshotMeta,
-    state: Vec<u8>,
+pub(super) struct Kept {
+    pub(super) meta: SnapshotMeta,
+    pub(super) state: Vec<u8>,
 }
 
-struct Machine<S> {
-    state: S,
-    applied: Option<LogId>,
-    membership: StoredMembership,
+pub(super) struct Machine<S> {
+    pub(super) state: S,
+    pub(super) applied: Option<LogId>,
+    pub(super) membership: StoredMembership,
     snapshot: Option<Kept>,
 }
 
@@ -221,6 +244,22 @@ impl<S: StateMachine> Machine<S> {
         self.membership = kept.meta.last_membership.clone();
         self.snapshot = Some(kept);
     }
+
+    /// Carries out the next entry of the log.
+    pub(super) fn carry_out(&mut self, Entry { log_id, payload }: Entry<Types<S>>) -> Option<Vec<S::Outcome>> {
+        self.applied = Some(log_id);
+        match payload {
+            EntryPayload::Blank => None,
+            EntryPayload::Normal(Batch(commands)) => {
+                let at = epoch_of(&log_id);
+                Some(commands.into_iter().map(|command| self.state.apply(at, command)).collect())
+            }
+            EntryPayload::Membership(membership) => {
+                self.membership = StoredMembership::new(Some(log_id), membership);
+                None
+            }
+        }
+    }
 }
 
 /// The state machine, shared by openraft, which applies, and whoever reads.
@@ -228,6 +267,7 @@ pub(super) struct MachineStore<S: StateMachine> {
     journal: Arc<dyn Journal>,
     machine: Arc<Mutex<Machine<S>>>,
     applied: Arc<watch::Sender<Epoch>>,
+    cluster: Arc<watch::Sender<Option<ClusterId>>>,
     observer: Option<Applied<S>>,
     /// Held while a snapshot goes to the journal: openraft builds one while it installs another.
     snapshots: Arc<tokio::sync::Mutex<()>>,
@@ -239,6 +279,7 @@ impl<S: StateMachine> Clone for MachineStore<S> {
             journal: Arc::clone(&self.journal),
             machine: Arc::clone(&self.machine),
             applied: Arc::clone(&self.applied),
+            cluster: Arc::clone(&self.cluster),
             observer: self.observer.clone(),
             snapshots: Arc::clone(&self.snapshots),
         }
@@ -249,6 +290,15 @@ impl<S: StateMachine> MachineStore<S> {
     /// What `look` sees in the state as applied so far on this node.
     pub(super) fn read<R>(&self, look: impl FnOnce(&S) -> R) -> R {
         look(&lock(&self.machine).state)
+    }
+
+    /// Which founding the state belongs to, once it says so.
+    pub(super) fn cluster(&self) -> watch::Receiver<Option<ClusterId>> {
+        self.cluster.subscribe()
+    }
+
+    fn tell_cluster(&self, cluster: Option<ClusterId>) {
+        self.cluster.send_if_modified(|known| std::mem::replace(known, cluster) != cluster);
     }
 
     /// The place of the last applied entry, told anew after each batch.
@@ -273,30 +323,25 @@ impl<S: StateMachine> RaftStateMachine<Types<S>> for MachineStore<S> {
         Ok((machine.applied, machine.membership.clone()))
     }
 
-    async fn apply<I>(&mut self, entries: I) -> Result<Vec<Option<S::Outcome>>, StorageError>
+    async fn apply<I>(&mut self, entries: I) -> Result<Vec<Option<Vec<S::Outcome>>>, StorageError>
     where
         I: IntoIterator<Item = Entry<Types<S>>> + OptionalSend,
         I::IntoIter: OptionalSend,
     {
         let mut outcomes = Vec::new();
         let mut machine = lock(&self.machine);
-        for Entry { log_id, payload } in entries {
-            machine.applied = Some(log_id);
+        for entry in entries {
             if let Some(observer) = &self.observer {
-                let command = if let EntryPayload::Normal(command) = &payload { Some(command) } else { None };
-                observer(epoch_of(&log_id), command);
+                let commands =
+                    if let EntryPayload::Normal(Batch(commands)) = &entry.payload { &commands[..] } else { &[] };
+                observer(epoch_of(&entry.log_id), commands);
             }
-            outcomes.push(match payload {
-                EntryPayload::Blank => None,
-                EntryPayload::Normal(command) => Some(machine.state.apply(epoch_of(&log_id), command)),
-                EntryPayload::Membership(membership) => {
-                    machine.membership = StoredMembership::new(Some(log_id), membership);
-                    None
-                }
-            });
+            outcomes.push(machine.carry_out(entry));
         }
         let applied = machine.applied.as_ref().map(epoch_of).unwrap_or_default();
+        let cluster = machine.state.cluster();
         drop(machine);
+        self.tell_cluster(cluster);
         self.applied.send_replace(applied);
         Ok(outcomes)
     }
@@ -326,11 +371,13 @@ impl<S: StateMachine> RaftStateMachine<Types<S>> for MachineStore<S> {
         snapshot: Box<Cursor<Vec<u8>>>,
     ) -> Result<(), StorageError> {
         let kept = Kept { meta: meta.clone(), state: snapshot.into_inner() };
-        let state = read_record(&kept.state).map_err(reading_snapshot)?;
+        let state: S = read_record(&kept.state).map_err(reading_snapshot)?;
+        let cluster = state.cluster();
         let record = write_record(&kept).map_err(writing_snapshot)?;
         let _alone = self.snapshots.lock().await;
         self.journal.keep_snapshot(record).await.map_err(writing_snapshot)?;
         lock(&self.machine).restore(state, kept);
+        self.tell_cluster(cluster);
         self.applied.send_replace(meta.last_log_id.as_ref().map(epoch_of).unwrap_or_default());
         Ok(())
     }

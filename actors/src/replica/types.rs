@@ -2,7 +2,7 @@
 
 use super::journal::StoreIdentity;
 use super::runtime::SeededRuntime;
-use consort_protocol::ids::NodeId;
+use consort_protocol::ids::{ClusterId, NodeId};
 pub use consort_protocol::lease::Epoch;
 use openraft::RaftTypeConfig;
 use serde::de::DeserializeOwned;
@@ -20,8 +20,27 @@ pub trait StateMachine: Clone + Send + Sync + Default + Serialize + DeserializeO
     type Outcome: Serialize + DeserializeOwned + Clone + Debug + Send + Sync + 'static;
 
     /// Carries out `command`, which stands in the log at `at`. Neither clock nor chance may be asked.
+    ///
+    /// Several commands may stand at one place, in order, of which one [grants an epoch](StateMachine::grants_epoch) at
+    /// most.
     fn apply(&mut self, at: Epoch, command: Self::Command) -> Self::Outcome;
+
+    /// Whether what `command` does is told apart from all else by its place in the log. Without an answer, every command's
+    /// is, and each gets an entry of its own: slower with many clients, and always right.
+    fn grants_epoch(_command: &Self::Command) -> bool {
+        true
+    }
+
+    /// Which founding of the fleet's ledger this state belongs to, once it says so. Replicas of different ones refuse one
+    /// another's questions.
+    fn cluster(&self) -> Option<ClusterId> {
+        None
+    }
 }
+
+/// What one entry of the log asks for, in order.
+#[derive(Debug, Clone, Serialize, Deserialize)]
+pub(super) struct Batch<C>(pub(super) Vec<C>);
 
 /// Who leads, and since which term. Each term has one leader at most, so that the term alone tells reigns apart and orders
 /// them: the later one is the greater.
@@ -91,9 +110,9 @@ impl Default for Peer {
 pub(super) struct Types<S>(PhantomData<fn() -> S>);
 
 impl<S: StateMachine> RaftTypeConfig for Types<S> {
-    type D = S::Command;
+    type D = Batch<S::Command>;
     /// `None` for the entries that are Raft's own.
-    type R = Option<S::Outcome>;
+    type R = Option<Vec<S::Outcome>>;
     type NodeId = RaftId;
     type Node = Peer;
     type Entry = openraft::Entry<Self>;

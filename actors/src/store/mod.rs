@@ -2,10 +2,12 @@
 
 mod durable;
 mod notebook;
+mod recover;
 
 use crate::replica::{Journal, MemoryJournal};
 pub use durable::{ADVICE, DurableStore, LEDGER, LOCK, OpenError, Owner, SEAL, StorageBackend};
 pub use notebook::{MemoryNotebook, Notebook};
+pub use recover::{ledger_of, recover};
 use std::sync::Arc;
 
 /// A node's memory. Clones are the same memory.

@@ -1,5 +1,6 @@
 //! A replicated ledger on the virtual bus.
 
+mod gathering;
 mod ledger;
 mod succession;
 mod support;

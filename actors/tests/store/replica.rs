@@ -5,11 +5,12 @@ use async_trait::async_trait;
 use consort_actors::bus::virtual_bus::{LinkModel, VirtualNetwork};
 use consort_actors::replica::{
     Epoch, Journal, MemoryJournal, RaftId, Recorded, Replica, ReplicaSettings, StartError, StateMachine, StoreIdentity,
+    holdings, sole_voter,
 };
 use consort_actors::store::{DurableStore, LEDGER};
 use consort_protocol::ids::NodeId;
 use serde::{Deserialize, Serialize};
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::io;
 use std::path::Path;
 use std::sync::Arc;
@@ -308,4 +309,64 @@ fn a_log_with_a_gap_or_without_its_beginning_is_refused() {
             assert!(problem.to_string().contains(what), "{problem}");
         }
     });
+}
+
+#[test]
+fn the_last_of_three_is_made_the_only_voter_with_all_that_it_held_and_others_join_it_anew() {
+    let folder = Folder::new();
+    on_virtual_time(async {
+        let mut fleet = Fleet::new(5);
+        for name in NAMES {
+            fleet.start(name, on_disk(&folder, name)).await;
+        }
+        fleet.found().await;
+        fleet.note(0..70).await;
+        fleet.until_all_hold(70).await;
+        let term = fleet.live["cyd"].leadership().borrow().term;
+        fleet.stop().await;
+        until_free(&folder, "cyd").await;
+
+        let store = DurableStore::open_existing(&folder.join("cyd")).expect("a store");
+        let before = holdings::<Tally>(store.recorded().expect("a journal")).expect("a whole one");
+        assert_eq!(before.state.0, (0..70).collect::<Vec<_>>());
+        assert_eq!(before.voters.into_values().collect::<BTreeSet<_>>(), NAMES.map(|n| NodeId::new(n).unwrap()).into());
+        assert!(before.committed <= before.last && before.term >= term);
+        let recovered = sole_voter::<Tally>(
+            store.recorded().expect("a journal"),
+            &NodeId::new("cyd").expect("a slug"),
+            store.identity(),
+            |tally| tally.0.push(1000),
+        );
+        store.replace(recovered.expect("something to recover")).expect("a write");
+        let after = holdings::<Tally>(store.recorded().expect("a journal")).expect("a whole one");
+        assert_eq!((after.term, after.last, after.committed), (before.term, before.last, before.last));
+        assert_eq!(after.voters.len(), 1);
+        drop(store);
+
+        let id = fleet.start("cyd", on_disk(&folder, "cyd")).await;
+        assert_eq!(fleet.leader().await, "cyd");
+        let now = fleet.live["cyd"].leadership().borrow().clone();
+        assert_eq!(now.voters.keys().copied().collect::<Vec<_>>(), [id]);
+        assert!(now.term > term, "{} after {term}", now.term);
+        fleet.note([70]).await;
+        let held = || (0..70).chain([1000, 70]).collect::<Vec<_>>();
+        assert_eq!(fleet.live["cyd"].read(Tally::clone).0, held());
+
+        // The others come with empty stores.
+        std::fs::remove_dir_all(folder.join("ada")).expect("a folder");
+        let other = fleet.start("ada", on_disk(&folder, "ada")).await;
+        let leader = &fleet.live["cyd"];
+        let soon = Duration::from_secs(5);
+        leader.add_observer(other, NodeId::new("ada").expect("a slug"), soon).await.expect("an observer");
+        fleet.until_all_hold(72).await;
+        leader.set_voters([id, other].into(), soon).await.expect("two voters");
+        assert_eq!(fleet.live["ada"].read(Tally::clone).0, held());
+    });
+}
+
+#[test]
+fn a_store_that_holds_nothing_is_not_made_a_ledger() {
+    let name = NodeId::new("ada").expect("a slug");
+    let refused = sole_voter::<Tally>(Recorded::default(), &name, StoreIdentity(1), |_| ());
+    assert_eq!(refused.expect_err("nothing").to_string(), "it holds no entry: there is nothing to recover");
 }

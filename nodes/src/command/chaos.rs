@@ -31,20 +31,11 @@ const SHRINK_TRIES: usize = 300;
     group = ArgGroup::new("what").args(["seeds", "seed", "mutants", "scoreboard"]),
     after_long_help = "\
 Examples:
-  # the first thousand seeds on all cores
-  consort chaos --seeds 1..1000
-
-  # one of them, with all that is done in it
-  consort chaos --seed 4711 --verbose
-
-  # a violation again, with the schedule that was written beside it
-  consort chaos --seed 4711 --schedule chaos-4711.json
-
-  # some kinds of faults alone
-  consort chaos --seeds 1..100 --faults partition,coordinator-crash
-
-  # how the fleet fares under each kind of fault
-  consort chaos --scoreboard --runs 50
+  consort chaos --seeds 1..1000                         # the first thousand seeds, on all cores
+  consort chaos --seed 4711 --verbose                   # one of them, with all that is done in it
+  consort chaos --seed 4711 --schedule chaos-4711.json  # a violation again, with what was written beside it
+  consort chaos --faults partition,coordinator-crash    # some kinds of faults alone
+  consort chaos --scoreboard --runs 50                  # how the fleet fares under each kind of fault
 
   # whether deliberate mistakes are found, and by what
   cargo run --release --features mutants -- chaos --mutants
@@ -144,7 +135,7 @@ impl Args {
     }
 
     /// Makes the chosen mistake on the current thread.
-    fn err(&self) {
+    fn make_mistakes(&self) {
         mutants::choose(self.mutant).expect("it was chosen before");
     }
 
@@ -209,14 +200,22 @@ fn score(args: &Args) -> Result<(), Failure> {
         rows.push(scoreboard::row(name, &kinds, args.runs, args.minutes, args.jobs(), || bar.inc(1)));
     }
     bar.finish_and_clear();
-    if args.json { json(&rows)? } else { output::line(markdown(&rows).trim_end())? }
+    if args.json {
+        json(&rows)?;
+    } else {
+        output::line(markdown(&rows).trim_end())?;
+    }
     let broken: Vec<_> = rows.iter().filter(|row| !row.violations.is_empty()).map(|row| row.fault).collect();
-    if broken.is_empty() { Ok(()) } else { Err(Failure::Unsuccessful(format!("something did not hold: {}", broken.join(", ")))) }
+    if broken.is_empty() {
+        Ok(())
+    } else {
+        Err(Failure::Unsuccessful(format!("something did not hold: {}", broken.join(", "))))
+    }
 }
 
 fn one(args: &Args, seed: u64) -> Result<(), Failure> {
     let schedule = match &args.schedule {
-        Some(file) => read(file)?,
+        Some(file) => read(file, &Cast::of(args.nodes))?,
         None => args.generated(seed),
     };
     if args.verbose {
@@ -245,7 +244,7 @@ fn many(args: &Args) -> Result<(), Failure> {
         seeds: args.seeds.clone(),
         jobs: args.jobs(),
         order: &|seed| (args.order(seed), args.generated(seed)),
-        prepare: &|| args.err(),
+        prepare: &|| args.make_mistakes(),
     };
     let mut printed = Ok(());
     let found = many.run(|outcome| {
@@ -363,16 +362,24 @@ fn broken(
 /// A run on a thread where its own panics are not printed.
 fn in_quiet(args: &Args, order: &Order, schedule: &Schedule) -> Outcome {
     let again = (order.clone(), schedule.clone());
-    let many = Many { seeds: order.seed..=order.seed, jobs: 1, order: &move |_| again.clone(), prepare: &|| args.err() };
+    let many = Many {
+        seeds: order.seed..=order.seed,
+        jobs: 1,
+        order: &move |_| again.clone(),
+        prepare: &|| args.make_mistakes(),
+    };
     let mut outcome = None;
     many.run(|told| outcome = Some(told.clone()));
     outcome.expect("a run has an outcome")
 }
 
-fn read(file: &Path) -> Result<Schedule, Failure> {
+fn read(file: &Path, cast: &Cast) -> Result<Schedule, Failure> {
     let wrong = |problem: String| Failure::Usage(format!("{}: {problem}", file.display()));
     let text = std::fs::read_to_string(file).map_err(|problem| wrong(problem.to_string()))?;
-    serde_json::from_str(&text).map_err(|problem| wrong(format!("not a schedule: {problem}")))
+    let schedule: Schedule =
+        serde_json::from_str(&text).map_err(|problem| wrong(format!("not a schedule: {problem}")))?;
+    schedule.check(cast).map_err(wrong)?;
+    Ok(schedule.in_order())
 }
 
 fn json(value: &impl serde::Serialize) -> Result<(), Failure> {

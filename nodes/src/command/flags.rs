@@ -3,6 +3,7 @@
 use crate::config::{BusConfig, ConfigFile, FleetConfig, FleetRef, load, to_toml};
 use crate::exit::Failure;
 use crate::output;
+use consort_actors::timing::Timing;
 use consort_protocol::ids::FleetId;
 use consort_protocol::units::{BatteryShare, Seconds};
 use std::path::{Path, PathBuf};
@@ -30,6 +31,14 @@ pub(super) fn quantity<Q>(
 ) -> Result<Q, String> {
     let number: f64 = text.parse().map_err(|_| format!("{text:?} is not a number"))?;
     new(number).map_err(|problem| problem.to_string())
+}
+
+fn timing(text: &str) -> Result<Timing, String> {
+    match text {
+        "lan" => Ok(Timing::Lan),
+        "wifi" => Ok(Timing::Wifi),
+        _ => Err("allowed is lan or wifi".to_owned()),
+    }
 }
 
 /// How a node is run.
@@ -104,6 +113,15 @@ pub struct FleetFlags {
     /// Nodes that may vote and must have met before the ledger is founded
     #[arg(long, env = "CONSORT_BOOTSTRAP_EXPECT", value_name = "COUNT")]
     bootstrap_expect: Option<usize>,
+    /// How fast the fleet notices and reacts: lan or wifi
+    #[arg(long, env = "CONSORT_TIMING", value_name = "PRESET", value_parser = timing)]
+    timing: Option<Timing>,
+    /// Voters that the autopilot aims at: 1, 3, 5, 7 or 9
+    #[arg(long, env = "CONSORT_VOTERS", value_name = "COUNT")]
+    voters: Option<usize>,
+    /// How long a voter must be gone until another takes its place
+    #[arg(long, env = "CONSORT_DEAD_AFTER_MS", value_name = "MS")]
+    dead_after_ms: Option<u64>,
     /// How long a neighbour that says nothing counts as linked
     #[arg(long, env = "CONSORT_LINK_LEASE_MS", value_name = "MS")]
     link_lease_ms: Option<u64>,
@@ -137,12 +155,15 @@ impl FleetFlags {
         set(&mut fleet.name, self.fleet_name);
         set(&mut fleet.map, self.map);
         set(&mut fleet.bootstrap_expect, self.bootstrap_expect);
-        set(&mut fleet.link_lease_ms, self.link_lease_ms);
+        set(&mut fleet.timing, self.timing);
+        set(&mut fleet.voters, self.voters);
+        fleet.dead_after_ms = self.dead_after_ms.or(fleet.dead_after_ms);
+        fleet.link_lease_ms = self.link_lease_ms.or(fleet.link_lease_ms);
         fleet.limits.time_s = self.time_limit_s.or(fleet.limits.time_s);
         set(&mut fleet.limits.charge_min, self.charge_min);
         set(&mut fleet.lease.lease_ms, self.lease_ms);
         set(&mut fleet.lease.grace_ms, self.grace_ms);
-        set(&mut fleet.auction.window_ms, self.window_ms);
+        fleet.auction.window_ms = self.window_ms.or(fleet.auction.window_ms);
         settled(&mut fleet)?;
         Ok(fleet)
     }

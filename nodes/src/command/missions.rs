@@ -97,7 +97,7 @@ fn row(mission: &Value) -> Vec<String> {
     let why = why.filter(|_| text(mission, "state") == "pending");
     vec![
         text(mission, "mission"),
-        text(mission, "state"),
+        text(mission, "state").replace('_', " "),
         format!("{}/{}", number("done"), number("steps")),
         pairs(mission.get("parameters")),
         pairs(mission.get("holders")),

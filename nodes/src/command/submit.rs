@@ -98,10 +98,11 @@ async fn wait(client: &mut Client, id: &str, in_json: bool) -> Result<(), Failur
             if in_json {
                 output::line(&mission)?;
             } else {
-                output::line(format_args!("{id} {state}"))?;
+                output::line(format_args!("{id} {}", state.replace('_', " ")))?;
             }
+            let state = state.replace('_', " ");
             let detail = mission.get("detail").map(super::missions::detail).unwrap_or_default();
-            return match state {
+            return match state.as_str() {
                 "completed" => Ok(()),
                 _ => Err(Failure::Unsuccessful(format!("{id} {state}{detail}"))),
             };

@@ -3,6 +3,8 @@
 use super::read::under;
 use super::{ConfigFile, load};
 use crate::floor::is_shipped;
+use consort_actors::autopilot;
+use consort_actors::timing::{Times, Timing};
 use consort_protocol::auction::Limits;
 use consort_protocol::ensemble::{Ensemble, EnsembleSpec};
 use consort_protocol::ids::{EnsembleId, FleetId, TaskType};
@@ -15,6 +17,7 @@ use serde::ser::Serializer;
 use serde::{Deserialize, Serialize};
 use std::fmt;
 use std::path::{Path, PathBuf};
+use std::time::Duration;
 
 /// The name of a fleet that no file names.
 pub const DEFAULT_FLEET: &str = "ward";
@@ -27,12 +30,24 @@ pub struct FleetConfig {
     pub name: FleetId,
     /// The map: the name of one that is shipped (`hospital`, the default), or the path of a file.
     pub map: String,
-    /// Nodes that may vote and must have met before the ledger is founded. All of them keep a copy, up to five. Too low
-    /// and two halves of a fleet could found a ledger each; default 1, for a start on one machine.
+    /// Nodes that may vote and must have met before the ledger is founded, for the first time of all: as many as are
+    /// started together. A node that hears of a ledger of this fleet's name founds none, and listens for 0.6 s before it
+    /// founds one; but nodes that do not hear each other and expect too few found a ledger each, and the two never merge.
+    /// Default 1, for a start on one machine, one node after the other.
     pub bootstrap_expect: usize,
+    /// How fast the fleet notices and reacts: `lan` (default) for wired machines, `wifi` for links that lose messages.
+    pub timing: Timing,
+    /// Voters that the autopilot aims at, an odd number from 1 to 9. More survive more failures at once, and slow each
+    /// commit. Default 5.
+    pub voters: usize,
+    /// How long a voter must be gone until another takes its place, in milliseconds. Default: that of `timing`, 10000 or
+    /// 20000: longer than a restart takes.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub dead_after_ms: Option<u64>,
     /// How long a neighbour that says nothing counts as linked, in milliseconds. Shorter: a silent loss is noticed
-    /// earlier; a slow link is more easily taken for one. Default 2000, of which 1.5 to 2.0 s were measured to pass.
-    pub link_lease_ms: u64,
+    /// earlier; a slow link is more easily taken for one. Default: that of `timing`, 2000 or 5000.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub link_lease_ms: Option<u64>,
     /// After how many seconds a role none of whose steps ends, although it waits for nobody, is taken from its robot; 0 for
     /// never. Longer: slow drives are left alone, robots that do nothing keep their roles for longer. Default 900.
     pub stall_after_s: u64,
@@ -70,12 +85,13 @@ pub struct LeaseConfig {
 }
 
 /// `[auction]`: how auctions are held.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct AuctionConfig {
     /// How long an auction waits for a member that does not answer, in milliseconds; it closes at once when all have.
-    /// Default 200.
-    pub window_ms: u64,
+    /// Default: that of `timing`, 200 or 800.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub window_ms: Option<u64>,
 }
 
 impl Default for FleetConfig {
@@ -84,7 +100,10 @@ impl Default for FleetConfig {
             name: FleetId::new(DEFAULT_FLEET).expect("a slug"),
             map: "hospital".to_owned(),
             bootstrap_expect: 1,
-            link_lease_ms: 2_000,
+            timing: Timing::default(),
+            voters: autopilot::VOTERS,
+            dead_after_ms: None,
+            link_lease_ms: None,
             stall_after_s: 900,
             limits: LimitsConfig::default(),
             lease: LeaseConfig::default(),
@@ -104,18 +123,24 @@ impl Default for LimitsConfig {
 impl Default for LeaseConfig {
     fn default() -> Self {
         let LeaseTerms { lease, grace } = LeaseTerms::default();
-        let ms = |time: std::time::Duration| u64::try_from(time.as_millis()).expect("a default of seconds");
+        let ms = |time: Duration| u64::try_from(time.as_millis()).expect("a default of seconds");
         LeaseConfig { lease_ms: ms(lease), grace_ms: ms(grace) }
     }
 }
 
-impl Default for AuctionConfig {
-    fn default() -> Self {
-        AuctionConfig { window_ms: 200 }
-    }
-}
-
 impl FleetConfig {
+    /// The times of its preset, with those that are set apart.
+    pub fn times(&self) -> Times {
+        let times = self.timing.times();
+        let or = |ms: Option<u64>, preset| ms.map_or(preset, Duration::from_millis);
+        Times {
+            dead_after: or(self.dead_after_ms, times.dead_after),
+            link_lease: or(self.link_lease_ms, times.link_lease),
+            window: or(self.auction.window_ms, times.window),
+            ..times
+        }
+    }
+
     /// The ensemble whose members are asked for bids.
     pub fn ensemble(&self) -> EnsembleSpec {
         self.ensemble.first().cloned().unwrap_or_else(|| {
@@ -136,17 +161,24 @@ impl ConfigFile for FleetConfig {
 
     fn problems(&self) -> Vec<String> {
         let mut problems = vec![];
+        let times = self.times();
+        let ms = |time: Duration| u64::try_from(time.as_millis()).unwrap_or(u64::MAX);
         let mut within = |key: &str, value: u64, least: u64, most: u64| {
             if !(least..=most).contains(&value) {
                 problems.push(format!("{key} is {value}, allowed is {least} to {most}"));
             }
         };
         within("bootstrap_expect", self.bootstrap_expect as u64, 1, 1_000);
-        within("link_lease_ms", self.link_lease_ms, 100, 600_000);
+        within("voters", self.voters as u64, 1, autopilot::VOTERS_MAX as u64);
+        within("dead_after_ms", ms(times.dead_after), 1_000, 86_400_000);
+        within("link_lease_ms", ms(times.link_lease), 100, 600_000);
         within("stall_after_s", self.stall_after_s, 0, 604_800);
         within("lease.lease_ms", self.lease.lease_ms, 500, 3_600_000);
         within("lease.grace_ms", self.lease.grace_ms, 200, 3_600_000);
-        within("auction.window_ms", self.auction.window_ms, 1, 60_000);
+        within("auction.window_ms", ms(times.window), 1, 60_000);
+        if self.voters.is_multiple_of(2) {
+            problems.push(format!("voters is {}, allowed is an odd number: 1, 3, 5, 7 or 9", self.voters));
+        }
         if self.ensemble.len() > 1 {
             let count = self.ensemble.len();
             problems.push(format!("ensemble: {count} are declared; one is allowed, whose members are asked for bids"));

@@ -62,6 +62,13 @@ impl Narrator {
             Happening::SteppedDown { term } => {
                 self.tell(at, "steps down", format!("{node} no longer coordinates (term {term})"))
             }
+            Happening::Foreign { foreign, member, .. } => {
+                self.tell(at, "foreign", format!("{member} belongs to cluster {foreign}, which was founded apart"))
+            }
+            Happening::Voters { voters, reason } => {
+                let voters = voters.iter().map(NodeId::as_str).collect::<Vec<_>>().join(", ");
+                self.tell(at, "voters", format!("{reason}; the ledger is kept by {voters}"))
+            }
             Happening::Joined { ensemble, member } => self.tell(at, "member", format!("+ {member} in {ensemble}")),
             Happening::Left { ensemble, member, reason } => {
                 self.tell(at, "member", format!("- {member} in {ensemble}: {reason}"))

@@ -12,6 +12,7 @@ use consort_actors::bus::{SharedBus, ZenohBus, ZenohSettings};
 use consort_protocol::ids::NodeId;
 use std::collections::BTreeMap;
 use std::fs::{self, File};
+use std::future::Future;
 use std::net::TcpListener;
 use std::path::{Path, PathBuf};
 use std::process::Stdio;
@@ -142,6 +143,29 @@ impl Processes {
         let speed = cast.world.speed;
         let program = program.to_owned();
         Ok(Processes { folder, program, kinds, children, bus: Arc::new(bus), endpoint, speed, started, ending })
+    }
+}
+
+impl Processes {
+    /// Tells a node to end, as a service manager would: it hands over first. Gives what to wait for until it has ended.
+    pub fn tell_to_end(&mut self, node: &NodeId) -> Option<impl Future<Output = ()> + Send + use<>> {
+        let mut child = self.children.remove(node)?;
+        // It was started so as to end when this is closed, just as it does on SIGTERM.
+        drop(child.stdin.take());
+        Some(async move {
+            // How it ended is of no interest.
+            let _ = child.wait().await;
+        })
+    }
+
+    /// Has a node stand still (SIGSTOP), its links with it.
+    ///
+    /// # Errors
+    /// [`Failure`] if the signal cannot be sent.
+    pub async fn freeze(&mut self, node: &NodeId) -> Result<(), Failure> {
+        let Some(id) = self.children.get(node).and_then(Child::id) else { return Ok(()) };
+        let sent = Command::new("kill").arg("-STOP").arg(id.to_string()).status().await;
+        sent.map(drop).map_err(failed(format_args!("{node} could not be stopped")))
     }
 }
 

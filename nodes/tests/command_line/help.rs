@@ -1,7 +1,9 @@
 use super::support::run;
 
-const COMMANDS: [&str; 10] =
-    ["robot", "station", "world", "submit", "missions", "cancel", "rescue", "fleet", "check", "dry-run"];
+const COMMANDS: [&str; 12] = [
+    "robot", "station", "world", "submit", "missions", "cancel", "rescue", "fleet", "check", "dry-run", "recover",
+    "chaos",
+];
 
 #[test]
 fn the_help_names_every_command_and_the_exit_codes() {

@@ -1,7 +1,9 @@
 //! The binary as people and scripts meet it.
 
+mod chaos;
 mod dry_run;
 mod files;
 mod help;
 mod network;
+mod recover;
 mod support;

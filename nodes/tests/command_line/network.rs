@@ -1,13 +1,6 @@
-use super::support::{Running, consort, run};
-use std::net::TcpListener;
+use super::support::{Running, consort, free_address, run};
 use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
-
-/// An address on loopback that was free a moment ago.
-fn free_address() -> String {
-    let listener = TcpListener::bind("127.0.0.1:0").expect("a free port");
-    format!("tcp/{}", listener.local_addr().expect("its address"))
-}
 
 #[test]
 fn a_client_that_reaches_nobody_says_so_and_what_to_do() {

@@ -1,5 +1,6 @@
 //! Running the binary.
 
+use std::net::TcpListener;
 use std::path::PathBuf;
 use std::process::{Child, Command, Output};
 
@@ -24,6 +25,12 @@ pub(crate) fn run(args: &[&str]) -> Ran {
     let Output { status, stdout, stderr } = consort(args).output().expect("the binary starts");
     let text = |bytes: Vec<u8>| String::from_utf8(bytes).expect("the binary writes UTF-8");
     Ran { code: status.code(), out: text(stdout), err: text(stderr) }
+}
+
+/// An address on loopback that was free a moment ago.
+pub(crate) fn free_address() -> String {
+    let listener = TcpListener::bind("127.0.0.1:0").expect("a free port");
+    format!("tcp/{}", listener.local_addr().expect("its address"))
 }
 
 /// A file of this crate.

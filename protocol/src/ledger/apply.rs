@@ -4,7 +4,7 @@ use super::custody::Stranded;
 use super::entry::{Branch, Holder, MissionEntry, MissionState, RoleEntry, RolePhase, Submission};
 use super::loss::Loss;
 use crate::auction::AuctionRecord;
-use crate::ids::{ItemId, MissionId, PlaceId, RequestId, RobotId, RoleId};
+use crate::ids::{ClusterId, ItemId, MissionId, PlaceId, RequestId, RobotId, RoleId};
 use crate::lease::Epoch;
 use crate::mission::RoleKind;
 use crate::mutants::{self, Mutant};
@@ -18,6 +18,7 @@ pub const HISTORY_MAX: usize = 500;
 /// What the fleet has promised and what came of it.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct Ledger {
+    cluster: Option<ClusterId>,
     pub(super) missions: BTreeMap<MissionId, MissionEntry>,
     requests: BTreeMap<RequestId, MissionId>,
     submitted: u64,
@@ -26,6 +27,11 @@ pub struct Ledger {
 /// Something the coordinator wants to hold for all.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub enum Command {
+    /// The ledger gets its identity: the first command of all.
+    Found {
+        /// Unlike that of every other ledger of a fleet of this name.
+        cluster: ClusterId,
+    },
     /// A client asks for a mission.
     Submit(Box<Submission>),
     /// An auction has filled all open roles.
@@ -229,6 +235,7 @@ impl Ledger {
     /// Carries out the command that stands at `at` in the log.
     pub fn apply(&mut self, at: Epoch, command: Command) -> Outcome {
         let done = match command {
+            Command::Found { cluster } => Ok(self.found(cluster)),
             Command::Submit(submission) => return self.submit(*submission),
             Command::Award { mission, holders, auction } => self.award(&mission, holders, auction, at),
             Command::Defer { mission, auction } => self.defer(&mission, auction),
@@ -244,6 +251,11 @@ impl Ledger {
             Command::Rescued { mission, by } => self.rescued(&mission, &by),
         };
         done.unwrap_or_else(Outcome::Refused)
+    }
+
+    /// Which founding of the fleet's ledger this is; `None` until the founding is committed.
+    pub fn cluster(&self) -> Option<ClusterId> {
+        self.cluster
     }
 
     /// All missions that are kept, by id.
@@ -289,6 +301,12 @@ impl Ledger {
                 _ => None,
             })
         })
+    }
+
+    /// Once founded, a ledger stays what it is: a second founder may have stood in for the first.
+    fn found(&mut self, cluster: ClusterId) -> Outcome {
+        self.cluster.get_or_insert(cluster);
+        Outcome::Done
     }
 
     fn submit(&mut self, submission: Submission) -> Outcome {

@@ -207,7 +207,7 @@ impl MissionState {
             MissionState::Completed => "completed",
             MissionState::Failed { .. } => "failed",
             MissionState::Canceled { .. } => "canceled",
-            MissionState::NeedsRescue { .. } => "needs rescue",
+            MissionState::NeedsRescue { .. } => "needs_rescue",
         }
     }
 }

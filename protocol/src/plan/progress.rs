@@ -206,8 +206,10 @@ impl PlanProgress {
     /// Returns whether there was any such thing.
     pub fn forget(&mut self, role: &RoleId) -> bool {
         let void = waits(&self.plan).filter(|(step, signal)| signal.from == *role && !self.ended.contains(step));
-        let void: Vec<StepIndex> = void.map(|(step, _)| step).collect();
-        void.into_iter().fold(false, |any, step| self.heard.remove(&step) || any)
+        let void: BTreeSet<StepIndex> = void.map(|(step, _)| step).collect();
+        let heard = self.heard.len();
+        self.heard.retain(|step| !void.contains(step));
+        self.heard.len() < heard
     }
 
     /// Whether the step may be performed as far as the ledger is concerned: it is not guarded, or `known`, the steps that the

@@ -1,4 +1,6 @@
-//! What the benchmarks with processes share: a fleet, an onlooker with a clock, and figures as a line of JSON.
+//! What the benchmarks with processes share: a fleet, and an onlooker with a clock.
+
+mod figures;
 
 use consort_actors::bus::{Sample, SharedBus, Stream};
 use consort_nodes::config::{FleetConfig, FleetRef};
@@ -8,21 +10,17 @@ use consort_protocol::ids::MissionId;
 use consort_protocol::keys::{Key, Keys};
 use serde_json::{Value, json};
 use std::fmt::Display;
-use std::future::Future;
-use std::io::Write;
 use std::path::Path;
-use std::process::ExitCode;
 use std::time::Duration;
 use tokio::time::{Instant, sleep, timeout_at};
+
+pub(crate) use figures::{Problem, figures, main, ms};
 
 /// How long a fleet may take to start, and whatever else is certain to happen.
 const PATIENCE: Duration = Duration::from_secs(30);
 
 /// How long one look or one request may take.
 pub(crate) const LOOK: Duration = Duration::from_secs(2);
-
-/// Why there is no figure.
-pub(crate) type Problem = String;
 
 /// A fleet of processes and somebody who looks on, linked with the world's node, which nobody kills.
 pub(crate) struct Fleet {
@@ -123,37 +121,4 @@ pub(crate) async fn ask(bus: &SharedBus, key: &str, payload: &Value, limit: Dura
 /// The first number among the arguments, or `default`: `cargo bench -p consort --bench auction -- 20`.
 pub(crate) fn count(default: usize) -> usize {
     std::env::args().find_map(|argument| argument.parse().ok()).unwrap_or(default)
-}
-
-/// Milliseconds from one instant to another.
-pub(crate) fn ms(from: Instant, to: Instant) -> f64 {
-    to.saturating_duration_since(from).as_secs_f64() * 1000.0
-}
-
-/// Median and tail of some milliseconds, by nearest rank.
-pub(crate) fn figures(mut all: Vec<f64>) -> Value {
-    all.sort_by(f64::total_cmp);
-    let rank = |share: f64| {
-        let rank = (all.len() as f64 * share).ceil().max(1.0) as usize;
-        all.get(rank - 1).map(|ms| (ms * 100.0).round() / 100.0)
-    };
-    json!({ "n": all.len(), "min": rank(0.0), "p50": rank(0.5), "p95": rank(0.95), "p99": rank(0.99), "max": rank(1.0) })
-}
-
-/// Runs a benchmark and prints what it found, and how busy the machine was, as one line of JSON.
-pub(crate) fn main(name: &str, measure: impl Future<Output = Result<Value, Problem>>) -> ExitCode {
-    let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build().expect("the system gives threads");
-    let found = runtime.block_on(measure);
-    let load = std::fs::read_to_string("/proc/loadavg").unwrap_or_default();
-    let cores = std::thread::available_parallelism().map_or(0, usize::from);
-    let line = match &found {
-        Ok(figures) => json!({
-            "bench": name, "cores": cores, "load_1min": load.split(' ').next(), "ms": figures,
-        }),
-        Err(problem) => json!({ "bench": name, "problem": problem }),
-    };
-    // Nobody reads it: then it need not be printed.
-    let _ = writeln!(std::io::stdout(), "{line}");
-    runtime.shutdown_background();
-    if found.is_ok() { ExitCode::SUCCESS } else { ExitCode::FAILURE }
 }

@@ -51,7 +51,9 @@ impl Draw<'_> {
         for (number, room) in ROOMS.iter().take(count).enumerate() {
             let at_ms = self.chance.random_range(1_000..self.end_ms * 9 / 10);
             let request = format!("r{number}");
-            self.steps.push(Step { at_ms, act: Act::Submit { request: request.clone(), room: (*room).to_owned() } });
+            let priority = *[0, 0, 0, 10, -10].choose(&mut self.chance).expect("five");
+            let act = Act::Submit { request: request.clone(), room: (*room).to_owned(), priority };
+            self.steps.push(Step { at_ms, act });
             if self.chance.random_bool(0.1) {
                 let at_ms = self.chance.random_range(at_ms..self.end_ms);
                 self.steps.push(Step { at_ms, act: Act::Cancel { request } });

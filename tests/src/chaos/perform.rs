@@ -61,7 +61,7 @@ impl Hand {
     /// Begins step `number`.
     pub(super) async fn begin(&mut self, fleet: &mut Fleet, number: usize, act: &Act) {
         match act {
-            Act::Submit { request, room } => self.submit(fleet, request, room),
+            Act::Submit { request, room, priority } => self.submit(fleet, request, room, *priority),
             Act::Cancel { request } => self.cancel(fleet, request),
             Act::Crash { node, disk, .. } => {
                 let node = if node == "coordinator" {
@@ -218,11 +218,11 @@ impl Hand {
         }
     }
 
-    fn submit(&self, fleet: &Fleet, request: &str, room: &str) {
+    fn submit(&self, fleet: &Fleet, request: &str, room: &str, priority: i64) {
         let (client, key) = (fleet.client.clone(), fleet.keys.write(&Key::Api(ApiCall::Submit)));
         let (chronicle, acknowledged, request) =
             (fleet.chronicle.clone(), self.acknowledged.clone(), request.to_owned());
-        let asked = json!({ "mission": "lab-samples", "parameters": { "room": room }, "request": request });
+        let asked = json!({ "mission": "lab-samples", "parameters": { "room": room }, "request": request, "priority": priority });
         tokio::spawn(async move {
             loop {
                 for answer in ask(&client, &key, &asked).await {

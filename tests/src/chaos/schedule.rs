@@ -1,5 +1,6 @@
 //! What is done to a fleet and when, as plain data: written to a file, cut down, and done again.
 
+use super::cast::{ARM, Cast, ROOMS};
 use crate::disk::Torn;
 use serde::{Deserialize, Serialize};
 use std::fmt::{self, Display};
@@ -32,6 +33,9 @@ pub enum Act {
         request: String,
         /// The room.
         room: String,
+        /// How urgent it is: higher is served first.
+        #[serde(default)]
+        priority: i64,
     },
     /// A client withdraws what was asked for, once it was acknowledged, again and again until it is answered.
     Cancel {
@@ -279,6 +283,50 @@ impl Act {
 }
 
 impl Schedule {
+    /// Whether everybody and everything that it names is there.
+    ///
+    /// # Errors
+    /// What is not, and what there is, in words.
+    pub fn check(&self, cast: &Cast) -> Result<(), String> {
+        let nodes = cast.nodes();
+        let robots: Vec<&str> = cast.carriers.iter().copied().chain([ARM]).collect();
+        let one_of = |step: &Step, name: &str, known: &[&str], extra: &[&str]| {
+            let known: Vec<&str> = known.iter().chain(extra).copied().collect();
+            if known.contains(&name) {
+                return Ok(());
+            }
+            Err(format!("at {} ms: {name:?} is not known; there are {}", step.at_ms, known.join(", ")))
+        };
+        for step in &self.steps {
+            match &step.act {
+                Act::Submit { room, .. } => one_of(step, room, &ROOMS, &[])?,
+                Act::Cancel { .. } | Act::Blackout { .. } => {}
+                Act::Crash { node, .. } => one_of(step, node, &nodes, &["coordinator"])?,
+                Act::Pause { node, .. } | Act::SlowDisk { node, .. } => one_of(step, node, &nodes, &[])?,
+                Act::Partition { groups, .. } => {
+                    groups.iter().flatten().try_for_each(|node| one_of(step, node, &nodes, &["client"]))?;
+                }
+                Act::Cut { from, to, .. } => {
+                    one_of(step, from, &nodes, &["client", "*"])?;
+                    one_of(step, to, &nodes, &["client", "*"])?;
+                }
+                Act::Weather { loss, duplication, reordering, .. } => {
+                    if ![loss, duplication, reordering].into_iter().all(|share| (0.0..=1.0).contains(share)) {
+                        return Err(format!("at {} ms: a share lies between 0 and 1", step.at_ms));
+                    }
+                }
+                Act::Drift { node, rate } => {
+                    one_of(step, node, &nodes, &[])?;
+                    if !(0.5..=2.0).contains(rate) {
+                        return Err(format!("at {} ms: a clock counts 0.5 to 2 s in one", step.at_ms));
+                    }
+                }
+                Act::Battery { robot } | Act::Skill { robot, .. } => one_of(step, robot, &robots, &[])?,
+            }
+        }
+        Ok(())
+    }
+
     /// Puts the steps in order of time; those of one instant stay as they are.
     #[must_use]
     pub fn in_order(mut self) -> Schedule {
@@ -317,7 +365,9 @@ impl Display for Act {
             Fate::Empty => "its disk lost",
         };
         match self {
-            Act::Submit { request, room } => write!(f, "request {request}: the sample of {room}"),
+            Act::Submit { request, room, priority } => {
+                write!(f, "request {request}: the sample of {room}, priority {priority}")
+            }
             Act::Cancel { request } => write!(f, "request {request} is withdrawn"),
             Act::Crash { node, disk, for_ms } => write!(f, "{node} crashes, {}, down {}", fate(disk), For(*for_ms)),
             Act::Blackout { disk, for_ms } => write!(f, "every node crashes, {}, down {}", fate(disk), For(*for_ms)),

@@ -44,10 +44,10 @@ impl Tally {
                     self.takeovers_ms.push(ms(at.saturating_sub(since)));
                 }
             }
-            Entry::Believes { node, leads: None, .. } | Entry::Done { node, what: "killed" } => {
-                if self.leading.remove(node) && self.leading.is_empty() {
-                    self.leaderless_since = Some(at);
-                }
+            Entry::Believes { node, leads: None, .. } | Entry::Done { node, what: "killed" }
+                if self.leading.remove(node) && self.leading.is_empty() =>
+            {
+                self.leaderless_since = Some(at);
             }
             _ => {}
         }

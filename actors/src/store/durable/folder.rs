@@ -56,6 +56,14 @@ pub(super) fn beside(path: &Path, ending: &str) -> PathBuf {
     PathBuf::from(name)
 }
 
+/// Copies a file to one that must not be there yet, for good, and names it.
+pub(super) fn copy(from: &Path, to: &Path) -> io::Result<PathBuf> {
+    let mut copy = File::options().write(true).create_new(true).open(to)?;
+    io::copy(&mut File::open(from)?, &mut copy)?;
+    copy.sync_all()?;
+    Ok(to.to_owned())
+}
+
 /// Opens a file for reading and writing.
 pub(super) fn backend(path: &Path, create: bool) -> io::Result<FileBackend> {
     let file = File::options().read(true).write(true).create_new(create).open(path)?;

@@ -167,6 +167,19 @@ impl DurableStore {
         self.shared.write(&[Change::Replace(Box::new(recorded))])
     }
 
+    /// Copies the ledger's file and its seal to files beside them, which have `ending` added to their names; blocks until
+    /// they are on disk.
+    ///
+    /// # Errors
+    /// A file of that name is there already, or cannot be written.
+    pub fn back_up(&self, ending: &str) -> io::Result<Vec<PathBuf>> {
+        // Nobody writes meanwhile.
+        let _files = lock(&self.shared.files);
+        let seal = self.shared.path.with_file_name(SEAL);
+        let copies = [&self.shared.path, &seal].map(|file| folder::copy(file, &folder::beside(file, ending)));
+        copies.into_iter().collect()
+    }
+
     async fn submit(&self, change: Change) -> io::Result<()> {
         let (done, heard) = oneshot::channel();
         lock(&self.shared.queue).changes.push((change, done));

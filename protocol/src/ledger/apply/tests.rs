@@ -231,3 +231,12 @@ fn only_so_many_ended_missions_are_kept() {
     assert!(log.0.requested(&RequestId::new("request0").unwrap()).is_none());
     assert!(log.0.requested(&RequestId::new("request3").unwrap()).is_some());
 }
+
+#[test]
+fn a_ledger_is_founded_once() {
+    let mut log = Log::new();
+    assert_eq!(log.0.cluster(), None);
+    assert_eq!(log.apply(Command::Found { cluster: ClusterId(1) }), Outcome::Done);
+    assert_eq!(log.apply(Command::Found { cluster: ClusterId(2) }), Outcome::Done);
+    assert_eq!(log.0.cluster(), Some(ClusterId(1)));
+}

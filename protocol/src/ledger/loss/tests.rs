@@ -54,6 +54,9 @@ fn submission(request: &str, template: &MissionTemplate) -> Submission {
     }
 }
 
+/// A robot that has something, where it is, and whether that is certain.
+type Left<'a> = (&'a str, Option<&'a PlaceId>, bool);
+
 /// A ledger with one mission, and the index of its next entry.
 struct Log(Ledger, u64, MissionId);
 
@@ -126,7 +129,7 @@ impl Log {
         self.entry().custody().iter().map(sign).collect()
     }
 
-    fn rescue(&self) -> (&str, Vec<(&str, Option<&PlaceId>, bool)>) {
+    fn rescue(&self) -> (&str, Vec<Left<'_>>) {
         let MissionState::NeedsRescue { cause, items } = &self.entry().state else {
             panic!("{:?}", self.entry().state)
         };

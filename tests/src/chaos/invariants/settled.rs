@@ -31,10 +31,8 @@ impl Invariant for Settled {
         }
         let node = entry.node();
         match entry.happening() {
-            Some(Happening::Started { mission, role, epoch }) => {
-                if !self.applied.contains(&(epoch.index, epoch.term)) {
-                    return Err(format!("{node} begins {role} of {mission} under {epoch}, which was never committed"));
-                }
+            Some(Happening::Started { mission, role, epoch }) if !self.applied.contains(&(epoch.index, epoch.term)) => {
+                return Err(format!("{node} begins {role} of {mission} under {epoch}, which was never committed"));
             }
             Some(Happening::Halted { mission, role, reason: Ending::Over }) => {
                 let part = (mission.clone(), role.clone());

@@ -1,0 +1,27 @@
+//! Who votes: the first voters, the changes that keep enough of them alive, and how a node leaves.
+//!
+//! ```text
+//!  gossip (alive? leaving? which store?) ─┐
+//!  replica (answers? how far behind?) ────┴─▶ View ─▶ decide ─▶ Change ─▶ perform ─▶ ledger
+//!                                              └── one at a time, by whoever coordinates ──┘
+//! ```
+//!
+//! As Consul's and Nomad's autopilot, and more: a dead voter is replaced, not only removed; voters that stay where they
+//! are and live on mains power are preferred; a voter that came back with an empty store is another member.
+
+mod bootstrap;
+mod decide;
+mod departure;
+mod perform;
+
+pub(crate) use bootstrap::bootstrap;
+pub use decide::{Change, Health, Member, View, decide};
+pub use departure::{Farewell, LeaveError, Leaver};
+pub use perform::Done;
+pub(crate) use perform::{Autopilot, perform};
+
+/// Most voters: more slow every commit and survive little more.
+pub const VOTERS_MAX: usize = 9;
+
+/// Voters aimed at, where nothing else is said: two of five may fail at once.
+pub const VOTERS: usize = 5;

@@ -1,0 +1,177 @@
+//! What the decision sees, and how it is carried out. Lives as long as its node coordinates.
+
+use super::decide::{Change, Health, Member, View, decide};
+use crate::gossip::SharedKnowledge;
+use crate::replica::{MemberError, RaftId, Replica};
+use consort_protocol::ids::{ClusterId, NodeId};
+use consort_protocol::knowledge::Knowledge;
+use consort_protocol::ledger::Ledger;
+use serde_json::{Value, json};
+use std::collections::{BTreeMap, BTreeSet};
+use std::time::Duration;
+use tokio::time::Instant;
+
+/// How long a change may take to be committed.
+const LIMIT: Duration = Duration::from_secs(2);
+
+/// How long to wait after a change that failed.
+const AGAIN: Duration = Duration::from_secs(1);
+
+/// A voter that answers nothing counts as there for so much longer while gossip reaches it: its process may be held up
+/// by its disk.
+const HELD_UP: u32 = 3;
+
+/// The autopilot of one reign.
+pub(crate) struct Autopilot {
+    target: usize,
+    dead_after: Duration,
+    /// A member that has answered within this time is there.
+    near: Duration,
+    began: Instant,
+    /// When something was changed last.
+    changed: Instant,
+    not_before: Instant,
+    busy: bool,
+    well_since: BTreeMap<RaftId, Instant>,
+    latest: Option<(Instant, String)>,
+}
+
+/// A change that was carried out, or was not.
+pub struct Done {
+    change: Change,
+    outcome: Result<(), MemberError>,
+}
+
+impl Autopilot {
+    pub(crate) fn new(target: usize, dead_after: Duration, near: Duration) -> Autopilot {
+        let now = Instant::now();
+        Autopilot {
+            target,
+            dead_after,
+            near,
+            began: now,
+            changed: now,
+            not_before: now,
+            busy: false,
+            well_since: BTreeMap::new(),
+            latest: None,
+        }
+    }
+
+    /// The change to begin now. Until [`done`](Self::done) is told of it, there is no other.
+    pub(crate) fn next(&mut self, replica: &Replica<Ledger>, knowledge: &SharedKnowledge) -> Option<Change> {
+        let cluster = (*replica.cluster().borrow())?;
+        if self.busy || Instant::now() < self.not_before {
+            return None;
+        }
+        let change = decide(&self.view(replica, knowledge, cluster))?;
+        self.busy = true;
+        Some(change)
+    }
+
+    /// Takes note of what became of a change; gives the reason of one that was made.
+    pub(crate) fn done(&mut self, done: Done) -> Result<String, (String, MemberError)> {
+        self.busy = false;
+        let reason = done.change.reason().to_owned();
+        match done.outcome {
+            Ok(()) => {
+                self.changed = Instant::now();
+                self.latest = Some((self.changed, reason.clone()));
+                Ok(reason)
+            }
+            Err(problem) => {
+                self.not_before = Instant::now() + AGAIN;
+                Err((reason, problem))
+            }
+        }
+    }
+
+    /// To show.
+    pub(crate) fn show(&self) -> Value {
+        let latest = self.latest.as_ref().map(|(at, reason)| {
+            let age_ms = u64::try_from(at.elapsed().as_millis()).unwrap_or(u64::MAX);
+            json!({ "reason": reason, "age_ms": age_ms })
+        });
+        json!({ "voters_aimed_at": self.target, "changing": self.busy, "latest_change": latest })
+    }
+
+    fn view(&mut self, replica: &Replica<Ledger>, knowledge: &SharedKnowledge, cluster: ClusterId) -> View {
+        let leadership = replica.leadership().borrow().clone();
+        let (heard, lags) = (replica.heard(), replica.lags());
+        let known: BTreeMap<NodeId, Knowledge> = knowledge
+            .read(|base| base.iter().map(|(node, heard)| (node.clone(), heard.record.knowledge.clone())).collect());
+        let now = Instant::now();
+        let me = replica.id();
+
+        let mut present = BTreeSet::new();
+        let mut member = |id: RaftId, node: &NodeId, health: Health| {
+            let health = match health {
+                Health::Well { .. } => {
+                    present.insert(id);
+                    let since = *self.well_since.entry(id).or_insert(now);
+                    Health::Well { since: now.saturating_duration_since(since) }
+                }
+                health @ (Health::Silent { .. } | Health::Replaced) => health,
+            };
+            let said = known.get(node);
+            Member {
+                node: node.clone(),
+                health,
+                fixed: said.is_some_and(|said| said.stationary && said.mains_powered),
+                leaving: said.is_some_and(|said| said.leaving),
+                lag: lags.get(&id).copied().flatten(),
+            }
+        };
+        let health = |id: RaftId, node: &NodeId| {
+            if id == me {
+                return Health::Well { since: Duration::ZERO };
+            }
+            let gossips = knowledge.alive(node);
+            if gossips && known.get(node).is_some_and(|said| said.replica != Some(id.0)) {
+                return Health::Replaced;
+            }
+            let reign = self.began.elapsed();
+            let silent = heard.get(&id).copied().flatten().map_or(reign, |age| age.min(reign));
+            match silent {
+                silent if silent <= self.near => Health::Well { since: Duration::ZERO },
+                silent if gossips => Health::Silent { since: silent / HELD_UP },
+                silent => Health::Silent { since: silent },
+            }
+        };
+        let mut members = |all: &BTreeMap<RaftId, NodeId>| -> BTreeMap<RaftId, Member> {
+            all.iter().map(|(id, node)| (*id, member(*id, node, health(*id, node)))).collect()
+        };
+        let (voters, observers) = (members(&leadership.voters), members(&leadership.observers));
+        let candidates = known.iter().filter_map(|(node, said)| {
+            let id = RaftId(said.replica.filter(|_| said.may_vote)?);
+            let new = !leadership.voters.contains_key(&id) && !leadership.observers.contains_key(&id);
+            let ours = said.cluster.is_none_or(|its| its == cluster);
+            (new && ours && knowledge.alive(node)).then(|| (id, node.clone()))
+        });
+        let candidates: BTreeMap<RaftId, NodeId> = candidates.collect();
+        let there = |(id, node): (&RaftId, &NodeId)| (*id, member(*id, node, Health::Well { since: Duration::ZERO }));
+        let candidates = candidates.iter().map(there).collect();
+        self.well_since.retain(|id, _| present.contains(id));
+        View {
+            me,
+            target: self.target,
+            dead_after: self.dead_after,
+            settle: self.dead_after * 3,
+            quiet: self.changed.elapsed(),
+            voters,
+            changing_to: leadership.changing_to,
+            observers,
+            candidates,
+        }
+    }
+}
+
+/// Carries a change out.
+pub(crate) async fn perform(replica: Replica<Ledger>, change: Change) -> Done {
+    let outcome = match &change {
+        Change::Observe { id, node, .. } => replica.add_observer(*id, node.clone(), LIMIT).await,
+        Change::Vote { voters, .. } => replica.set_voters(voters.clone(), LIMIT).await,
+        Change::Forget { id, .. } => replica.remove_observer(*id, LIMIT).await,
+    };
+    Done { change, outcome }
+}

@@ -1,0 +1,101 @@
+//! A journal looked at from outside, and made that of a fleet's only voter: what is left to do when a majority of the
+//! voters is gone for good.
+//!
+//! Raft itself can do nothing then, and must not: nobody knows what the others had acknowledged. Whoever does this takes
+//! what this one journal holds for the whole truth. That may be too little (entries that only the others held) and too
+//! much (entries that were never committed), so people decide it, not nodes.
+
+use super::journal::{Recorded, StoreIdentity};
+use super::store::{self, Kept, Machine, write_record};
+use super::types::{Epoch, LogId, Peer, RaftId, SnapshotMeta, StateMachine, StoredMembership, Vote, epoch_of};
+use consort_protocol::ids::NodeId;
+use openraft::Membership;
+use std::collections::{BTreeMap, BTreeSet};
+use std::io;
+
+/// What a journal holds.
+#[derive(Debug, Clone)]
+pub struct Holdings<S> {
+    /// The newest term that the node voted in or heard of.
+    pub term: u64,
+    /// The last entry.
+    pub last: Option<Epoch>,
+    /// The last entry that is known to be committed; later ones may be as well.
+    pub committed: Option<Epoch>,
+    /// Who votes, by the last entry.
+    pub voters: BTreeMap<RaftId, NodeId>,
+    /// The state, all entries carried out.
+    pub state: S,
+}
+
+/// A journal as it was read, every entry carried out.
+struct Unfolded<S> {
+    vote: Option<Vote>,
+    committed: Option<LogId>,
+    machine: Machine<S>,
+}
+
+fn unfold<S: StateMachine>(recorded: Recorded) -> io::Result<Unfolded<S>> {
+    let (log, mut machine) = store::take_up::<S>(recorded)?;
+    // What the snapshot holds is committed, whatever was noted since.
+    let committed = log.committed.max(machine.applied);
+    for (_, entry) in log.entries {
+        if machine.applied < Some(entry.log_id) {
+            machine.carry_out(entry);
+        }
+    }
+    Ok(Unfolded { vote: log.vote, committed, machine })
+}
+
+/// What a journal holds, looked at and left as it is.
+///
+/// # Errors
+/// The journal is not whole, or of another release.
+pub fn holdings<S: StateMachine>(recorded: Recorded) -> io::Result<Holdings<S>> {
+    let Unfolded { vote, committed, machine } = unfold::<S>(recorded)?;
+    let membership = machine.membership.membership();
+    let name = |id: RaftId| membership.get_node(&id).map(|peer| (id, peer.name.clone()));
+    Ok(Holdings {
+        term: vote.map_or(0, |vote| vote.leader_id().term),
+        last: machine.applied.as_ref().map(epoch_of),
+        committed: committed.as_ref().map(epoch_of),
+        voters: membership.voter_ids().filter_map(name).collect(),
+        state: machine.state,
+    })
+}
+
+/// The journal of `node`, whose store is called `store`, as that of the only voter: all that it holds counts as committed,
+/// as one snapshot, which `renew` may change. Its vote stays: its term never falls.
+///
+/// # Errors
+/// The journal is not whole, of another release, or holds nothing at all.
+pub fn sole_voter<S: StateMachine>(
+    recorded: Recorded,
+    node: &NodeId,
+    store: StoreIdentity,
+    renew: impl FnOnce(&mut S),
+) -> io::Result<Recorded> {
+    let vote = recorded.vote.clone();
+    let Unfolded { mut machine, .. } = unfold::<S>(recorded)?;
+    let Some(last) = machine.applied else {
+        return Err(io::Error::new(io::ErrorKind::InvalidInput, "it holds no entry: there is nothing to recover"));
+    };
+    renew(&mut machine.state);
+    let id = RaftId::of(node, store);
+    let members = BTreeMap::from([(id, Peer { name: node.clone() })]);
+    let membership = Membership::new(vec![BTreeSet::from([id])], members);
+    let meta = SnapshotMeta {
+        last_log_id: Some(last),
+        last_membership: StoredMembership::new(Some(last), membership),
+        snapshot_id: format!("recovered-{}@{:032x}", epoch_of(&last), store.0),
+    };
+    let kept = Kept { meta, state: write_record(&machine.state)? };
+    let last = write_record(&last)?;
+    Ok(Recorded {
+        vote,
+        committed: Some(last.clone()),
+        purged: Some(last),
+        entries: BTreeMap::new(),
+        snapshot: Some(write_record(&kept)?),
+    })
+}

@@ -1,0 +1,175 @@
+//! Commands that arrive while an entry is being written share the next one.
+
+use crate::support::{SOON, node, on_virtual_time, usual};
+use async_trait::async_trait;
+use consort_actors::bus::virtual_bus::{LinkModel, VirtualNetwork};
+use consort_actors::replica::{
+    Epoch, Journal, MemoryJournal, ProposeError, Recorded, Replica, StateMachine, StoreIdentity,
+};
+use futures::future::join_all;
+use serde::{Deserialize, Serialize};
+use std::collections::{BTreeMap, BTreeSet};
+use std::io;
+use std::sync::Arc;
+use std::time::Duration;
+use tokio::time::{Instant, sleep};
+
+/// How long the journal takes to write.
+const SLOW: Duration = Duration::from_millis(10);
+
+/// What was put on it, in order, with its place.
+#[derive(Debug, Clone, Default, Serialize, Deserialize)]
+struct Shelf(Vec<(Epoch, u64)>);
+
+#[derive(Debug, Clone, Serialize, Deserialize)]
+enum Put {
+    Plain(u64),
+    Apart(u64),
+    Bulky(u64, Vec<u8>),
+}
+
+impl StateMachine for Shelf {
+    type Command = Put;
+    type Outcome = (Epoch, usize);
+
+    fn apply(
+        &mut self,
+        at: Epoch,
+        (Put::Plain(number) | Put::Apart(number) | Put::Bulky(number, _)): Put,
+    ) -> (Epoch, usize) {
+        self.0.push((at, number));
+        (at, self.0.len())
+    }
+
+    fn grants_epoch(command: &Put) -> bool {
+        matches!(command, Put::Apart(_))
+    }
+}
+
+/// A journal that takes its time to add entries.
+#[derive(Clone)]
+struct Slow(MemoryJournal);
+
+#[async_trait]
+impl Journal for Slow {
+    fn identity(&self) -> StoreIdentity {
+        self.0.identity()
+    }
+
+    async fn load(&self) -> io::Result<Recorded> {
+        self.0.load().await
+    }
+
+    async fn record_vote(&self, vote: Vec<u8>) -> io::Result<()> {
+        self.0.record_vote(vote).await
+    }
+
+    async fn record_committed(&self, committed: Option<Vec<u8>>) -> io::Result<()> {
+        self.0.record_committed(committed).await
+    }
+
+    async fn append(&self, entries: Vec<(u64, Vec<u8>)>) -> io::Result<()> {
+        sleep(SLOW).await;
+        self.0.append(entries).await
+    }
+
+    async fn truncate(&self, index: u64) -> io::Result<()> {
+        self.0.truncate(index).await
+    }
+
+    async fn purge(&self, index: u64, last: Vec<u8>) -> io::Result<()> {
+        self.0.purge(index, last).await
+    }
+
+    async fn keep_snapshot(&self, snapshot: Vec<u8>) -> io::Result<()> {
+        self.0.keep_snapshot(snapshot).await
+    }
+}
+
+/// A node that leads alone, and its journal.
+async fn alone() -> (Replica<Shelf>, Slow) {
+    let network = VirtualNetwork::new(1, LinkModel::LAN);
+    let journal = Slow(MemoryJournal::new(1));
+    let bus = Arc::new(network.bus(node("ada")));
+    let replica = Replica::start(usual(node("ada")), bus, Arc::new(journal.clone()), 1).await.expect("a start");
+    replica.bootstrap(BTreeMap::from([(replica.id(), node("ada"))])).await.expect("a first founding");
+    replica.leadership().wait_for(|now| now.is_me).await.expect("a replica");
+    (replica, journal)
+}
+
+/// Proposes all at once, and gives the places they came to stand at.
+async fn put_all(replica: &Replica<Shelf>, all: impl Iterator<Item = Put>) -> Vec<(Epoch, usize)> {
+    let answers = join_all(all.map(|put| replica.propose(put, SOON))).await;
+    answers.into_iter().map(|answer| answer.expect("a commit")).collect()
+}
+
+#[test]
+fn many_commands_at_once_share_few_entries_and_keep_their_order() {
+    on_virtual_time(async {
+        let (replica, _) = alone().await;
+        let began = Instant::now();
+        let outcomes = put_all(&replica, (0..200).map(Put::Plain)).await;
+        assert!(began.elapsed() < SLOW * 4, "{:?}", began.elapsed());
+        let places: BTreeSet<Epoch> = outcomes.iter().map(|(at, _)| *at).collect();
+        assert!(places.len() <= 2, "{places:?}");
+        assert_eq!(outcomes.iter().map(|(_, count)| *count).collect::<Vec<_>>(), (1..=200).collect::<Vec<_>>());
+        assert_eq!(replica.read(Shelf::clone).0, (0..).zip(&outcomes).map(|(n, (at, _))| (*at, n)).collect::<Vec<_>>());
+    });
+}
+
+#[test]
+fn a_command_that_comes_alone_waits_for_no_company() {
+    on_virtual_time(async {
+        let (replica, _) = alone().await;
+        let began = Instant::now();
+        replica.propose(Put::Plain(1), SOON).await.expect("a commit");
+        assert!(began.elapsed() <= SLOW + Duration::from_millis(1), "{:?}", began.elapsed());
+    });
+}
+
+#[test]
+fn commands_that_grant_epochs_have_one_each() {
+    on_virtual_time(async {
+        let (replica, _) = alone().await;
+        let is_apart = |number: &u64| number % 4 == 1;
+        let put = |number| if is_apart(&number) { Put::Apart(number) } else { Put::Plain(number) };
+        let outcomes = put_all(&replica, (0..40).map(put)).await;
+        let apart: Vec<Epoch> =
+            (0..40).zip(&outcomes).filter(|(number, _)| is_apart(number)).map(|(_, (at, _))| *at).collect();
+        assert_eq!(apart.iter().collect::<BTreeSet<_>>().len(), 10, "{apart:?}");
+        let places: BTreeSet<Epoch> = outcomes.iter().map(|(at, _)| *at).collect();
+        assert!(places.len() <= 11, "{places:?}");
+        assert_eq!(
+            replica.read(Shelf::clone).0.iter().map(|(_, n)| *n).collect::<Vec<_>>(),
+            (0..40).collect::<Vec<_>>()
+        );
+    });
+}
+
+#[test]
+fn commands_share_an_entry_only_while_it_stays_small() {
+    on_virtual_time(async {
+        let (replica, journal) = alone().await;
+        put_all(&replica, (0..30).map(|number| Put::Bulky(number, vec![7; 5000]))).await;
+        let entries = journal.load().await.expect("a journal").entries;
+        let longest = entries.values().map(Vec::len).max().expect("entries");
+        assert!((15_000..16 * 1024).contains(&longest), "{longest} bytes");
+        // One that is larger goes alone.
+        put_all(&replica, (0..3).map(|number| Put::Bulky(number, vec![7; 30_000]))).await;
+        let entries = journal.load().await.expect("a journal").entries;
+        let longest = entries.values().map(Vec::len).max().expect("entries");
+        assert!((30_000..31_000).contains(&longest), "{longest} bytes");
+    });
+}
+
+#[test]
+fn a_node_that_does_not_lead_refuses_each_of_many_at_once() {
+    on_virtual_time(async {
+        let network = VirtualNetwork::new(1, LinkModel::LAN);
+        let bus = Arc::new(network.bus(node("ada")));
+        let journal = Arc::new(MemoryJournal::new(1));
+        let replica = Replica::<Shelf>::start(usual(node("ada")), bus, journal, 1).await.expect("a start");
+        let answers = join_all((0..20).map(|number| replica.propose(Put::Plain(number), SOON))).await;
+        assert!(answers.iter().all(|answer| *answer == Err(ProposeError::NotLeader { leader: None })), "{answers:?}");
+    });
+}

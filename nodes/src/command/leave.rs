@@ -1,0 +1,60 @@
+//! `consort leave`: a node leaves the fleet for good.
+
+use crate::client::{Client, ClientFlags};
+use crate::exit::Failure;
+use crate::{output, running};
+use consort_protocol::ids::NodeId;
+use consort_protocol::keys::Key;
+use serde_json::Value;
+use std::time::Duration;
+
+/// How long a node may take to leave: its robot waits for a lease and its grace, its vote for the autopilot.
+const LEAVES_WITHIN: Duration = Duration::from_secs(60);
+
+/// Have a node leave the fleet for good
+///
+/// Its robot puts its role down, so that another can take it; if it coordinates, it hands over; another takes its vote.
+/// Then its process ends. To stop a node for a while, end its process (Ctrl-C or SIGTERM): it keeps its vote, and its robot
+/// goes on with its role if it is back in time.
+#[derive(Debug, clap::Args)]
+#[command(after_long_help = "\
+Examples:
+  consort leave ward-3
+  consort leave ada --connect tcp/192.0.2.7:7447")]
+pub struct Args {
+    /// The node, as `consort fleet` names it
+    node: NodeId,
+    /// Print JSON
+    #[arg(long)]
+    json: bool,
+    #[command(flatten)]
+    client: ClientFlags,
+}
+
+/// Runs the command.
+///
+/// # Errors
+/// As [`Client::ask_node`]; a node that must stay is [`Failure::Unsuccessful`].
+pub fn run(args: Args) -> Result<(), Failure> {
+    running::runtime()?.block_on(async {
+        let mut client = Client::open(&args.client).await?;
+        let answer = client.ask_node(&Key::Leave(args.node.clone()), &args.node, LEAVES_WITHIN).await?;
+        client.close().await;
+        if args.json {
+            return output::line(&answer);
+        }
+        let is = |key: &str| answer.get(key).and_then(Value::as_bool).unwrap_or(false);
+        let successor = answer.get("successor").and_then(Value::as_str);
+        let mut words = format!("{} has left", args.node);
+        if let Some(successor) = successor {
+            words += &format!("; {successor} coordinates");
+        }
+        if is("kept_ledger") {
+            words += if is("released") { "; it keeps the ledger no more" } else { "; its vote is not removed yet" };
+        }
+        if !is("role_given_back") {
+            words += "; its robot's role was not given back in time, and is given to another when its lease has ended";
+        }
+        output::line(words)
+    })
+}

@@ -1,0 +1,278 @@
+//! Requests committed in a second: three voters on loopback over Zenoh, each with its ledger on disk, and many clients.
+//!
+//! ```text
+//! cargo bench -p consort --bench ledger [-- REQUESTS [CLIENTS]]
+//! ```
+//!
+//! Each voter has a runtime, a bus and a store of its own; they share the machine and its disk. Clients ask the leader over
+//! Zenoh, one request at a time each: to submit a mission (of some kilobytes), and then to cancel it. A request counts when
+//! its answer is there, which is after its commit: its entry was synced by the leader and by another voter.
+//!
+//! The disk is measured in the same run and folder, in a file as long as the ledger's became: 4 KiB more and a sync, by one
+//! writer alone and by three at once, as the voters are. openraft has the leader sync an entry before it sends it, so a
+//! request waits for two syncs; entries follow one another while the former are on their way. The bound is therefore what
+//! the clients could ask if nothing but two syncs of a third of the disk each took any time.
+
+#[path = "support/figures.rs"]
+mod support;
+
+use bytes::Bytes;
+use consort_actors::bus::zenoh_bus::Mode;
+use consort_actors::bus::{Encoding, SharedBus, ZenohBus, ZenohSettings};
+use consort_actors::replica::{Leadership, RaftId, Replica, ReplicaSettings, StoreIdentity};
+use consort_actors::store::{DurableStore, LEDGER, Owner};
+use consort_protocol::codec;
+use consort_protocol::ids::{FleetId, MissionId, NodeId, RequestId};
+use consort_protocol::ledger::{Command, Ledger, Outcome, Priority, Submission};
+use consort_protocol::mission::{Domain, shipped};
+use consort_protocol::plan::divide_and_check;
+use serde_json::{Value, json};
+use std::collections::BTreeMap;
+use std::fs::{self, File};
+use std::io::Write;
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::time::Duration;
+use support::{Problem, figures, ms};
+use tokio::runtime::{Builder, Runtime};
+use tokio::sync::watch;
+use tokio::task::JoinSet;
+use tokio::time::{Instant, sleep};
+
+const VOTERS: usize = 3;
+
+/// How long an answer may take.
+const LIMIT: Duration = Duration::from_secs(5);
+
+/// Syncs by which the disk is judged, for each writer.
+const SYNCS: usize = 300;
+
+fn main() -> ExitCode {
+    let mut numbers = std::env::args().filter_map(|argument| argument.parse().ok());
+    let requests = numbers.next().unwrap_or(10_000);
+    let clients = numbers.next().unwrap_or(64);
+    support::main("ledger", measure(requests, clients))
+}
+
+/// A folder that is removed at the end.
+struct Folder(PathBuf);
+
+impl Drop for Folder {
+    fn drop(&mut self) {
+        let _ = fs::remove_dir_all(&self.0);
+    }
+}
+
+/// A voter, and the threads it lives on.
+struct Voter {
+    replica: Replica<Ledger>,
+    endpoint: String,
+    runtime: Option<Runtime>,
+}
+
+impl Drop for Voter {
+    fn drop(&mut self) {
+        if let Some(runtime) = self.runtime.take() {
+            runtime.shutdown_background();
+        }
+    }
+}
+
+async fn measure(requests: usize, clients: usize) -> Result<Value, Problem> {
+    let folder = Folder(std::env::temp_dir().join(format!("consort-ledger-{}", std::process::id())));
+    let mut voters: BTreeMap<NodeId, Voter> = BTreeMap::new();
+    for number in 1..=VOTERS {
+        let name = NodeId::new(format!("voter-{number}")).expect("a slug");
+        let connect = voters.values().map(|voter| voter.endpoint.clone()).collect();
+        let voter = start(name.clone(), folder.0.join(name.as_str()), connect).await?;
+        voters.insert(name, voter);
+    }
+    let members: BTreeMap<RaftId, NodeId> =
+        voters.iter().map(|(name, voter)| (voter.replica.id(), name.clone())).collect();
+    let first = voters.values().next().ok_or("no voters")?;
+    first.replica.bootstrap(members).await.map_err(|problem| problem.to_string())?;
+    let began = Instant::now();
+    let leader = loop {
+        let leads = |voter: &Voter| voter.replica.leadership().borrow().is_me;
+        match voters.iter().find(|(_, voter)| leads(voter)) {
+            Some((name, _)) => break name.clone(),
+            None if began.elapsed() > LIMIT => return Err("nobody leads".to_owned()),
+            None => sleep(Duration::from_millis(10)).await,
+        }
+    };
+    let settings = ZenohSettings {
+        mode: Mode::Client,
+        connect: vec![voters[&leader].endpoint.clone()],
+        ..ZenohSettings::default()
+    };
+    let bus = ZenohBus::open(settings).await.map_err(|problem| problem.to_string())?;
+    let leaders = voters.iter().map(|(name, voter)| (name.clone(), voter.replica.leadership())).collect();
+    let (took, latencies, again) = ask_all(Arc::new(bus), leaders, requests, clients).await?;
+    let rate = requests as f64 / took.as_secs_f64();
+
+    let bytes = fs::metadata(folder.0.join(leader.as_str()).join(LEDGER)).map_err(|problem| problem.to_string())?.len();
+    let entries = voters[&leader].replica.applied().borrow().index;
+    drop(voters);
+    let alone = syncs_per_s(&folder.0, 1, bytes)?;
+    let shared = syncs_per_s(&folder.0, VOTERS, bytes)?;
+    let bound = clients as f64 * shared / 2.0;
+    Ok(json!({
+        "voters": VOTERS, "clients": clients, "requests": requests, "asked_again": again, "entries": entries,
+        "requests_per_s": rate.round(), "latency": figures(latencies), "ledger_bytes": bytes,
+        "syncs_per_s_alone": alone.round(), "syncs_per_s_of_each_of_three": shared.round(),
+        "bound_per_s": bound.round(), "ratio": (rate / bound * 100.0).round() / 100.0,
+        "requests_per_sync_of_the_disk_alone": (rate / alone * 100.0).round() / 100.0,
+    }))
+}
+
+async fn start(name: NodeId, folder: PathBuf, connect: Vec<String>) -> Result<Voter, Problem> {
+    let runtime = Builder::new_multi_thread().worker_threads(2).enable_all().build();
+    let runtime = runtime.map_err(|problem| problem.to_string())?;
+    let started = runtime.spawn(async move {
+        let bus = ZenohBus::open(ZenohSettings { connect, ..ZenohSettings::default() }).await;
+        let bus = bus.map_err(|problem| problem.to_string())?;
+        let endpoint = bus.listening().await.into_iter().next().ok_or("it listens nowhere")?;
+        let fleet = FleetId::new("bench").expect("a slug");
+        let owner = Owner { fleet: fleet.clone(), node: name.clone() };
+        let fresh = StoreIdentity(u128::from(name.as_str().bytes().last().unwrap_or(0)));
+        let store = DurableStore::open(&folder, &owner, fresh).map_err(|problem| problem.to_string())?;
+        let shared: SharedBus = Arc::new(bus);
+        let seed = u64::from(endpoint.bytes().last().unwrap_or(0));
+        let settings = ReplicaSettings::new(fleet, name.clone());
+        let replica = Replica::<Ledger>::start(settings, shared.clone(), Arc::new(store), seed).await;
+        let replica = replica.map_err(|problem| problem.to_string())?;
+        tokio::spawn(serve(shared, key(&name), replica.clone()));
+        Ok::<_, Problem>((replica, endpoint))
+    });
+    let (replica, endpoint) = started.await.map_err(|problem| problem.to_string())??;
+    Ok(Voter { replica, endpoint, runtime: Some(runtime) })
+}
+
+fn key(voter: &NodeId) -> String {
+    format!("consort/bench/propose/{voter}")
+}
+
+/// Proposes what clients ask for.
+async fn serve(bus: SharedBus, key: String, replica: Replica<Ledger>) -> Result<(), Problem> {
+    let mut queries = bus.serve(&key).await.map_err(|problem| problem.to_string())?;
+    while let Some(query) = queries.recv().await {
+        let replica = replica.clone();
+        tokio::spawn(async move {
+            let Ok(command) = codec::decode::<Command>(&query.payload) else { return };
+            // Whether an answer arrives, the client sees.
+            let _ = match replica.propose(command, LIMIT).await {
+                Ok(outcome) => {
+                    let bytes = codec::encode(&outcome).expect("outcomes are small");
+                    query.replier.reply(&query.key, bytes.into(), Encoding::Wire).await
+                }
+                Err(problem) => query.replier.refuse(&problem.to_string()).await,
+            };
+        });
+    }
+    Ok(())
+}
+
+/// Has all requests answered; gives how long that took, how long each took, and how often one had to be made again.
+async fn ask_all(
+    bus: SharedBus,
+    leaders: Vec<(NodeId, watch::Receiver<Leadership>)>,
+    requests: usize,
+    clients: usize,
+) -> Result<(Duration, Vec<f64>, usize), Problem> {
+    let template = shipped().get("lab-samples").ok_or("no such mission")?;
+    let mission = template.instantiate(&BTreeMap::new(), &Domain::hospital()).map_err(|problem| problem.to_string())?;
+    let division = divide_and_check(&mission).map_err(|problem| problem.to_string())?;
+    let left = Arc::new(AtomicUsize::new(requests));
+    let began = Instant::now();
+    let mut all = JoinSet::new();
+    for client in 0..clients {
+        let (bus, leaders, left) = (bus.clone(), leaders.clone(), Arc::clone(&left));
+        let (mission, division) = (mission.clone(), division.clone());
+        all.spawn(async move {
+            let (mut latencies, mut again, mut open) = (vec![], 0, None::<MissionId>);
+            let take = |left: usize| left.checked_sub(1);
+            while left.fetch_update(Ordering::SeqCst, Ordering::SeqCst, take).is_ok() {
+                let command = match open.take() {
+                    Some(mission) => Command::Cancel { mission, by: "a client".to_owned(), places: BTreeMap::new() },
+                    None => Command::Submit(Box::new(Submission {
+                        request: RequestId::new(format!("client-{client}-{}", latencies.len())).expect("a slug"),
+                        mission: mission.clone(),
+                        division: division.clone(),
+                        parameters: BTreeMap::new(),
+                        recovery: None,
+                        priority: Priority::default(),
+                        deadline_ms: None,
+                        at_ms: 0,
+                    })),
+                };
+                let asked = Instant::now();
+                let question = Bytes::from(codec::encode(&command).expect("it is small"));
+                // On a busy machine the lead may change; a request that is made again is done once.
+                let outcome = loop {
+                    let leader = leaders.iter().find(|(_, leadership)| leadership.borrow().is_me);
+                    let Some((name, _)) = leader else {
+                        sleep(Duration::from_millis(5)).await;
+                        continue;
+                    };
+                    match ask(&bus, &key(name), question.clone()).await {
+                        Ok(outcome) => break outcome,
+                        Err(_) if asked.elapsed() < LIMIT => {
+                            again += 1;
+                            sleep(Duration::from_millis(5)).await;
+                        }
+                        Err(problem) => return Err(problem),
+                    }
+                };
+                latencies.push(ms(asked, Instant::now()));
+                match outcome {
+                    Outcome::Submitted { mission, .. } => open = Some(mission),
+                    // A repeated cancel finds it done.
+                    Outcome::Done | Outcome::Refused(_) if matches!(command, Command::Cancel { .. }) => {}
+                    other => return Err(format!("the ledger answered {other:?}")),
+                }
+            }
+            Ok((latencies, again))
+        });
+    }
+    let (mut latencies, mut again) = (vec![], 0);
+    for ended in all.join_all().await {
+        let (more, repeated): (Vec<f64>, usize) = ended?;
+        latencies.extend(more);
+        again += repeated;
+    }
+    Ok((began.elapsed(), latencies, again))
+}
+
+async fn ask(bus: &SharedBus, key: &str, question: Bytes) -> Result<Outcome, Problem> {
+    let mut replies = bus.query(key, question, LIMIT).await.map_err(|problem| problem.to_string())?;
+    let reply = replies.recv().await.ok_or("no answer")?;
+    codec::decode(&reply.payload?).map_err(|problem| problem.to_string())
+}
+
+/// How many times in a second each of some writers can add 4 KiB to a file of `bytes` and bring it to disk.
+fn syncs_per_s(folder: &Path, writers: usize, bytes: u64) -> Result<f64, Problem> {
+    let writers: Vec<_> = (0..writers)
+        .map(|writer| {
+            let path = folder.join(format!("syncs-{writer}"));
+            std::thread::spawn(move || -> std::io::Result<Duration> {
+                let mut file = File::create(path)?;
+                file.write_all(&vec![7; usize::try_from(bytes).unwrap_or(0)])?;
+                file.sync_all()?;
+                let began = std::time::Instant::now();
+                for _ in 0..SYNCS {
+                    file.write_all(&[7; 4096])?;
+                    file.sync_data()?;
+                }
+                Ok(began.elapsed())
+            })
+        })
+        .collect();
+    let mut slowest = Duration::ZERO;
+    for writer in writers {
+        let took = writer.join().map_err(|_| "a writer died")?.map_err(|problem| problem.to_string())?;
+        slowest = slowest.max(took);
+    }
+    Ok(SYNCS as f64 / slowest.as_secs_f64())
+}

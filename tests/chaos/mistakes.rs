@@ -1,0 +1,37 @@
+//! What does not hold is found, and cut down to what it takes.
+
+use crate::{OPTIMISED, jobs, once};
+use consort_protocol::mutants::Mutant;
+use consort_tests::chaos::mutants::{HUNTS, hunt};
+use consort_tests::chaos::{Act, Cast, Kind, Order, generate, shrink};
+
+#[test]
+fn every_mutant_is_found_within_its_number_of_seeds() {
+    // A debug build looks for those that show at once.
+    let quick = [Mutant::WaitSkipped];
+    let mut missed = vec![];
+    for wanted in HUNTS {
+        if !OPTIMISED && !quick.contains(&wanted.mutant) {
+            continue;
+        }
+        let found = hunt(wanted, jobs(), || ()).expect("tests are built with mutants");
+        if found.seeds.is_none() {
+            missed.push(found);
+        }
+    }
+    assert!(missed.is_empty(), "not found: {missed:?}");
+}
+
+#[test]
+fn a_violation_is_cut_down_to_the_steps_that_it_takes() {
+    let order = Order { seed: 3, nodes: 5, minutes: 1.0 };
+    let schedule = generate(order.seed, &Cast::of(5), order.minutes, &Kind::FAULTS);
+    let fails = |schedule: &_| {
+        let violation = once(&order, schedule, Some(Mutant::WaitSkipped)).violation;
+        violation.is_some_and(|violation| violation.invariant == "signals")
+    };
+    assert!(fails(&schedule), "{schedule}");
+    let smallest = shrink(&schedule, 60, fails);
+    // A mission is all it takes to pass a wait too early.
+    assert!(matches!(&smallest.steps[..], [step] if matches!(step.act, Act::Submit { .. })), "{smallest}");
+}

@@ -1,0 +1,46 @@
+//! What must hold, held.
+
+use crate::{OPTIMISED, jobs, once};
+use consort_tests::chaos::{Cast, Kind, Many, Order, generate};
+
+fn order(seed: u64, minutes: f64) -> Order {
+    Order { seed, nodes: 7, minutes }
+}
+
+#[test]
+fn everything_holds_for_the_first_seeds() {
+    let (seeds, minutes) = if OPTIMISED { (300, 5.0) } else { (4, 2.0) };
+    let cast = Cast::of(7);
+    let mut missions = 0;
+    let found = Many {
+        seeds: 1..=seeds,
+        jobs: jobs(),
+        order: &|seed| (order(seed, minutes), generate(seed, &cast, minutes, &Kind::FAULTS)),
+        prepare: &|| (),
+    }
+    .run(|outcome| missions += outcome.tally.acknowledged);
+    if let Some(outcome) = found
+        && let Some(violation) = outcome.violation
+    {
+        let schedule = generate(outcome.seed, &cast, minutes, &Kind::FAULTS);
+        let tale = violation.tale.join("\n");
+        panic!("seed {}: {}: {}\n{tale}\n{schedule}", outcome.seed, violation.invariant, violation.why);
+    }
+    assert!(missions >= usize::try_from(seeds).expect("a few hundred"), "{missions} missions were asked for");
+}
+
+#[test]
+fn a_seed_is_the_same_run_each_time_to_the_byte() {
+    let cast = Cast::of(5);
+    let runs: Vec<_> = (11..=12)
+        .map(|seed| {
+            let order = Order { seed, nodes: 5, minutes: 1.0 };
+            let schedule = generate(seed, &cast, 1.0, &Kind::FAULTS);
+            let (one, other) = (once(&order, &schedule, None), once(&order, &schedule, None));
+            assert_eq!(one, other, "seed {seed}");
+            assert!(!one.digest.is_empty(), "seed {seed}: {:?}", one.violation);
+            one.digest
+        })
+        .collect();
+    assert_ne!(runs[0], runs[1], "another seed is another run");
+}

@@ -1,0 +1,116 @@
+//! Two halves of a fleet that founded a ledger each: nothing merges, both say so, and each goes on.
+
+use consort_protocol::event::Happening;
+use consort_protocol::ids::ClusterId;
+use consort_protocol::keys::{ApiCall, Key};
+use consort_tests::{Stations, slug, tell};
+use serde_json::Value;
+use std::collections::BTreeSet;
+use std::time::Duration;
+
+const ONE: [&str; 3] = ["aster", "basil", "clove"];
+const OTHER: [&str; 3] = ["daisy", "elder", "fennel"];
+
+/// Both halves, which have not heard of each other.
+async fn halves(seed: u64) -> Stations {
+    let mut fleet = Stations::none(seed, 3);
+    fleet.network.partition([ONE.map(slug), OTHER.map(slug)]);
+    for name in ONE.iter().chain(&OTHER) {
+        fleet.start(name).await;
+    }
+    fleet.until("two coordinators", |fleet| fleet.leaders().len() == 2).await;
+    fleet.until("two clusters", |fleet| clusters(fleet).len() == 2 && !clusters(fleet).contains(&None)).await;
+    fleet
+}
+
+fn clusters(fleet: &Stations) -> BTreeSet<Option<ClusterId>> {
+    fleet.nodes.keys().map(|name| fleet.cluster(name)).collect()
+}
+
+fn missions(fleet: &Stations, names: &[&str]) -> Vec<Vec<String>> {
+    let of = |name: &&str| {
+        let replica = fleet.nodes[*name].replica.as_ref().expect("a copy");
+        replica.read(|ledger| ledger.missions().map(|entry| entry.submission.request.to_string()).collect())
+    };
+    names.iter().map(of).collect()
+}
+
+#[test]
+fn two_that_were_founded_apart_do_not_merge_and_both_say_so() {
+    tell(1..3, async |seed| {
+        let mut fleet = halves(seed).await;
+        fleet.submit("basil", "of-one").await;
+        fleet.submit("elder", "of-the-other").await;
+        let own = |names: [&str; 3], fleet: &Stations| names.map(|name| fleet.cluster(name));
+        let before = (own(ONE, &fleet), own(OTHER, &fleet));
+        let voters = |fleet: &Stations, name: &str| fleet.believed(name).voters;
+        let kept = (voters(&fleet, "aster"), voters(&fleet, "daisy"));
+
+        fleet.network.heal();
+        let foreign = |fleet: &Stations| {
+            let told = fleet.happenings().into_iter().filter_map(|what| match what {
+                Happening::Foreign { cluster, foreign, .. } => Some((cluster, foreign)),
+                _ => None,
+            });
+            told.collect::<Vec<_>>()
+        };
+        fleet.until("both say so", |fleet| foreign(fleet).len() >= 2).await;
+        fleet.pass(Duration::from_secs(60)).await;
+        let told = foreign(&fleet);
+        assert_eq!(told.len(), 2, "seed {seed}: {told:?}");
+        assert_eq!(told[0].0, told[1].1, "seed {seed}");
+        assert_eq!((own(ONE, &fleet), own(OTHER, &fleet)), before, "seed {seed}");
+        assert_eq!((voters(&fleet, "aster"), voters(&fleet, "daisy")), kept, "seed {seed}");
+        assert_eq!(missions(&fleet, &ONE), [["of-one"]; 3], "seed {seed}");
+        assert_eq!(missions(&fleet, &OTHER), [["of-the-other"]; 3], "seed {seed}");
+
+        // Each half still elects and commits by itself, with the other in reach.
+        let leader = fleet.leaders().into_iter().find(|name| ONE.contains(&name.as_str())).expect("a leader of one");
+        fleet.kill(&leader).await;
+        fleet.until("two coordinators again", |fleet| fleet.leaders().len() == 2).await;
+        let answers = fleet.ask("fennel", &Key::Api(ApiCall::List), &Value::Null, Duration::from_secs(1)).await;
+        assert_eq!(answers.len(), 2, "seed {seed}: each answers for its own: {answers:?}");
+        let shown = fleet.ask("fennel", &Key::ViewCoordinator, &Value::Null, Duration::from_secs(1)).await;
+        for view in &shown {
+            assert_eq!(view["foreign"].as_object().map(serde_json::Map::len), Some(1), "seed {seed}: {view}");
+        }
+    });
+}
+
+#[test]
+fn a_node_that_hears_of_a_cluster_founds_none() {
+    tell(1..5, async |seed| {
+        let mut fleet = Stations::none(seed, 1);
+        fleet.start("aster").await;
+        fleet.coordinator().await;
+        let cluster = fleet.cluster("aster");
+        for name in ["basil", "clove", "daisy", "elder"] {
+            fleet.start(name).await;
+        }
+        fleet.pass(Duration::from_secs(30)).await;
+        assert_eq!(clusters(&fleet), BTreeSet::from([cluster]), "seed {seed}");
+        assert_eq!(fleet.leaders(), ["aster"], "seed {seed}");
+    });
+}
+
+#[test]
+fn a_newcomer_that_two_clusters_court_belongs_to_one_of_them() {
+    tell(1..4, async |seed| {
+        let mut fleet = halves(seed).await;
+        fleet.network.heal();
+        fleet.start("gorse").await;
+        fleet.start("hyssop").await;
+        fleet.pass(Duration::from_secs(60)).await;
+        let before = clusters(&fleet);
+        assert_eq!(before.len(), 2, "seed {seed}: {before:?}");
+        for name in ["gorse", "hyssop"] {
+            let believed = fleet.believed(name);
+            let votes: Vec<_> = believed.voters.values().map(ToString::to_string).collect();
+            if votes.iter().any(|voter| voter == name) {
+                let with = votes.iter().filter(|voter| ONE.contains(&voter.as_str())).count();
+                assert!(with == 0 || with == 3, "seed {seed}: {name} votes with {votes:?}");
+            }
+        }
+        fleet.submit("gorse", "after").await;
+    });
+}

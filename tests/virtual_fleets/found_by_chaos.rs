@@ -1,0 +1,31 @@
+//! What chaos found, each as the few steps that it takes. Every one of these did not hold once.
+
+use consort_tests::chaos::{Order, Schedule, run};
+
+/// Everything holds under this schedule.
+fn holds(seed: u64, minutes: f64, schedule: &str) {
+    let schedule: Schedule = serde_json::from_str(schedule).expect("a schedule");
+    let outcome = run(&Order { seed, nodes: 7, minutes }, &schedule);
+    if let Some(violation) = outcome.violation {
+        let tale = violation.tale.join("\n");
+        panic!("seed {seed}: {}: {}\n{tale}\n{schedule}", violation.invariant, violation.why);
+    }
+}
+
+/// The nurse had put her sample into the drawer when all nodes went down at once, before any ledger had heard of it. The role
+/// was begun anew, and a second robot waited for ever for a sample that the nurse no longer had.
+#[test]
+fn a_sample_handed_over_just_before_a_blackout_is_not_asked_for_again() {
+    holds(
+        23,
+        3.0,
+        r#"{"steps": [
+            {"at_ms": 22590, "act": "submit", "request": "r0", "room": "IC Room 6"},
+            {"at_ms": 121475, "act": "submit", "request": "r1", "room": "PC Room 1"},
+            {"at_ms": 122460, "act": "slow_disk", "node": "clove", "write_ms": 126, "for_ms": 2803},
+            {"at_ms": 122463, "act": "slow_disk", "node": "lab-arm", "write_ms": 135, "for_ms": 2800},
+            {"at_ms": 123579, "act": "slow_disk", "node": "aster", "write_ms": 291, "for_ms": 1684},
+            {"at_ms": 125163, "act": "blackout", "disk": "torn", "for_ms": 102}
+        ]}"#,
+    );
+}

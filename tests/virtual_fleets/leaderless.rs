@@ -1,0 +1,69 @@
+//! Requests that come while nobody coordinates.
+
+use consort_protocol::keys::ApiCall;
+use consort_tests::{Fleet, Member, tell};
+use serde_json::json;
+use std::time::Duration;
+use tokio::time::Instant;
+
+const ROOM: &str = "IC Room 6";
+
+#[test]
+fn a_request_in_a_leaderless_second_is_answered_at_once_by_one_voice_and_done_once_when_made_again() {
+    tell([621, 622, 623], async |seed| {
+        let robots = vec![Member::carrier("fern", "Dock"), Member::carrier("gorse", "IC Room 4")];
+        let mut fleet = Fleet::hospital(seed, robots, &["aster", "basil", "clove"], &[ROOM]).await;
+        fleet.coordinator().await;
+        fleet.kill_coordinator().await;
+        let asked = json!({ "mission": "lab-samples", "parameters": { "room": ROOM }, "request": "my-7" });
+        let mut put_off = 0;
+        let mission = loop {
+            let at = Instant::now();
+            let answer = fleet.ask(ApiCall::Submit, &asked).await;
+            assert!(fleet.elapsed() < Duration::from_secs(60), "seed {seed}: never\n{}", fleet.tale());
+            let Some(voice) = answer else { continue };
+            if let Some(mission) = voice["mission"].as_str() {
+                break mission.to_owned();
+            }
+            let error = voice["error"].as_str().expect("an error");
+            assert!(
+                error.starts_with("no coordinator yet") && error.ends_with(": retry after 300 ms"),
+                "seed {seed}: {error}"
+            );
+            assert_eq!(voice["retry_after_ms"], 300, "seed {seed}");
+            assert!(at.elapsed() < Duration::from_millis(300), "seed {seed}: not at once: {:?}", at.elapsed());
+            put_off += 1;
+            tokio::time::sleep(Duration::from_millis(20)).await;
+        };
+        assert!(put_off > 0, "seed {seed}: nobody said that nobody coordinates\n{}", fleet.tale());
+        let missions = fleet.ledger(|ledger| ledger.missions().count());
+        assert_eq!(missions, Some(1), "seed {seed}: done once");
+        fleet.completes(&mission.parse().expect("an id")).await;
+    });
+}
+
+#[test]
+fn without_a_quorum_it_is_said_how_many_voters_are_reachable() {
+    tell([631, 632], async |seed| {
+        let robots = vec![Member::carrier("fern", "Dock").late()];
+        let mut fleet = Fleet::hospital(seed, robots, &["aster", "basil"], &[ROOM]).await;
+        fleet.coordinator().await;
+        for gone in ["aster", "basil"] {
+            fleet.kill(gone).await;
+        }
+        let expected = "no coordinator yet (no quorum: 1 of 3 voters reachable): retry after 300 ms";
+        let mut said = String::new();
+        for _ in 0..400 {
+            let voices = fleet.voices(ApiCall::List, &json!(null)).await;
+            assert!(voices.len() <= 1, "seed {seed}: {voices:?}");
+            if let Some(error) = voices.first().and_then(|voice| voice["error"].as_str()) {
+                said = error.to_owned();
+            }
+            if said == expected {
+                break;
+            }
+            tokio::time::sleep(Duration::from_millis(50)).await;
+        }
+        assert_eq!(said, expected, "seed {seed}\n{}", fleet.tale());
+    });
+}

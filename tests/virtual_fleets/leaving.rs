@@ -1,0 +1,89 @@
+//! Nodes that leave: for a while or for good, as coordinator, as voter, or as neither.
+
+use consort_tests::{Stations, tell};
+use std::collections::BTreeSet;
+use std::time::Duration;
+use tokio::time::Instant;
+
+const FIVE: [&str; 5] = ["aster", "basil", "clove", "daisy", "elder"];
+const SEEDS: std::ops::Range<u64> = 1..6;
+
+#[test]
+fn a_coordinator_that_is_stopped_hands_over_within_a_tenth_of_a_second_and_keeps_its_vote() {
+    tell(SEEDS, async |seed| {
+        let mut fleet = Stations::founded(seed, &FIVE).await;
+        fleet.submit("elder", "before").await;
+        let before = fleet.voters();
+        let coordinator = fleet.coordinator().await;
+        let node = fleet.nodes.remove(&coordinator).expect("it runs");
+        let other = FIVE.iter().find(|name| **name != coordinator).expect("five");
+        let began = Instant::now();
+        let stopping = tokio::spawn(node.stop());
+        // Whoever leads has committed the first entry of its term.
+        fleet.until("another coordinator", |fleet| fleet.leaders().iter().any(|name| *name != coordinator)).await;
+        let took = began.elapsed();
+        assert!(took < Duration::from_millis(100), "seed {seed}: {took:?}");
+        fleet.submit(other, "after").await;
+        stopping.await.expect("no panic");
+        assert_eq!(fleet.voters(), before, "seed {seed}");
+        fleet.network.crash(&coordinator.parse().expect("a name"));
+        fleet.start(&coordinator).await;
+        fleet.pass(Duration::from_secs(15)).await;
+        assert_eq!((fleet.voters(), fleet.changes().len()), (before, 0), "seed {seed}");
+    });
+}
+
+#[test]
+fn whoever_leaves_for_good_loses_its_vote_to_another_before_it_goes() {
+    tell(SEEDS, async |seed| {
+        let mut fleet = Stations::founded(seed, &FIVE).await;
+        fleet.start("fennel").await;
+        fleet.pass(Duration::from_secs(2)).await;
+        // First a coordinator, then voters that are none, until nobody is left to take over.
+        for round in 0..3 {
+            let coordinator = fleet.coordinator().await;
+            let leaver = match round {
+                0 => coordinator.clone(),
+                _ => fleet.voters().into_iter().find(|name| *name != coordinator).expect("several"),
+            };
+            let asker = fleet.nodes.keys().find(|name| **name != leaver).expect("several").clone();
+            let limit = Duration::from_secs(20);
+            let answers = fleet.ask(&asker, &Stations::leave_key(&leaver), &serde_json::Value::Null, limit).await;
+            let [farewell] = &answers[..] else { panic!("seed {seed}: {answers:?}") };
+            assert_eq!(farewell["released"], true, "seed {seed}, round {round}: {farewell}");
+            assert_eq!(farewell["successor"].is_string(), round == 0, "seed {seed}: {farewell}");
+            let mut node = fleet.nodes.remove(&leaver).expect("it runs");
+            assert!(node.ended_or_left().await.is_ok(), "seed {seed}");
+            node.end().await;
+            fleet.network.crash(&leaver.parse().expect("a name"));
+            let left: BTreeSet<String> = fleet.nodes.keys().cloned().collect();
+            fleet
+                .until("voters that live", |fleet| !fleet.voters().is_empty() && fleet.voters().is_subset(&left))
+                .await;
+            assert_eq!(fleet.voters().len(), left.len().min(5), "seed {seed}, round {round}");
+        }
+        fleet.submit(&fleet.coordinator().await, "after").await;
+    });
+}
+
+#[test]
+fn the_only_voter_says_that_it_must_stay_and_leaves_once_there_is_another() {
+    tell(SEEDS, async |seed| {
+        let mut fleet = Stations::founded(seed, &["aster"]).await;
+        let limit = Duration::from_secs(20);
+        let key = Stations::leave_key("aster");
+        let answers = fleet.ask("aster", &key, &serde_json::Value::Null, limit).await;
+        let problem = answers[0]["error"].as_str().expect("a refusal");
+        assert!(problem.starts_with("aster is the only voter"), "seed {seed}: {problem}");
+        fleet.submit("aster", "before").await;
+        fleet.start("basil").await;
+        fleet.pass(Duration::from_secs(2)).await;
+        let answers = fleet.ask("basil", &key, &serde_json::Value::Null, limit).await;
+        assert_eq!(answers[0]["successor"], "basil", "seed {seed}: {answers:?}");
+        let node = fleet.nodes.remove("aster").expect("it runs");
+        node.end().await;
+        fleet.network.crash(&"aster".parse().expect("a name"));
+        fleet.submit("basil", "after").await;
+        assert_eq!(fleet.voters(), BTreeSet::from(["basil".to_owned()]), "seed {seed}");
+    });
+}
