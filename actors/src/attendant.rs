@@ -146,9 +146,10 @@ impl Actor for Attendant {
                 let key = (mission, role);
                 match answer {
                     ReportAnswer::Ended { .. } => state.put_down(&key),
-                    ReportAnswer::Renewed { ended, .. } => {
+                    ReportAnswer::Renewed { ended, told, .. } => {
                         if let Some(job) = state.jobs.get_mut(&key) {
                             job.sequencer.set_known(&ended);
+                            job.sequencer.hear_of(&told);
                             state.advance(&myself, &key).await;
                         }
                     }
@@ -208,7 +209,7 @@ impl AttendantState {
         for key in self.jobs.keys().filter(|key| !live.contains(key)).cloned().collect::<Vec<_>>() {
             self.put_down(&key);
         }
-        for LivePlan { mission, plan, ended, holders } in plans {
+        for LivePlan { mission, plan, ended, holders, told } in plans {
             let key = (mission.clone(), plan.role.clone());
             if self.jobs.get(&key).is_some_and(|job| job.plan != plan) {
                 self.put_down(&key);
@@ -241,6 +242,9 @@ impl AttendantState {
                 ask_around(&self.talk, &mut self.tasks, myself, &mission, &sequencer);
                 let job = Job { plan, sequencer, ask: None, failure: None, outdated: BTreeSet::new() };
                 self.jobs.insert(key.clone(), job);
+            }
+            if let Some(job) = self.jobs.get_mut(&key) {
+                job.sequencer.hear_of(&told);
             }
             self.advance(myself, &key).await;
         }

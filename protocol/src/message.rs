@@ -144,6 +144,8 @@ pub enum ReportAnswer {
         ended: BTreeSet<StepIndex>,
         /// Who holds the mission's managed roles now.
         holders: BTreeMap<RoleId, Holding>,
+        /// What other roles have told this one, as far as the ledger knows: a teller may be gone before it was heard.
+        told: BTreeSet<Signal>,
     },
     /// The role is no longer the reporter's, or has been carried out.
     Ended {
@@ -172,6 +174,8 @@ pub struct LivePlan {
     pub ended: BTreeSet<StepIndex>,
     /// Who holds the managed roles.
     pub holders: BTreeMap<RoleId, Holding>,
+    /// What other roles have told this one, as far as the ledger knows.
+    pub told: BTreeSet<Signal>,
 }
 
 /// Missions under way have changed: somebody who follows them should ask again.

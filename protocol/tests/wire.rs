@@ -364,11 +364,8 @@ fn report() -> impl Strategy<Value = Report> {
 
 fn report_answer() -> impl Strategy<Value = ReportAnswer> {
     prop_oneof![
-        (epoch(), btree_set(any::<u32>(), 0..5), holders()).prop_map(|(epoch, ended, holders)| ReportAnswer::Renewed {
-            epoch,
-            ended,
-            holders
-        }),
+        (epoch(), btree_set(any::<u32>(), 0..5), holders(), btree_set(signal(), 0..4))
+            .prop_map(|(epoch, ended, holders, told)| ReportAnswer::Renewed { epoch, ended, holders, told }),
         (epoch(), ending(), option::of(epoch())).prop_map(|(epoch, reason, current)| ReportAnswer::Ended {
             epoch,
             reason,
@@ -434,10 +431,10 @@ proptest! {
         ended in btree_set(any::<u32>(), 0..4), holders in holders()
     ) {
         survives(&Within { cluster: Some(ClusterId(term)), said: vec![1, 2, 3] })?;
-        survives(&Said { mission: mission.clone(), epoch, signals })?;
+        survives(&Said { mission: mission.clone(), epoch, signals: signals.clone() })?;
         survives(&Beacon { node: node.clone(), term, voters, since_ms: term })?;
         survives(&Changed { node, term })?;
-        survives(&vec![LivePlan { mission, plan, ended, holders }])?;
+        survives(&vec![LivePlan { mission, plan, ended, holders, told: signals }])?;
     }
 
     #[test]

@@ -29,3 +29,17 @@ fn a_sample_handed_over_just_before_a_blackout_is_not_asked_for_again() {
         ]}"#,
     );
 }
+
+/// The arm had taken the sample and was about to say so, when the ledger already held all its steps: its role was over before
+/// its slow disk had the page, what it was about to say was forgotten, and the carrier waited for it for ever.
+#[test]
+fn what_is_said_on_a_slow_disk_is_heard_although_the_role_is_over() {
+    holds(
+        16,
+        3.0,
+        r#"{"steps": [
+            {"at_ms": 43267, "act": "slow_disk", "node": "lab-arm", "write_ms": 170, "for_ms": 38103},
+            {"at_ms": 58694, "act": "submit", "request": "r3", "room": "PC Room 5", "priority": 0}
+        ]}"#,
+    );
+}

@@ -495,7 +495,8 @@ fn unmanaged(entry: &MissionEntry) -> Vec<LivePlan> {
     roles
         .filter_map(|(id, role)| {
             let (mission, plan) = (entry.id.clone(), entry.plan(id)?.clone());
-            Some(LivePlan { mission, plan, ended: role.ended.clone(), holders: entry.holdings() })
+            let (holders, told) = (entry.holdings(), entry.told(id));
+            Some(LivePlan { mission, plan, ended: role.ended.clone(), holders, told })
         })
         .collect()
 }

@@ -97,7 +97,7 @@ fn answer_at_once(replica: Replica<Ledger>, command: Command, report: &Report) -
     if steps == Some(report.ended.len()) {
         ReportAnswer::Ended { epoch, reason: Ending::Over, current: Some(epoch) }
     } else {
-        ReportAnswer::Renewed { epoch, ended: report.ended.clone(), holders }
+        ReportAnswer::Renewed { epoch, ended: report.ended.clone(), holders, told: Default::default() }
     }
 }
 
@@ -165,7 +165,12 @@ fn next(entry: Option<&MissionEntry>, report: &Report, places: impl FnOnce() -> 
             RoleKind::Unmanaged => Command::Fail { mission: report.mission.clone(), cause, places: places() },
         });
     }
-    Step::Answer(ReportAnswer::Renewed { epoch: report.epoch, ended: role.ended.clone(), holders: entry.holdings() })
+    Step::Answer(ReportAnswer::Renewed {
+        epoch: report.epoch,
+        ended: role.ended.clone(),
+        holders: entry.holdings(),
+        told: entry.told(&report.role),
+    })
 }
 
 fn progress(mission: &MissionId, report: &Report) -> Command {

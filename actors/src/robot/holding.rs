@@ -56,10 +56,12 @@ impl RobotState {
         self.reporting = false;
         let now = self.settings.clock.now();
         let actions = match answer {
-            Some(ReportAnswer::Renewed { epoch, ended, holders }) => {
+            Some(ReportAnswer::Renewed { epoch, ended, holders, told }) => {
                 if let Some(job) = self.job.as_mut().filter(|job| job.award.epoch == epoch) {
                     job.sequencer.set_known(&ended);
-                    if job.sequencer.set_holders(holders.clone()) {
+                    let changed = job.sequencer.set_holders(holders.clone());
+                    job.sequencer.hear_of(&told);
+                    if changed {
                         self.ask(myself);
                     }
                 }
@@ -67,6 +69,10 @@ impl RobotState {
                 self.tenure.handle(Event::Renewed { epoch, sent, ended }, now)
             }
             Some(ReportAnswer::Ended { epoch, reason: Ending::Over, .. }) => {
+                // Nobody takes over: what the ledger counts as said is said now, whether or not the disk has it.
+                let job = self.job.as_mut().filter(|job| job.award.epoch == epoch);
+                let untold = job.map(|job| std::mem::take(&mut job.pen).abandon());
+                self.speak(untold.unwrap_or_default()).await;
                 self.put_down(epoch, Ending::Over);
                 self.tenure.handle(Event::Settled { epoch }, now)
             }

@@ -229,6 +229,13 @@ impl Sequencer {
         Ok(self.progress.hear(signal))
     }
 
+    /// The ledger says that this role was told so: whoever said it may be gone.
+    pub fn hear_of(&mut self, told: &BTreeSet<Signal>) {
+        for signal in told {
+            self.progress.hear(signal);
+        }
+    }
+
     /// The task under way, and what is to be achieved.
     pub fn under_way(&self) -> Option<(Spot, &TaskId, &TaskSpec)> {
         let spot = self.running?;

@@ -67,7 +67,7 @@ impl RobotState {
     }
 
     /// Tells what has been written down.
-    async fn speak(&mut self, written: Vec<Telling>) {
+    pub(super) async fn speak(&mut self, written: Vec<Telling>) {
         let Some(mission) = self.job.as_ref().map(|job| job.award.mission.clone()) else { return };
         for telling in written {
             match telling {

@@ -268,7 +268,7 @@ impl<S: Stage> Director<S> {
         }
         self.restarted = true;
         let victim = victim.clone();
-        let words = format!("{victim} is started again; it has forgotten everything");
+        let words = format!("{victim} is started again");
         self.narrator.act(now, "restart", &words, json!({ "event": "demo_restarted", "node": victim }))?;
         self.stage.restart(&victim).await
     }

@@ -5,7 +5,7 @@ use crate::auction::AuctionRecord;
 use crate::ids::{MissionId, RequestId, RobotId, RoleId};
 use crate::lease::{Epoch, Holding};
 use crate::mission::{Lost, Mission, RoleKind};
-use crate::plan::{Division, LocalPlan, StepAction, StepIndex};
+use crate::plan::{Division, LocalPlan, Signal, StepAction, StepIndex};
 use serde::{Deserialize, Serialize};
 use std::cmp::Reverse;
 use std::collections::{BTreeMap, BTreeSet};
@@ -280,6 +280,18 @@ impl MissionEntry {
         let holding = |holder: &Holder| Holding { robot: holder.robot.clone(), epoch: holder.epoch };
         let held = self.roles.iter().filter_map(|(id, role)| Some((id.clone(), holding(role.holder.as_ref()?))));
         held.collect()
+    }
+
+    /// What other roles have told a role, by the steps of theirs that have ended. It outlives those who told it.
+    pub fn told(&self, hearer: &RoleId) -> BTreeSet<Signal> {
+        let tellers = self.roles.iter().filter_map(|(id, role)| Some((role, self.plan(id)?)));
+        let steps =
+            tellers.flat_map(|(role, plan)| role.ended.iter().filter_map(|step| plan.steps.get(*step as usize)));
+        let told = steps.filter_map(|step| match &step.action {
+            StepAction::Send(signal) => Some(signal),
+            StepAction::Task { .. } | StepAction::Wait(_) => None,
+        });
+        told.filter(|signal| signal.to == *hearer).cloned().collect()
     }
 
     /// A role's local plan.

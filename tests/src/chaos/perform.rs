@@ -16,6 +16,9 @@ use tokio::sync::watch;
 /// How long a client waits before it asks again.
 const ASK_AGAIN: Duration = Duration::from_millis(700);
 
+/// How often people look whether somebody needs them.
+const RESCUE_EVERY: Duration = Duration::from_secs(10);
+
 /// Acknowledged requests and the missions that they stand for.
 pub(super) type Acknowledged = watch::Sender<BTreeMap<String, String>>;
 
@@ -216,6 +219,22 @@ impl Hand {
             let most = Duration::from_millis(*most);
             self.gear.disk(node).set_slow(Some((most / 4, most)));
         }
+    }
+
+    /// People come for what is stranded in robots' hands: robots that hold something are given no other work until then.
+    pub(super) fn send_rescuers(&self, fleet: &Fleet) {
+        let (client, key) = (fleet.client.clone(), fleet.keys.write(&Key::Api(ApiCall::Rescued)));
+        let acknowledged = self.acknowledged.clone();
+        tokio::spawn(async move {
+            loop {
+                let missions: Vec<String> = acknowledged.borrow().values().cloned().collect();
+                for mission in missions {
+                    // Most need no rescue, and say so.
+                    ask(&client, &key, &json!({ "mission": mission, "by": "chaos" })).await;
+                }
+                tokio::time::sleep(RESCUE_EVERY).await;
+            }
+        });
     }
 
     fn submit(&self, fleet: &Fleet, request: &str, room: &str, priority: i64) {

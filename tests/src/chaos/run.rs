@@ -121,6 +121,7 @@ impl Run {
         self.schedule(schedule, lifted).await?;
         self.hand.lift(&mut self.fleet).await;
         self.fleet.heal();
+        self.hand.send_rescuers(&self.fleet);
         let since = self.fleet.elapsed();
         self.until("one coordinator whom all follow, and all known to all", SETTLES_WITHIN, of_one_mind).await?;
         let requests: Vec<String> = schedule.steps.iter().filter_map(|step| step.act.submits()).collect();

@@ -8,7 +8,7 @@ use super::Invariant;
 use crate::{Entry, Fleet};
 use consort_protocol::event::Happening;
 use consort_protocol::ids::{MissionId, RoleId};
-use consort_protocol::ledger::{MissionEntry, MissionState};
+use consort_protocol::ledger::{Ledger, MissionEntry, MissionState};
 use consort_protocol::plan::Signal;
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
@@ -31,13 +31,18 @@ impl Invariant for Signals {
         "signals"
     }
 
-    fn see(&mut self, _: Duration, entry: &Entry, _: &Fleet) -> Result<(), String> {
+    fn see(&mut self, _: Duration, entry: &Entry, fleet: &Fleet) -> Result<(), String> {
         match entry.happening() {
             Some(Happening::Sent { mission, signal }) => {
                 self.said.entry(mission.clone()).or_default().insert(signal.clone());
             }
             Some(Happening::Heard { mission, signal }) => {
-                if !self.said.get(mission).is_some_and(|said| said.contains(signal)) {
+                let said = self.said.get(mission).is_some_and(|said| said.contains(signal));
+                // A teller that was lost in the act has told the ledger before it told anybody.
+                let told = |ledger: &Ledger| {
+                    ledger.mission(mission).is_some_and(|entry| entry.told(&signal.to).contains(signal))
+                };
+                if !said && fleet.ledger(told) != Some(true) {
                     return Err(format!("{} goes on in {mission} after {signal:?}, which nobody said", entry.node()));
                 }
                 self.heard.entry(mission.clone()).or_default().insert(signal.clone());
