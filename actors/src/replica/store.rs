@@ -6,8 +6,8 @@ use super::types::{
     epoch_of,
 };
 use consort_protocol::codec;
-use consort_protocol::mutants::{self, Mutant};
 use consort_protocol::ids::ClusterId;
+use consort_protocol::mutants::{self, Mutant};
 use openraft::storage::{LogFlushed, RaftLogStorage, RaftStateMachine};
 use openraft::{AnyError, Entry, EntryPayload, LogState, OptionalSend, RaftLogReader, RaftSnapshotBuilder, Snapshot};
 use serde::{Deserialize, Serialize};
