@@ -2,7 +2,7 @@
 //!
 //! | | `lan` | `wifi` | what it decides |
 //! |---|---|---|---|
-//! | heartbeat | 100 ms | 250 ms | how often a leader speaks; also the limit of each of its messages |
+//! | heartbeat | 100 ms | 250 ms | how often a leader speaks, and after which it asks whether it is heard |
 //! | election | 300–600 ms | 1500–3000 ms | after which silence a node stands for election |
 //! | silence bound | 280 ms | 1400 ms | after which silence of the majority a leader doubts itself |
 //! | beacon | 250 ms | 500 ms | how often the coordinator tells robots that it is there |

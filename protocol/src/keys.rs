@@ -105,6 +105,8 @@ words! {
         Canvass = "canvass",
         /// A leader that leaves says who is to succeed it.
         Succeed = "succeed",
+        /// A leader that waits for an answer asks whether the voter is still there.
+        Beat = "beat",
     }
     /// A call between a robot's node and the host of its body.
     BodyCall {

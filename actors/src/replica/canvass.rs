@@ -15,11 +15,14 @@
 //!   recently is the only one.
 //! - *Muting* (etcd's check quorum): a leader that no majority acknowledges sends no appends, so that those who hear
 //!   it become free to elect another. It tries again now and then, in case they only were away.
-//! - *Beat*: openraft looks at its own heartbeat every 1.5 intervals only, so it is driven from here.
+//! - *Beat*: openraft looks at its own heartbeat every 1.5 intervals only, so it is driven from here. A voter that has
+//!   not answered the last one is asked beside openraft, whose core may be waiting for a disk, here or there. Its answer
+//!   counts as an acknowledgement, so it binds as openraft's does: see [`Ear::heeds`].
 
-use super::network::Switchboard;
-use super::settings::ReplicaSettings;
-use super::types::{LogId, Raft, RaftId, StateMachine};
+use super::network::{Presence, Switchboard};
+use super::settings::{APPEND_MAX, ReplicaSettings};
+use super::types::{LogId, Raft, RaftId, StateMachine, Vote};
+use futures::FutureExt as _;
 use openraft::ServerState;
 use rand::{RngExt as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;
@@ -44,26 +47,91 @@ pub(super) struct Ear(Mutex<Heard>);
 struct Heard {
     leader: Instant,
     voted: Option<Instant>,
+    /// When this node last heard a leader to which it is still bound: it votes for nobody else for a while.
+    bound: Option<Instant>,
+    /// Votes that openraft may be about to give, this node's own candidacy included.
+    deciding: u32,
+    /// The latest vote known to be given.
+    ballot: Vote,
+    /// Appends that openraft has in hand, and when the last one began or ended.
+    appends: u32,
+    moved: Instant,
 }
 
 impl Ear {
     /// As if a leader had been heard just now: a node that starts gives it time to speak.
     pub(super) fn new() -> Self {
-        Ear(Mutex::new(Heard { leader: Instant::now(), voted: None }))
+        let now = Instant::now();
+        Ear(Mutex::new(Heard {
+            leader: now,
+            voted: None,
+            // Whom its former life was bound to, nobody knows.
+            bound: Some(now),
+            deciding: 0,
+            ballot: Vote::default(),
+            appends: 0,
+            moved: now,
+        }))
     }
 
     fn lock(&self) -> MutexGuard<'_, Heard> {
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// A leader speaks.
-    pub(super) fn note_leader(&self) {
-        self.lock().leader = Instant::now();
+    /// A leader speaks, by whose vote `known` is prevailed over or met: whether its reign is not over.
+    pub(super) fn note_leader(&self, vote: &Vote, known: &Vote) -> bool {
+        self.lock().note_leader(vote, known)
+    }
+
+    /// A leader asks whether this node is there. If so, it is bound by its answer as by an append: so it must not be about
+    /// to vote, and not be stuck.
+    pub(super) fn heeds(&self, vote: &Vote, known: &Vote) -> Presence {
+        let mut heard = self.lock();
+        let busy = heard.appends > 0;
+        let stuck = busy && heard.moved.elapsed() >= APPEND_MAX;
+        let follows = heard.deciding == 0 && !stuck && heard.note_leader(vote, known);
+        Presence { follows, busy }
+    }
+
+    /// openraft is given an append; it has it in hand until the answer is dropped.
+    pub(super) fn begin_append(&self) -> InHand<'_> {
+        let mut heard = self.lock();
+        if heard.appends == 0 {
+            heard.moved = Instant::now();
+        }
+        heard.appends += 1;
+        InHand(self)
+    }
+
+    /// Whether openraft may be asked for a vote: this node is bound to no leader. Until [`Ear::decided`], it binds itself to
+    /// none.
+    pub(super) fn may_decide(&self, election_min: Duration) -> bool {
+        let mut heard = self.lock();
+        let free = heard.bound.is_none_or(|at| at.elapsed() >= election_min);
+        heard.deciding += u32::from(free);
+        free
+    }
+
+    /// What came of it.
+    pub(super) fn decided(&self, given: Option<Vote>) {
+        let mut heard = self.lock();
+        heard.deciding -= 1;
+        heard.ballot = given.map_or(heard.ballot, |given| if given > heard.ballot { given } else { heard.ballot });
+    }
+
+    /// A leader that goes has freed this node, and given its vote to another.
+    pub(super) fn note_release(&self, given: Vote) {
+        let mut heard = self.lock();
+        heard.bound = None;
+        if given > heard.ballot {
+            heard.ballot = given;
+        }
     }
 
     /// The leader has resigned: nobody needs to wait for its word any more.
     pub(super) fn note_leaderless(&self) {
         let mut heard = self.lock();
+        heard.bound = None;
         heard.leader = heard.leader.checked_sub(Duration::from_secs(60)).unwrap_or(heard.leader);
     }
 
@@ -86,6 +154,30 @@ impl Ear {
     }
 }
 
+impl Heard {
+    fn note_leader(&mut self, vote: &Vote, known: &Vote) -> bool {
+        // A leader's vote is committed: it prevails over candidates of its own term, and over all earlier ones.
+        let rank = |vote: &Vote| (vote.leader_id().term, vote.is_committed());
+        let reigns = rank(vote) >= rank(known).max(rank(&self.ballot));
+        if reigns {
+            self.leader = Instant::now();
+            self.bound = Some(self.leader);
+        }
+        reigns
+    }
+}
+
+/// An append that openraft has in hand.
+pub(super) struct InHand<'a>(&'a Ear);
+
+impl Drop for InHand<'_> {
+    fn drop(&mut self) {
+        let mut heard = self.0.lock();
+        heard.appends -= 1;
+        heard.moved = Instant::now();
+    }
+}
+
 /// Stands for election when no leader is heard and a majority would have this node.
 pub(super) async fn canvass<S: StateMachine>(
     raft: Raft<S>,
@@ -104,8 +196,14 @@ pub(super) async fn canvass<S: StateMachine>(
             let stands = ear.hears_none(patience, beat)
                 && would_be_elected(&raft, &board, beat).await
                 && ear.hears_none(patience, beat);
-            if stands && raft.trigger().elect().await.is_err() {
-                return;
+            let stands = stands && ear.may_decide(settings.election_min);
+            if stands {
+                if raft.trigger().elect().await.is_err() {
+                    return;
+                }
+                // openraft takes what it is asked in order: after this it has voted for itself.
+                let vote = raft.with_raft_state(|state| *state.vote_ref()).await;
+                ear.decided(vote.ok());
             }
             // An election takes a few round trips; those whose elections failed together part by chance.
             let pause =
@@ -133,16 +231,39 @@ async fn would_be_elected<S: StateMachine>(raft: &Raft<S>, board: &Switchboard, 
         .await
 }
 
-/// Has openraft send a heartbeat at the rate that the settings say.
-pub(super) async fn beat<S: StateMachine>(raft: Raft<S>, heartbeat: Duration) {
+/// Has openraft send a heartbeat at the rate that the settings say, and asks those beside it that have not answered.
+/// A leader whose own core hangs for longer than an append may take says nothing more: another does better.
+pub(super) async fn beat<S: StateMachine>(raft: Raft<S>, board: Switchboard, heartbeat: Duration) {
     let metrics = raft.server_metrics();
     let mut beats = interval(heartbeat);
     beats.set_missed_tick_behavior(MissedTickBehavior::Delay);
+    let mut pulse = None;
     loop {
         beats.tick().await;
-        let leads = metrics.borrow().state == ServerState::Leader;
-        if leads && raft.trigger().heartbeat().await.is_err() {
+        let (vote, voters) = {
+            let now = metrics.borrow();
+            if now.state != ServerState::Leader {
+                continue;
+            }
+            (now.vote, now.membership_config.membership().voter_ids().collect::<BTreeSet<_>>())
+        };
+        if raft.trigger().heartbeat().await.is_err() {
             return;
+        }
+        let (asked_at, answer) = pulse.get_or_insert_with(|| {
+            let raft = raft.clone();
+            (Instant::now(), async move { raft.with_raft_state(|_| ()).await.is_ok() }.boxed())
+        });
+        let hangs = asked_at.elapsed() >= APPEND_MAX;
+        if answer.now_or_never().is_some() {
+            pulse = None;
+        } else if hangs {
+            continue;
+        }
+        let late = |voter: &RaftId| board.heard.last(*voter).is_none_or(|at| at.elapsed() >= heartbeat.mul_f64(1.5));
+        for voter in voters.into_iter().filter(|voter| *voter != board.me).filter(late) {
+            let line = board.line(voter);
+            tokio::spawn(async move { line.beat(vote).await });
         }
     }
 }

@@ -1,8 +1,13 @@
 //! Raft's questions to other voters, as queries on the bus.
+//!
+//! A voter whose disk is slow answers an append late, and all else that openraft is asked meanwhile: its core is one task.
+//! So a leader that has waited for a heartbeat asks beside openraft whether the voter is still there and has the append in
+//! hand ([`Line::beat`]). If so, it waits on, and counts the answer as an acknowledgement of its reign; if not, the append
+//! or its answer was lost, and is sent again.
 
 use super::canvass::Canvass;
 use super::succession::Succession;
-use super::types::{Peer, RaftId, StateMachine, Types};
+use super::types::{Peer, RaftId, StateMachine, Types, Vote};
 use crate::bus::SharedBus;
 use consort_protocol::codec::{self, CodecError};
 use consort_protocol::ids::ClusterId;
@@ -27,10 +32,63 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 use tokio::sync::watch;
-use tokio::time::Instant;
+use tokio::time::{Instant, timeout};
 
 /// Bytes of a snapshot that go in one message; with its frame around it, a message stays within [`codec::LIMIT`].
 pub(super) const SNAPSHOT_CHUNK: usize = 48 * 1024;
+
+/// Bytes of an append of several entries. A follower brings them to disk by one sync, and a slow link carries them within
+/// a second; larger ones save little. One entry alone may fill a message.
+const APPEND_BYTES: usize = 32 * 1024;
+
+/// A leader's question beside openraft: are you there?
+#[derive(Debug, Clone, Serialize, Deserialize)]
+pub(super) struct Beat {
+    /// Its reign.
+    pub(super) vote: Vote,
+}
+
+/// What a voter answers to it.
+#[derive(Debug, Clone, Copy, Serialize, Deserialize)]
+pub(super) struct Presence {
+    /// It follows that leader, and votes for nobody else within `election_min` of the question.
+    pub(super) follows: bool,
+    /// It has an append in hand.
+    pub(super) busy: bool,
+}
+
+/// When the last questions were sent by which voters acknowledged a reign.
+#[derive(Debug, Clone, Default)]
+pub(super) struct Acks {
+    vote: Option<Vote>,
+    sent: BTreeMap<RaftId, Instant>,
+}
+
+impl Acks {
+    fn note(&mut self, vote: Vote, voter: RaftId, asked_at: Instant) {
+        if self.vote != Some(vote) {
+            *self = Acks { vote: Some(vote), sent: BTreeMap::new() };
+        }
+        let last = self.sent.entry(voter).or_insert(asked_at);
+        *last = asked_at.max(*last);
+    }
+
+    /// When the newest question was sent that a majority of each of `halves` has acknowledged in the reign of `vote`, `me`
+    /// among them.
+    pub(super) fn majority(&self, vote: &Vote, me: RaftId, halves: &[BTreeSet<RaftId>]) -> Option<Instant> {
+        if self.vote.as_ref() != Some(vote) {
+            return None;
+        }
+        let now = Instant::now();
+        let of_half = |half: &BTreeSet<RaftId>| {
+            let sent = |voter: &RaftId| if *voter == me { Some(now) } else { self.sent.get(voter).copied() };
+            let mut sent: Vec<Instant> = half.iter().filter_map(sent).collect();
+            sent.sort_unstable_by(|one, other| other.cmp(one));
+            sent.get(half.len() / 2).copied()
+        };
+        halves.iter().map(of_half).min().flatten()
+    }
+}
 
 /// What a voter answers to a question it could read.
 #[derive(Debug, Serialize, Deserialize)]
@@ -66,7 +124,9 @@ pub(super) struct Switchboard {
     /// Which founding this node's ledger belongs to: part of every question.
     pub(super) cluster: watch::Receiver<Option<ClusterId>>,
     pub(super) heard: Arc<Heard>,
-    /// The pause before asking again a voter that cannot be reached.
+    /// Who acknowledges this node's reign.
+    pub(super) acks: Arc<watch::Sender<Acks>>,
+    /// A heartbeat: the pause before asking again a voter that cannot be reached.
     pub(super) pause: Duration,
     /// Whether this node keeps its leader's messages to itself; see [`super::canvass`].
     pub(super) muted: Arc<AtomicBool>,
@@ -152,13 +212,56 @@ impl Line {
         matches!(self.ask(RaftCall::Succeed, question, limit).await, Ok(Answer::Done(true)))
     }
 
+    /// Whether `target` is there and follows this node's reign.
+    pub(super) async fn beat(&self, vote: Vote) -> Option<Presence> {
+        let question = self.encode(&Beat { vote }).ok()?;
+        let asked_at = Instant::now();
+        let Ok(Answer::Done(presence)) = self.ask::<Presence>(RaftCall::Beat, question, self.board.pause).await else {
+            return None;
+        };
+        if presence.follows {
+            self.note_ack(vote, asked_at);
+        }
+        Some(presence)
+    }
+
+    fn note_ack(&self, vote: Vote, asked_at: Instant) {
+        self.board.acks.send_modify(|acks| acks.note(vote, self.target, asked_at));
+    }
+
+    /// Waits for the answer to an append for as long as the voter says that it has it in hand.
+    async fn append(
+        &self,
+        vote: Vote,
+        bytes: Vec<u8>,
+        limit: Duration,
+    ) -> Result<Answer<AppendEntriesResponse<RaftId>>, Trouble> {
+        let pause = self.board.pause;
+        let asking = self.ask(RaftCall::Append, bytes, limit);
+        tokio::pin!(asking);
+        loop {
+            if let Ok(answer) = timeout(pause, &mut asking).await {
+                return answer;
+            }
+            let presence = tokio::select! {
+                biased;
+                answer = &mut asking => return answer,
+                presence = self.beat(vote) => presence,
+            };
+            if !presence.is_some_and(|presence| presence.busy) {
+                // It may have been answered just before.
+                return timeout(pause / 4, &mut asking).await.unwrap_or(Err(Trouble::Silent(pause)));
+            }
+        }
+    }
+
     async fn ask<A: DeserializeOwned>(
         &self,
         call: RaftCall,
         question: Vec<u8>,
         limit: Duration,
     ) -> Result<Answer<A>, Trouble> {
-        if call == RaftCall::Append && self.board.muted.load(Ordering::Relaxed) {
+        if matches!(call, RaftCall::Append | RaftCall::Beat) && self.board.muted.load(Ordering::Relaxed) {
             return Err(Trouble::Muted);
         }
         let asked_at = Instant::now();
@@ -203,15 +306,23 @@ impl<S: StateMachine> RaftNetwork<Types<S>> for Line {
         question: AppendEntriesRequest<Types<S>>,
         option: RPCOption,
     ) -> Result<AppendEntriesResponse<RaftId>, RPCError<RaftId, Peer, RaftError<RaftId>>> {
+        let several = question.entries.len() > 1;
         let bytes = match self.encode(&question) {
-            Ok(bytes) => bytes,
-            Err(CodecError::TooLarge { .. }) if question.entries.len() > 1 => {
+            Ok(bytes) if !several || bytes.len() <= APPEND_BYTES => bytes,
+            Ok(_) | Err(CodecError::TooLarge { .. }) if several => {
                 return Err(PayloadTooLarge::new_entries_hint(question.entries.len() as u64 / 2).into());
             }
+            Ok(bytes) => bytes,
             Err(error) => return Err(unencodable(&error)),
         };
-        let trouble = match self.ask(RaftCall::Append, bytes, option.hard_ttl()).await {
-            Ok(Answer::Done(answer)) => return Ok(answer),
+        let asked_at = Instant::now();
+        let trouble = match self.append(question.vote, bytes, option.hard_ttl()).await {
+            Ok(Answer::Done(answer)) => {
+                if !matches!(answer, AppendEntriesResponse::HigherVote(_)) {
+                    self.note_ack(question.vote, asked_at);
+                }
+                return Ok(answer);
+            }
             Ok(Answer::Mismatch(_)) => return Err(out_of_place()),
             Err(trouble) => trouble,
         };

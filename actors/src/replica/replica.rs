@@ -3,7 +3,7 @@
 use super::canvass::{self, Ear};
 use super::gather::{Gatherer, Proposal};
 use super::journal::Journal;
-use super::network::{Heard, Switchboard};
+use super::network::{Acks, Heard, Switchboard};
 use super::runtime::seed_elections;
 use super::serve::Service;
 use super::settings::{ReplicaSettings, SettingsError};
@@ -272,6 +272,7 @@ impl<S: StateMachine> Replica<S> {
         let keys = Keys::new(&settings.fleet);
         let queries = bus.serve(&keys.any_raft(id.0)).await?;
         let heard = Arc::<Heard>::default();
+        let acks = Arc::new(watch::Sender::new(Acks::default()));
         let muted = Arc::<AtomicBool>::default();
         let board = Switchboard {
             bus,
@@ -279,6 +280,7 @@ impl<S: StateMachine> Replica<S> {
             me: id,
             cluster: machine.cluster(),
             heard,
+            acks: Arc::clone(&acks),
             pause: settings.heartbeat,
             muted: Arc::clone(&muted),
         };
@@ -298,12 +300,16 @@ impl<S: StateMachine> Replica<S> {
             acked: tell_acked,
             muted,
             elected: None,
+            fresh: true,
+            acked_by_raft: None,
+            me: id,
+            acks: acks.subscribe(),
         };
         let watching = Task::spawn(watcher.run(raft.metrics()));
         let ear = Arc::new(Ear::new());
         let canvass = canvass::canvass(raft.clone(), board.clone(), Arc::clone(&ear), settings.clone(), seed);
         let canvassing = Task::spawn(canvass);
-        let beating = Task::spawn(canvass::beat(raft.clone(), settings.heartbeat));
+        let beating = Task::spawn(canvass::beat(raft.clone(), board.clone(), settings.heartbeat));
         let refused = Arc::<AtomicU64>::default();
         let service = Service {
             me: id,
@@ -436,7 +442,8 @@ impl<S: StateMachine> Replica<S> {
     /// openraft takes the time at which each `AppendEntries` was sent, keeps the latest acknowledged one per voter
     /// and its own clock for itself, and gives the latest that a majority reaches. No other leader can have been
     /// elected before this age exceeds `election_min`, since each of that majority refuses candidates for so long
-    /// after *receiving* the message. It is read from the metrics, rounded so as to seem older (by 1 ms at most).
+    /// after *receiving* the message. It is read from the metrics, rounded so as to seem older (by 1 ms at most). Beats
+    /// beside openraft count alike, and keep it small while disks are slow.
     /// Idle, it swings between one round trip and a heartbeat plus one round trip.
     pub fn quorum_age(&self) -> Option<Duration> {
         let resigned = self.inner.resigned.covers(self.inner.leadership.borrow().term);
@@ -690,16 +697,29 @@ struct Watcher {
     muted: Arc<AtomicBool>,
     /// The reign in which this node was elected, if it leads, and since when it knows.
     elected: Option<(Reign, Instant)>,
+    /// Whether the metrics are new: the ages in them count from when they came.
+    fresh: bool,
+    acked_by_raft: Option<Instant>,
+    me: RaftId,
+    acks: watch::Receiver<Acks>,
 }
 
 impl Watcher {
     async fn run(mut self, mut metrics: watch::Receiver<Metrics>) {
         loop {
+            self.fresh |= metrics.has_changed().unwrap_or(false);
             let latest = metrics.borrow_and_update().clone();
-            // Metrics are sent at the instant they are taken, and openraft takes them at every event. Its whole
-            // milliseconds round the age down, so one is added.
-            let acked =
-                latest.millis_since_quorum_ack.and_then(|ms| Instant::now().checked_sub(Duration::from_millis(ms + 1)));
+            if std::mem::take(&mut self.fresh) {
+                // Metrics are sent at the instant they are taken, and openraft takes them at every event. Its whole
+                // milliseconds round the age down, so one is added.
+                let age = latest.millis_since_quorum_ack.map(|ms| Duration::from_millis(ms + 1));
+                self.acked_by_raft = age.and_then(|age| Instant::now().checked_sub(age));
+            }
+            let mut acked = self.acked_by_raft;
+            if latest.state == ServerState::Leader {
+                let halves = latest.membership_config.membership().get_joint_config();
+                acked = acked.max(self.acks.borrow_and_update().majority(&latest.vote, self.me, halves));
+            }
             self.acked.send_replace(acked);
             let elected_at = self.note_election(&latest);
             if self.believe_until_changed(&latest, acked, elected_at, &mut metrics).await.is_err() {
@@ -723,7 +743,7 @@ impl Watcher {
 
     /// Tells what follows from `latest`, and what no longer does once the majority has been silent for too long.
     async fn believe_until_changed(
-        &self,
+        &mut self,
         latest: &Metrics,
         acked: Option<Instant>,
         elected_at: Option<Instant>,
@@ -733,25 +753,37 @@ impl Watcher {
         let Some(doubt_at) = acked.or(elected_at).map(|at| at + self.silence_max) else {
             self.muted.store(false, Ordering::Relaxed);
             self.tell(latest, Quorum::Unknown);
-            return metrics.changed().await;
+            return self.news(metrics).await;
         };
         if doubt_at > Instant::now() {
             self.muted.store(false, Ordering::Relaxed);
             self.tell(latest, if acked.is_some() { Quorum::Hears } else { Quorum::Unknown });
             tokio::select! {
                 biased;
-                changed = metrics.changed() => return changed,
+                changed = self.news(metrics) => return changed,
                 () = tokio::time::sleep_until(doubt_at) => {}
             }
         }
         if mutants::is(Mutant::DeafLeader) {
             self.tell(latest, Quorum::Hears);
-            return metrics.changed().await;
+            return self.news(metrics).await;
         }
-        // Metrics come with each of openraft's ticks, so this is looked at often enough.
+        // Metrics come with each beat, so this is looked at often enough.
         self.muted.store(self.falls_silent(doubt_at.elapsed()), Ordering::Relaxed);
         self.tell(latest, Quorum::Silent);
-        metrics.changed().await
+        self.news(metrics).await
+    }
+
+    /// Waits for openraft's metrics, or for an answer beside it.
+    async fn news(&mut self, metrics: &mut watch::Receiver<Metrics>) -> Result<(), watch::error::RecvError> {
+        tokio::select! {
+            biased;
+            changed = metrics.changed() => {
+                self.fresh = true;
+                changed
+            }
+            answered = self.acks.changed() => answered,
+        }
     }
 
     /// Whether a leader says nothing at `doubted` after it began to doubt its majority: four times the longest

@@ -1,7 +1,7 @@
 //! Raft's answers to other voters' questions. One task holds them all; a slow one delays no other.
 
 use super::canvass::{Canvass, Ear};
-use super::network::Answer;
+use super::network::{Answer, Beat};
 use super::replica::Leadership;
 use super::succession::{self, Succession};
 use super::types::{Raft, RaftId, StateMachine, Types, Vote};
@@ -12,7 +12,7 @@ use consort_protocol::keys::{Key, Keys, RaftCall};
 use futures::StreamExt as _;
 use futures::stream::FuturesUnordered;
 use openraft::error::{InstallSnapshotError, RaftError};
-use openraft::raft::{AppendEntriesRequest, InstallSnapshotRequest};
+use openraft::raft::{AppendEntriesRequest, InstallSnapshotRequest, VoteRequest, VoteResponse};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 use std::fmt::Display;
@@ -65,6 +65,7 @@ impl<S: StateMachine> Service<S> {
             Some(Key::Raft(_, RaftCall::Snapshot)) => self.snapshot(&query).await,
             Some(Key::Raft(_, RaftCall::Canvass)) => self.canvass(&query),
             Some(Key::Raft(_, RaftCall::Succeed)) => self.succeed(&query).await,
+            Some(Key::Raft(_, RaftCall::Beat)) => self.beat(&query),
             _ => Err("no such question".to_owned()),
         };
         let sent = match outcome {
@@ -77,7 +78,15 @@ impl<S: StateMachine> Service<S> {
     }
 
     async fn vote(&self, query: &Query) -> Result<Vec<u8>, String> {
-        let answer = self.raft.vote(self.read(query)?).await.map_err(in_words)?;
+        let question: VoteRequest<RaftId> = self.read(query)?;
+        if !self.ear.may_decide(self.election_min) {
+            let vote = self.raft.server_metrics().borrow().vote;
+            let last = self.raft.data_metrics().borrow().last_log;
+            return written(&Answer::Done(VoteResponse { vote, vote_granted: false, last_log_id: last }));
+        }
+        let answer = self.raft.vote(question).await;
+        self.ear.decided(answer.as_ref().ok().map(|answer| answer.vote));
+        let answer = answer.map_err(in_words)?;
         if answer.vote_granted {
             self.ear.note_vote();
         }
@@ -87,6 +96,7 @@ impl<S: StateMachine> Service<S> {
     async fn append(&self, query: &Query) -> Result<Vec<u8>, String> {
         let question: AppendEntriesRequest<Types<S>> = self.read_and_follow(query)?;
         self.note_leader(&question.vote);
+        let _in_hand = self.ear.begin_append();
         let answer = self.raft.append_entries(question).await.map_err(in_words)?;
         written(&Answer::Done(answer))
     }
@@ -107,10 +117,14 @@ impl<S: StateMachine> Service<S> {
     /// just looked and is about to stand is told of first, and the leader gets no acknowledgement that would mislead it.
     fn note_leader(&self, vote: &Vote) {
         let known = self.raft.server_metrics().borrow().vote;
-        // A leader's vote is committed: it prevails over candidates of its own term, and over all earlier ones.
-        if (vote.leader_id().term, vote.is_committed()) >= (known.leader_id().term, known.is_committed()) {
-            self.ear.note_leader();
-        }
+        self.ear.note_leader(vote, &known);
+    }
+
+    /// Answers beside openraft, whose core may be waiting for the disk.
+    fn beat(&self, query: &Query) -> Result<Vec<u8>, String> {
+        let question: Beat = self.read_and_follow(query)?;
+        let known = self.raft.server_metrics().borrow().vote;
+        written(&Answer::Done(self.ear.heeds(&question.vote, &known)))
     }
 
     async fn succeed(&self, query: &Query) -> Result<Vec<u8>, String> {
@@ -118,7 +132,11 @@ impl<S: StateMachine> Service<S> {
         let current = self.raft.server_metrics().borrow().vote == word.ends;
         let obeyed = if word.successor != self.me {
             self.ear.note_vote();
-            succession::release(&self.raft, &word).await
+            let free = succession::release(&self.raft, &word).await;
+            if free && current {
+                self.ear.note_release(word.gives());
+            }
+            free
         } else if current {
             self.ear.note_leaderless();
             self.raft.trigger().elect().await.map_err(in_words)?;

@@ -6,6 +6,10 @@ use openraft::{Config, SnapshotPolicy};
 use std::sync::Arc;
 use std::time::Duration;
 
+/// How long a voter may take to bring an append to its disk and answer, as long as it says that it is at it. Higher bears
+/// slower disks, lower gives up one that hangs sooner. A guess: a hundred times what a sync takes on a disk in order.
+pub(super) const APPEND_MAX: Duration = Duration::from_secs(2);
+
 /// How one node takes part in the replicated ledger. All nodes of a fleet use the same times.
 #[derive(Debug, Clone)]
 pub struct ReplicaSettings {
@@ -13,7 +17,7 @@ pub struct ReplicaSettings {
     pub fleet: FleetId,
     /// This node.
     pub node: NodeId,
-    /// How often a leader says that it is there; also the limit of each of its messages, so it exceeds a round trip.
+    /// How often a leader says that it is there; so it exceeds a round trip.
     /// Lower finds a dead leader sooner and costs messages. This and the next two: see [`crate::timing`].
     pub heartbeat: Duration,
     /// The shortest time without a leader after which a node stands for election, and the time for which a voter
@@ -91,7 +95,12 @@ impl ReplicaSettings {
             max_in_snapshot_log_to_keep: self.log_kept,
             ..Config::default()
         };
-        Ok(Arc::new(config.validate().map_err(|error| SettingsError::Raft(Box::new(error)))?))
+        let mut config = config.validate().map_err(|error| SettingsError::Raft(Box::new(error)))?;
+        // openraft gives each append one interval and then sends it anew: a disk that needs longer would never get on. It
+        // wants the interval below the time of refusal for the sake of its own beats, which are switched off; so this
+        // comes after its check. Its tick, with which a leader that was removed steps down, takes 1.5 of them.
+        config.heartbeat_interval = millis(APPEND_MAX);
+        Ok(Arc::new(config))
     }
 }
 

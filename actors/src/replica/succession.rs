@@ -39,6 +39,13 @@ pub(super) struct Succession {
     pub(super) successor: RaftId,
 }
 
+impl Succession {
+    /// The vote that it gives to the successor.
+    pub(super) fn gives(&self) -> Vote {
+        Vote::new(self.ends.leader_id().term + 1, self.successor)
+    }
+}
+
 /// The term in which this node led and gave it up; 0 for none.
 #[derive(Debug, Default)]
 pub(super) struct Resigned(AtomicU64);
@@ -70,12 +77,8 @@ pub(super) async fn release<S: StateMachine>(raft: &Raft<S>, word: &Succession) 
         return vote.leader_id().term > word.ends.leader_id().term;
     }
     let nowhere = LogId::new(CommittedLeaderId::new(word.ends.leader_id().term, RaftId::default()), u64::MAX / 2);
-    let request = AppendEntriesRequest {
-        vote: Vote::new(word.ends.leader_id().term + 1, word.successor),
-        prev_log_id: Some(nowhere),
-        entries: vec![],
-        leader_commit: None,
-    };
+    let request =
+        AppendEntriesRequest { vote: word.gives(), prev_log_id: Some(nowhere), entries: vec![], leader_commit: None };
     raft.append_entries(request).await.is_ok()
 }
 

@@ -17,6 +17,9 @@ use tokio::time::{Instant, sleep};
 /// How long the journal takes to write.
 const SLOW: Duration = Duration::from_millis(10);
 
+/// How long a slow disk does, of several voters.
+const SLOWER: Duration = Duration::from_millis(120);
+
 /// What was put on it, in order, with its place.
 #[derive(Debug, Clone, Default, Serialize, Deserialize)]
 struct Shelf(Vec<(Epoch, u64)>);
@@ -48,7 +51,7 @@ impl StateMachine for Shelf {
 
 /// A journal that takes its time to add entries.
 #[derive(Clone)]
-struct Slow(MemoryJournal);
+struct Slow(MemoryJournal, Duration);
 
 #[async_trait]
 impl Journal for Slow {
@@ -69,7 +72,7 @@ impl Journal for Slow {
     }
 
     async fn append(&self, entries: Vec<(u64, Vec<u8>)>) -> io::Result<()> {
-        sleep(SLOW).await;
+        sleep(self.1).await;
         self.0.append(entries).await
     }
 
@@ -89,7 +92,7 @@ impl Journal for Slow {
 /// A node that leads alone, and its journal.
 async fn alone() -> (Replica<Shelf>, Slow) {
     let network = VirtualNetwork::new(1, LinkModel::LAN);
-    let journal = Slow(MemoryJournal::new(1));
+    let journal = Slow(MemoryJournal::new(1), SLOW);
     let bus = Arc::new(network.bus(node("ada")));
     let replica = Replica::start(usual(node("ada")), bus, Arc::new(journal.clone()), 1).await.expect("a start");
     replica.bootstrap(BTreeMap::from([(replica.id(), node("ada"))])).await.expect("a first founding");
@@ -172,4 +175,70 @@ fn a_node_that_does_not_lead_refuses_each_of_many_at_once() {
         let answers = join_all((0..20).map(|number| replica.propose(Put::Plain(number), SOON))).await;
         assert!(answers.iter().all(|answer| *answer == Err(ProposeError::NotLeader { leader: None })), "{answers:?}");
     });
+}
+
+/// Three voters whose disks take `slow` for each append: 32 clients ask for 4 kB each, four times over.
+async fn three_voters_with_slow_disks(seed: u64, slow: Duration, link: LinkModel) {
+    let network = VirtualNetwork::new(seed, link);
+    let mut voters = BTreeMap::new();
+    for (number, name) in (1..).zip(["ada", "bob", "cyd"]) {
+        let journal = Arc::new(Slow(MemoryJournal::new(seed * 10 + number), slow));
+        let bus = Arc::new(network.bus(node(name)));
+        let replica = Replica::<Shelf>::start(usual(node(name)), bus, journal, seed * 10 + number).await;
+        voters.insert(node(name), replica.expect("a start"));
+    }
+    let members = voters.iter().map(|(name, replica)| (replica.id(), name.clone())).collect();
+    voters[&node("ada")].bootstrap(members).await.expect("a first founding");
+    let leader = loop {
+        match voters.values().find(|replica| replica.leadership().borrow().is_me) {
+            Some(leader) => break leader.clone(),
+            None => sleep(Duration::from_millis(1)).await,
+        }
+    };
+    let first = leader.leadership().borrow().clone();
+    let mut beliefs: Vec<_> = voters.values().map(Replica::leadership).collect();
+    let steady = async {
+        loop {
+            for (name, belief) in voters.keys().zip(&mut beliefs) {
+                let now = belief.borrow_and_update();
+                assert_eq!(now.term, first.term, "{name}, seed {seed}");
+                assert_eq!(now.reign, first.reign, "{name}, seed {seed}");
+            }
+            assert!(leader.leadership().borrow().is_me, "seed {seed}");
+            sleep(Duration::from_millis(1)).await;
+        }
+    };
+    // The others have yet to learn of the first entries.
+    for replica in voters.values() {
+        replica.leadership().wait_for(|now| now.reign == first.reign).await.expect("a replica");
+    }
+    let asked = join_all((0..32).map(|client| {
+        let leader = leader.clone();
+        async move {
+            for round in 0..4 {
+                let put = Put::Bulky(client * 10 + round, vec![7; 4096]);
+                leader.propose(put, slow * 100).await.expect("a commit");
+            }
+        }
+    }));
+    tokio::select! {
+        () = steady => {}
+        _ = asked => {}
+    }
+    assert_eq!(leader.read(Shelf::clone).0.len(), 128, "seed {seed}");
+}
+
+#[test]
+fn slow_disks_hold_up_commits_and_cost_no_leader() {
+    for seed in 1..=5 {
+        on_virtual_time(three_voters_with_slow_disks(seed, SLOWER, LinkModel::LAN));
+    }
+}
+
+/// Longer than the longest election: those who wait for their disks still say that they are there.
+#[test]
+fn disks_slower_than_any_election_cost_no_leader_either() {
+    for seed in 1..=3 {
+        on_virtual_time(three_voters_with_slow_disks(seed, SLOWER * 7, LinkModel::LAN));
+    }
 }

@@ -7,8 +7,9 @@ use consort_actors::replica::{
     Epoch, Journal, MemoryJournal, RaftId, Recorded, Replica, ReplicaSettings, StartError, StateMachine, StoreIdentity,
     holdings, sole_voter,
 };
-use consort_actors::store::{DurableStore, LEDGER};
-use consort_protocol::ids::NodeId;
+use consort_actors::store::{DurableStore, LEDGER, recover};
+use consort_protocol::ids::{ClusterId, NodeId};
+use consort_protocol::ledger::{Command, Ledger};
 use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, BTreeSet};
 use std::io;
@@ -369,4 +370,59 @@ fn a_store_that_holds_nothing_is_not_made_a_ledger() {
     let name = NodeId::new("ada").expect("a slug");
     let refused = sole_voter::<Tally>(Recorded::default(), &name, StoreIdentity(1), |_| ());
     assert_eq!(refused.expect_err("nothing").to_string(), "it holds no entry: there is nothing to recover");
+}
+
+#[test]
+fn a_recovered_ledger_is_a_stranger_to_voters_that_come_back_with_the_former_one() {
+    let folder = Folder::new();
+    on_virtual_time(async {
+        let network = VirtualNetwork::new(3, LinkModel::LAN);
+        let start = async |name: &str, seed| {
+            let bus = Arc::new(network.bus(NodeId::new(name).expect("a slug")));
+            Replica::<Ledger>::start(settings(name), bus, on_disk(&folder, name), seed).await.expect("a start")
+        };
+        let found = Command::Found { cluster: ClusterId(1) };
+        let leads = |replica: &&Replica<Ledger>| replica.leadership().borrow().is_me;
+        let soon = Duration::from_secs(5);
+        let mut former = Vec::new();
+        for (seed, name) in (1..).zip(NAMES) {
+            former.push(start(name, seed).await);
+        }
+        let members = former.iter().zip(NAMES).map(|(replica, name)| (replica.id(), NodeId::new(name).unwrap()));
+        former[0].bootstrap(members.collect()).await.expect("a first founding");
+        let leader = loop {
+            match former.iter().find(leads) {
+                Some(leader) => break leader,
+                None => tokio::time::sleep(Duration::from_millis(1)).await,
+            }
+        };
+        leader.propose(found, soon).await.expect("a commit");
+        for replica in &former {
+            replica.cluster().wait_for(|cluster| *cluster == Some(ClusterId(1))).await.expect("a replica");
+        }
+        for (replica, name) in former.drain(..).zip(NAMES) {
+            network.crash(&NodeId::new(name).expect("a slug"));
+            replica.shutdown().await;
+        }
+        for name in NAMES {
+            until_free(&folder, name).await;
+        }
+        let store = DurableStore::open_existing(&folder.join("cyd")).expect("a store");
+        recover(&store, 1, ClusterId(2)).expect("something to recover");
+        drop(store);
+        let cyd = start("cyd", 4).await;
+        cyd.leadership().wait_for(|now| now.is_me).await.expect("a replica");
+        let reign = cyd.leadership().borrow().reign;
+
+        // Against all advice the others come back, and they are a majority of their own.
+        let others = [start("ada", 5).await, start("bob", 6).await];
+        while !others.iter().any(|other| leads(&other)) || cyd.refused() < 10 {
+            tokio::time::sleep(Duration::from_millis(1)).await;
+        }
+        let now = cyd.leadership().borrow().clone();
+        assert!(now.is_me && now.reign == reign, "{now:?} after {reign:?}");
+        assert_eq!(now.voters.len(), 1);
+        assert_eq!(*cyd.cluster().borrow(), Some(ClusterId(2)));
+        assert_eq!(*others[0].cluster().borrow(), Some(ClusterId(1)));
+    });
 }

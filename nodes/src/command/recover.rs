@@ -4,8 +4,10 @@ use crate::exit::Failure;
 use crate::output;
 use consort_actors::replica::Holdings;
 use consort_actors::store::{DurableStore, OpenError, ledger_of, recover};
-use consort_protocol::ids::NodeId;
+use consort_protocol::ids::{ClusterId, NodeId};
 use consort_protocol::ledger::Ledger;
+use rand::TryRng;
+use rand::rngs::SysRng;
 use std::collections::BTreeSet;
 use std::io;
 use std::path::PathBuf;
@@ -66,7 +68,8 @@ pub fn run(args: Args) -> Result<(), Failure> {
         return Err(Failure::Unsuccessful(what.to_owned()));
     }
     let moment = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default().as_millis();
-    let copies = recover(&store, u64::try_from(moment).unwrap_or(u64::MAX)).map_err(failed)?;
+    let cluster = ClusterId(SysRng.try_next_u64().expect("the system has random numbers"));
+    let copies = recover(&store, u64::try_from(moment).unwrap_or(u64::MAX), cluster).map_err(failed)?;
     let copies: Vec<String> = copies.iter().map(|copy| copy.display().to_string()).collect();
     output::line(format_args!(
         "\nDone: {node} is the only voter. What was there before is kept in\n  {}\nStart {node} as usual, with --data-dir {}; \
@@ -123,7 +126,7 @@ fn warning(holdings: &Holdings<Ledger>, node: &NodeId, others: BTreeSet<&str>) -
          What you must do:\n\
          - Before {node} is started: end {others}, and see that they do not come back with their old data directories. \
          Remove these, or move them away. As long as a majority of the old voters can come back, do not recover: start \
-         them instead. Old and new ledger would give out the same work.\n\
+         them instead. Old and new ledger, which do not merge, would give out the same work.\n\
          - Afterwards: start them with empty data directories. They join {node} as new members."
     )
 }

@@ -3,7 +3,7 @@ use consort_actors::bus::{LinkModel, VirtualNetwork};
 use consort_actors::replica::{Replica, ReplicaSettings, StoreIdentity};
 use consort_actors::store::{DurableStore, LEDGER, Owner, ledger_of};
 use consort_nodes::config::FleetConfig;
-use consort_protocol::ids::{NodeId, RequestId};
+use consort_protocol::ids::{ClusterId, NodeId, RequestId};
 use consort_protocol::ledger::{Command, Ledger, Priority, Submission};
 use consort_protocol::mission::{Domain, shipped};
 use consort_protocol::plan::divide_and_check;
@@ -63,6 +63,7 @@ fn three_voters(folder: &Folder) {
         }))
     };
     let commands = [
+        Command::Found { cluster: ClusterId(1) },
         submit("a"),
         submit("b"),
         Command::Cancel { mission: "lab-samples-2".parse().expect("a slug"), by: "me".into(), places: BTreeMap::new() },
@@ -162,6 +163,8 @@ fn the_last_of_three_becomes_the_only_voter_and_coordinates_again() {
     assert_eq!((after.0, after.1, after.2), (before.0, before.1, 1));
     let missions = |ledger: &Ledger| ledger.missions().cloned().collect::<Vec<_>>();
     assert_eq!(missions(&after.3), missions(&before.3));
+    let cluster = after.3.cluster();
+    assert!(cluster.is_some() && cluster != before.3.cluster(), "{cluster:?}");
     let copy = ran.out.lines().find(|line| line.contains("ledger.redb.before-recovery-")).expect("a copy");
     assert!(Path::new(copy.trim()).exists(), "{copy}");
     let ran = recover(&cyd, &["--yes"]);

@@ -258,6 +258,12 @@ impl Ledger {
         self.cluster
     }
 
+    /// Makes this the ledger of another cluster, with all that it holds. Never part of the log: only whoever recovers one
+    /// copy, outside the fleet, may say that the others are strangers to it.
+    pub fn refound(&mut self, cluster: ClusterId) {
+        self.cluster = Some(cluster);
+    }
+
     /// All missions that are kept, by id.
     pub fn missions(&self) -> impl Iterator<Item = &MissionEntry> {
         self.missions.values()

@@ -239,4 +239,7 @@ fn a_ledger_is_founded_once() {
     assert_eq!(log.apply(Command::Found { cluster: ClusterId(1) }), Outcome::Done);
     assert_eq!(log.apply(Command::Found { cluster: ClusterId(2) }), Outcome::Done);
     assert_eq!(log.0.cluster(), Some(ClusterId(1)));
+    log.0.refound(ClusterId(3));
+    assert_eq!(log.apply(Command::Found { cluster: ClusterId(1) }), Outcome::Done);
+    assert_eq!(log.0.cluster(), Some(ClusterId(3)));
 }
