@@ -44,12 +44,13 @@ pub(super) struct Ear(Mutex<Heard>);
 struct Heard {
     leader: Instant,
     voted: Option<Instant>,
+    resigned: Option<Instant>,
 }
 
 impl Ear {
     /// As if a leader had been heard just now: a node that starts gives it time to speak.
     pub(super) fn new() -> Self {
-        Ear(Mutex::new(Heard { leader: Instant::now(), voted: None }))
+        Ear(Mutex::new(Heard { leader: Instant::now(), voted: None, resigned: None }))
     }
 
     fn lock(&self) -> MutexGuard<'_, Heard> {
@@ -70,6 +71,18 @@ impl Ear {
     /// A candidate was given this node's vote: it needs a few round trips to make itself heard.
     pub(super) fn note_vote(&self) {
         self.lock().voted = Some(Instant::now());
+    }
+
+    /// This node gives up the lead, and its vote to its successor. Another is to be elected, be it the successor or not.
+    pub(super) fn note_resigned(&self) {
+        let now = Some(Instant::now());
+        let mut heard = self.lock();
+        (heard.voted, heard.resigned) = (now, now);
+    }
+
+    /// Whether others have had as long as `patience` to be elected, if this node gave up the lead.
+    fn gave_way(&self, patience: Duration) -> bool {
+        self.lock().resigned.is_none_or(|at| at.elapsed() >= patience)
     }
 
     fn leader(&self) -> Instant {
@@ -101,7 +114,8 @@ pub(super) async fn canvass<S: StateMachine>(
         sleep_until(ear.leader() + patience).await;
         while ear.leader().elapsed() >= patience {
             // The question takes time: a leader may have spoken, or a candidate got our vote, while it was answered.
-            let stands = ear.hears_none(patience, beat)
+            let stands = ear.gave_way(settings.election_max)
+                && ear.hears_none(patience, beat)
                 && would_be_elected(&raft, &board, beat).await
                 && ear.hears_none(patience, beat);
             if stands && raft.trigger().elect().await.is_err() {
