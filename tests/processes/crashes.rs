@@ -7,7 +7,7 @@ use std::time::Duration;
 use toml::Table;
 
 const LONG: Duration = Duration::from_secs(90);
-const STATIONS: [&str; 3] = ["station-1", "station-2", "station-3"];
+pub(crate) const STATIONS: [&str; 3] = ["station-1", "station-2", "station-3"];
 
 pub(crate) fn with(mut table: Table, key: &str, value: impl Into<toml::Value>) -> Table {
     table.insert(key.to_owned(), value.into());
@@ -22,9 +22,9 @@ pub(crate) fn world(speed: f64) -> Table {
     world
 }
 
-/// Three stations keep the ledger, each on a disk of its own; one robot carries, one is the arm. The world, which is no
-/// part of a real fleet, is where they meet.
-fn hospital(name: &str, speed: f64) -> Fleet {
+/// Three stations keep the ledger, each on a disk of its own. The world, which is no part of a real fleet, is where they
+/// meet.
+pub(crate) fn keepers(name: &str, speed: f64) -> Fleet {
     let mut fleet = Fleet::new(&with(example("fleet"), "name", name));
     fleet.start("world", world(speed), &[]);
     for station in STATIONS {
@@ -34,6 +34,12 @@ fn hospital(name: &str, speed: f64) -> Fleet {
             ["world"].into_iter().chain(STATIONS).take_while(|other| *other != station).collect();
         fleet.start("station", table, &neighbours);
     }
+    fleet
+}
+
+/// The same with two robots: one carries, one is the arm.
+fn hospital(name: &str, speed: f64) -> Fleet {
+    let mut fleet = keepers(name, speed);
     for (kind, robot) in [("robot", "ada"), ("arm", "lab-arm")] {
         let data = fleet.path(&format!("{robot}-data")).display().to_string();
         fleet.start("robot", with(with(example(kind), "may_vote", false), "data_dir", data), &["world", "station-1"]);
@@ -43,10 +49,15 @@ fn hospital(name: &str, speed: f64) -> Fleet {
 
 /// Who coordinates, once somebody says so.
 fn coordinator(client: &Client) -> String {
+    reign(client).0
+}
+
+/// Who coordinates and in which term, once somebody says so.
+pub(crate) fn reign(client: &Client) -> (String, u64) {
     until("somebody coordinates", LONG, || {
         let answers = client.all("view/coordinator", "");
         let latest = answers.iter().max_by_key(|(_, view)| view["term"].as_u64())?;
-        Some(latest.1["node"].as_str()?.to_owned())
+        Some((latest.1["node"].as_str()?.to_owned(), latest.1["term"].as_u64()?))
     })
 }
 

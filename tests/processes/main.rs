@@ -8,6 +8,7 @@ mod by_hand;
 mod crashes;
 mod demo;
 mod demo_on_virtual_time;
+mod departures;
 mod full_disk;
 mod holder;
 mod interruption;

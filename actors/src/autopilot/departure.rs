@@ -137,16 +137,28 @@ impl Leaver {
                 break;
             }
             let Ok(mut beacons) = beacons else { return Ok((true, successor, false)) };
+            let mut leadership = replica.leadership();
             let released = timeout_at(deadline, async {
-                while let Some(sample) = beacons.recv().await {
-                    let beacon = codec::decode::<Beacon>(&sample.payload);
-                    if beacon.is_ok_and(|beacon| beacon.node != self.node && !beacon.voters.contains(&self.node)) {
-                        return true;
+                loop {
+                    let leads_again = async { leadership.wait_for(|now| now.is_me).await.map(drop) };
+                    tokio::select! {
+                        sample = beacons.recv() => {
+                            let Some(sample) = sample else { return false };
+                            let beacon = codec::decode::<Beacon>(&sample.payload);
+                            if beacon.is_ok_and(|beacon| beacon.node != self.node && !beacon.voters.contains(&self.node)) {
+                                return true;
+                            }
+                        }
+                        // Nobody else was elected; a leader cannot take its own vote away.
+                        Ok(()) = leads_again => match self.hand_over(replica).await {
+                            Ok(node) => successor = Some(node),
+                            Err(_) => tokio::time::sleep(self.times.beacon).await,
+                        },
                     }
                 }
-                false
             });
-            Ok((true, successor, released.await.unwrap_or(false)))
+            let released = released.await.unwrap_or(false);
+            Ok((true, successor, released))
         };
         let (role_given_back, vote) = tokio::join!(role, vote);
         let (kept_ledger, successor, released) = vote?;

@@ -56,6 +56,7 @@ struct Heard {
     /// Appends that openraft has in hand, and when the last one began or ended.
     appends: u32,
     moved: Instant,
+    resigned: Option<Instant>,
 }
 
 impl Ear {
@@ -71,6 +72,7 @@ impl Ear {
             ballot: Vote::default(),
             appends: 0,
             moved: now,
+            resigned: None,
         }))
     }
 
@@ -140,6 +142,18 @@ impl Ear {
         self.lock().voted = Some(Instant::now());
     }
 
+    /// This node gives up the lead, and its vote to its successor. Another is to be elected, be it the successor or not.
+    pub(super) fn note_resigned(&self) {
+        let now = Some(Instant::now());
+        let mut heard = self.lock();
+        (heard.voted, heard.resigned) = (now, now);
+    }
+
+    /// Whether others have had as long as `patience` to be elected, if this node gave up the lead.
+    fn gave_way(&self, patience: Duration) -> bool {
+        self.lock().resigned.is_none_or(|at| at.elapsed() >= patience)
+    }
+
     fn leader(&self) -> Instant {
         self.lock().leader
     }
@@ -193,7 +207,8 @@ pub(super) async fn canvass<S: StateMachine>(
         sleep_until(ear.leader() + patience).await;
         while ear.leader().elapsed() >= patience {
             // The question takes time: a leader may have spoken, or a candidate got our vote, while it was answered.
-            let stands = ear.hears_none(patience, beat)
+            let stands = ear.gave_way(settings.election_max)
+                && ear.hears_none(patience, beat)
                 && would_be_elected(&raft, &board, beat).await
                 && ear.hears_none(patience, beat);
             let stands = stands && ear.may_decide(settings.election_min);

@@ -213,6 +213,7 @@ struct Inner<S: StateMachine> {
     leadership: watch::Sender<Leadership>,
     acked_at: watch::Receiver<Option<Instant>>,
     resigned: Arc<Resigned>,
+    ear: Arc<Ear>,
     board: Switchboard,
     refused: Arc<AtomicU64>,
     proposals: mpsc::UnboundedSender<Proposal<S>>,
@@ -314,7 +315,7 @@ impl<S: StateMachine> Replica<S> {
         let service = Service {
             me: id,
             raft: raft.clone(),
-            ear,
+            ear: Arc::clone(&ear),
             leadership: leadership.subscribe(),
             election_min: settings.election_min,
             heartbeat: settings.heartbeat,
@@ -336,6 +337,7 @@ impl<S: StateMachine> Replica<S> {
             leadership,
             acked_at,
             resigned,
+            ear,
             board,
             refused,
             proposals,
@@ -559,6 +561,7 @@ impl<S: StateMachine> Replica<S> {
         let name = membership.get_node(&successor).map(|peer| peer.name.clone());
         let name = name.ok_or(HandOverError::Closed)?;
         let word = Succession { ends: vote, successor };
+        inner.ear.note_resigned();
         if !succession::release(&inner.raft, &word).await {
             return Err(HandOverError::Closed);
         }

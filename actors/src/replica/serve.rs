@@ -139,6 +139,8 @@ impl<S: StateMachine> Service<S> {
             free
         } else if current {
             self.ear.note_leaderless();
+            // Its own: it would have nobody else while it stands.
+            self.ear.note_vote();
             self.raft.trigger().elect().await.map_err(in_words)?;
             true
         } else {

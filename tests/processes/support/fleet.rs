@@ -24,6 +24,9 @@ pub(crate) fn example(kind: &str) -> Table {
     text.parse().expect("the examples are TOML")
 }
 
+/// How long a node that was told to end may take to do so.
+const END_LIMIT: Duration = Duration::from_secs(20);
+
 /// How a node is started: by way of which program, and with which arguments.
 type Line = (Vec<String>, Vec<String>);
 
@@ -110,6 +113,11 @@ impl Fleet {
         address
     }
 
+    /// Takes a node that was told to end out of the fleet, and waits until it has ended, well.
+    pub(crate) fn ends(&mut self, name: &str) -> Ended {
+        well(self.take(name))
+    }
+
     /// Ends a node's process with SIGKILL.
     pub(crate) fn kill(&mut self, name: &str) {
         self.nodes.remove(name).unwrap_or_else(|| panic!("{name} does not run")).kill();
@@ -136,18 +144,15 @@ impl Fleet {
 
     /// Asks every node to end, and waits until all have, well.
     pub(crate) fn stop(mut self) {
+        // Whoever was started a moment ago does not hear signals yet, and would die of this one.
+        for name in self.nodes.keys().cloned().collect::<Vec<_>>() {
+            self.address(&name);
+        }
         for node in self.nodes.values() {
             node.signal("TERM");
         }
         for (_, node) in std::mem::take(&mut self.nodes) {
-            let ended = node.end(Duration::from_secs(20)).expect(0);
-            // Zenoh 1.10.2 itself is not at its best when neighbours leave at once: while a session is closed, a thread of
-            // its own may panic about what has gone already (like its issue 2624). All is said and done by then.
-            let (lived, goodbye) = ended.stderr.split_once(" stops node=").expect("it says that it stops");
-            let trouble = |line: &&str| line.contains(" ERROR consort") || line.contains("panicked at");
-            let ours = |line: &&str| trouble(line) && !line.contains("/zenoh-");
-            let found = lived.lines().find(trouble).or_else(|| goodbye.lines().find(ours));
-            assert_eq!(found, None, "\n{}", ended.stderr);
+            well(node);
         }
         self.folder.await_no_process(Duration::from_secs(5));
     }
@@ -156,4 +161,18 @@ impl Fleet {
     pub(crate) fn logs(&self) -> String {
         self.nodes.iter().map(|(name, node)| format!("--- {name}\n{}", node.stderr())).collect()
     }
+}
+
+/// Waits until a node has ended with exit code 0, and checks that it had no trouble.
+#[track_caller]
+fn well(node: Program) -> Ended {
+    let ended = node.end(END_LIMIT).expect(0);
+    // Zenoh 1.10.2 itself is not at its best when neighbours leave at once: while a session is closed, a thread of its own
+    // may panic about what has gone already (like its issue 2624). All is said and done by then.
+    let (lived, goodbye) = ended.stderr.split_once(" stops node=").expect("it says that it stops");
+    let trouble = |line: &&str| line.contains(" ERROR consort") || line.contains("panicked at");
+    let ours = |line: &&str| trouble(line) && !line.contains("/zenoh-");
+    let found = lived.lines().find(trouble).or_else(|| goodbye.lines().find(ours));
+    assert_eq!(found, None, "\n{}", ended.stderr);
+    ended
 }
