@@ -21,6 +21,9 @@ pub(super) struct Proposal<S: StateMachine> {
 
 type Answer<S> = oneshot::Sender<Result<<S as StateMachine>::Outcome, ProposeError>>;
 
+/// The commands of an entry, those who wait for them, and the first command that had no room.
+type Filled<S> = (Batch<<S as StateMachine>::Command>, Vec<Answer<S>>, Option<Proposal<S>>);
+
 /// Makes entries of commands.
 pub(super) struct Gatherer<S: StateMachine> {
     pub(super) raft: Raft<S>,
@@ -72,7 +75,7 @@ impl<S: StateMachine> Gatherer<S> {
 
     /// The commands of one entry: those that wait, as long as they fit and at most one of them needs a place of its own.
     /// Those whose callers have gone are left out. Gives the first that has no room.
-    fn fill(&mut self, first: Proposal<S>) -> (Batch<S::Command>, Vec<Answer<S>>, Option<Proposal<S>>) {
+    fn fill(&mut self, first: Proposal<S>) -> Filled<S> {
         let (mut commands, mut answers) = (vec![], vec![]);
         let (mut size, mut places) = (0, 0);
         let mut next = Some(first);
