@@ -107,6 +107,20 @@ impl Client {
     }
 }
 
+/// A story that fails shows what was heard last, and what the fleet says of itself.
+impl Drop for Client {
+    fn drop(&mut self) {
+        if std::thread::panicking() {
+            self.events();
+            let last = self.heard.iter().rev().take(40).rev().map(Value::to_string);
+            eprintln!("--- the last events heard\n{}", last.collect::<Vec<_>>().join("\n"));
+            for (key, view) in self.all("view/**", "") {
+                eprintln!("--- {key}\n{view}");
+            }
+        }
+    }
+}
+
 /// How often each task of a mission was begun and ended, by `ROLE/TASK`.
 pub(crate) fn tasks(events: &[Value], mission: &str) -> BTreeMap<String, (u32, u32)> {
     let mut tasks: BTreeMap<String, (u32, u32)> = BTreeMap::new();

@@ -163,6 +163,15 @@ impl Fleet {
     }
 }
 
+/// A story that fails shows what its nodes had logged.
+impl Drop for Fleet {
+    fn drop(&mut self) {
+        if std::thread::panicking() {
+            eprintln!("{}", self.logs());
+        }
+    }
+}
+
 /// Waits until a node has ended with exit code 0, and checks that it had no trouble.
 #[track_caller]
 fn well(node: Program) -> Ended {
