@@ -43,6 +43,21 @@ pub struct Beacon {
     pub voters: BTreeSet<NodeId>,
     /// How long it has coordinated, in milliseconds.
     pub since_ms: u64,
+    /// Its cluster; `None` while that is being founded.
+    pub cluster: Option<ClusterId>,
+}
+
+impl Beacon {
+    /// Whether whoever knows `known` should follow this one: it is no older, or of another cluster, to which the hearer has
+    /// gone over and where terms are counted anew.
+    pub fn follows(&self, known: Option<&Beacon>) -> bool {
+        known.is_none_or(|known| self.term >= known.term || self.is_abroad(known))
+    }
+
+    /// Whether this is certainly the coordinator of another cluster.
+    pub fn is_abroad(&self, known: &Beacon) -> bool {
+        self.cluster.is_some() && known.cluster.is_some() && self.cluster != known.cluster
+    }
 }
 
 /// What goes around every message that concerns missions, on the bus: two clusters of one fleet name may have missions
@@ -196,4 +211,30 @@ pub struct Said {
     pub epoch: Epoch,
     /// What was said.
     pub signals: BTreeSet<Signal>,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_coordinator_is_followed_forward_in_its_cluster_and_anyhow_into_another() {
+        let beacon = |term, cluster: u64| Beacon {
+            node: NodeId::new("ada").unwrap(),
+            term,
+            voters: BTreeSet::new(),
+            since_ms: 0,
+            cluster: (cluster > 0).then_some(ClusterId(cluster)),
+        };
+        for (known, heard, follows) in [
+            (None, beacon(1, 1), true),
+            (Some(beacon(5, 1)), beacon(5, 1), true),
+            (Some(beacon(5, 1)), beacon(4, 1), false),
+            (Some(beacon(5, 1)), beacon(1, 2), true),
+            (Some(beacon(5, 1)), beacon(4, 0), false),
+            (Some(beacon(5, 0)), beacon(4, 1), false),
+        ] {
+            assert_eq!(heard.follows(known.as_ref()), follows, "{known:?} {heard:?}");
+        }
+    }
 }

@@ -432,7 +432,7 @@ proptest! {
     ) {
         survives(&Within { cluster: Some(ClusterId(term)), said: vec![1, 2, 3] })?;
         survives(&Said { mission: mission.clone(), epoch, signals: signals.clone() })?;
-        survives(&Beacon { node: node.clone(), term, voters, since_ms: term })?;
+        survives(&Beacon { node: node.clone(), term, voters, since_ms: term, cluster: (term % 2 == 0).then_some(ClusterId(term)) })?;
         survives(&Changed { node, term })?;
         survives(&vec![LivePlan { mission, plan, ended, holders, told: signals }])?;
     }

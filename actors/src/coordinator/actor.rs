@@ -98,13 +98,6 @@ pub enum CoordinatorMessage {
         /// What it said.
         outcome: Result<Outcome, ProposeError>,
     },
-    /// A report was answered with a renewal.
-    Contact {
-        /// Of which award.
-        epoch: Epoch,
-        /// By whom.
-        robot: RobotId,
-    },
     /// A robot answered a notice.
     Noticed {
         /// The mission.
@@ -231,14 +224,13 @@ impl Actor for Coordinator {
                 reign.decided(settings, &auction, outcome);
                 reign.attend(settings, &myself);
             }
-            CoordinatorMessage::Contact { epoch, robot } => reign.contact(settings, epoch, &robot),
             CoordinatorMessage::Noticed { mission, role, robot, epoch, answer } => {
                 if let AwardAnswer::Declined(why) = answer {
                     let cause = format!("{robot} declined: {why}");
                     reign.give_up(settings, mission, role, &robot, epoch, cause, false);
                 }
             }
-            CoordinatorMessage::Report(query) => reign.report(settings, &myself, query).await,
+            CoordinatorMessage::Report(query) => reign.report(settings, query).await,
             CoordinatorMessage::Live(query) => reign.live(settings, query).await,
             CoordinatorMessage::Api(query) => reign.api(settings, query),
             CoordinatorMessage::Unanswered(query) => {

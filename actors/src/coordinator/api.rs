@@ -204,5 +204,8 @@ fn read<T: serde::de::DeserializeOwned>(payload: &[u8], example: &str) -> Result
 }
 
 fn not_committed(problem: &ProposeError) -> Problem {
-    Problem { text: format!("{problem}; the same request may be sent again"), may_pass: true }
+    match problem {
+        ProposeError::TooLarge { .. } | ProposeError::Unencodable { .. } => problem.to_string().into(),
+        _ => Problem { text: format!("{problem}; the same request may be sent again"), may_pass: true },
+    }
 }

@@ -297,11 +297,16 @@ impl RobotState {
     fn follow_coordinator(&mut self, myself: &ActorRef<RobotMessage>, sample: &Sample) {
         match codec::decode::<Beacon>(&sample.payload) {
             Ok(beacon) => {
-                let known = self.coordinator.as_ref().map(|known| (known.term, known.node.clone()));
-                if known.as_ref().is_some_and(|(term, _)| beacon.term < *term) {
+                if !beacon.follows(self.coordinator.as_ref()) {
                     return; // one that does not know that it no longer coordinates
                 }
-                let new = known != Some((beacon.term, beacon.node.clone()));
+                let abroad = self.coordinator.as_ref().is_some_and(|known| beacon.is_abroad(known));
+                let new = self.coordinator.as_ref().map(|known| (known.term, &known.node))
+                    != Some((beacon.term, &beacon.node));
+                if abroad {
+                    info!(robot = %self.settings.robot, node = %beacon.node, "follows the coordinator of another cluster");
+                    self.tenure.forget_latest();
+                }
                 self.coordinator = Some(beacon);
                 if new {
                     self.report(myself);

@@ -2,6 +2,7 @@ use super::super::entry::{Branch, Priority, Recovery, Submission};
 use super::*;
 use crate::auction::{AuctionId, AuctionRecord};
 use crate::ids::RequestId;
+use crate::lease::Holding;
 use crate::ledger::{Command, HISTORY_MAX};
 use crate::mission::{Domain, Format, MissionTemplate, shipped};
 use crate::plan::{StepIndex, divide_and_check};
@@ -197,7 +198,12 @@ fn a_carrier_lost_with_the_sample_needs_rescue_and_is_kept_until_somebody_closes
         assert_eq!(log.apply(Command::Rescued { mission: waiting.clone(), by: by.clone() }), Outcome::Done);
         let cause = format!("{said}; rescued by Nia");
         assert_eq!(log.0.mission(&waiting).map(|entry| &entry.state), Some(&MissionState::Failed { cause }));
-        let again = log.apply(Command::Rescued { mission: waiting, by });
+        assert_eq!(
+            log.apply(Command::Rescued { mission: waiting.clone(), by }),
+            Outcome::Done,
+            "heard, and asked again"
+        );
+        let again = log.apply(Command::Rescued { mission: waiting, by: "Tom".to_owned() });
         assert!(matches!(again, Outcome::Refused(Refused::NoRescue { .. })), "{again:?}");
         assert!(matches!(log.award(&[("r1", "amber"), ("lab_arm", "arm")]), Outcome::Awarded { .. }));
     }
@@ -219,12 +225,12 @@ fn a_mission_canceled_or_failed_with_the_sample_in_a_drawer_needs_rescue() {
         let cause = format!("{cause}; the sample is with amber at IC Room 6");
         assert_eq!(log.rescue(), (cause.as_str(), vec![("amber", Some(&place()), true)]));
     }
-    // To cancel it again is to close it.
+    // To cancel it again closes nothing: the one who asks may merely not have heard the answer.
     let mut log = Log::lab_samples();
     log.ended("r1", epoch(2), 0..8);
     log.apply(end(&log, true));
     log.apply(end(&log, true));
-    assert!(matches!(&log.entry().state, MissionState::Failed { cause } if cause.ends_with("; rescued by Nia")));
+    assert_eq!(log.rescue().0, "canceled by Nia; the sample is with amber at IC Room 6");
 }
 
 #[test]
@@ -258,6 +264,27 @@ fn an_arm_lost_earlier_is_replaced_while_the_carrier_keeps_the_sample() {
 }
 
 #[test]
+fn whoever_has_the_item_may_take_part_in_getting_it_back() {
+    let mut log = Log::of(&with_recovery());
+    log.hold(&[("r1", "amber"), ("lab_arm", "arm")]);
+    log.ended("r1", epoch(2), 0..8);
+    log.lose("r1", epoch(2), false);
+    assert!(matches!(log.award(&[("helper", "amber")]), Outcome::Awarded { .. }));
+}
+
+#[test]
+fn a_withdrawal_that_is_asked_for_again_has_been_heard() {
+    let mut log = Log::lab_samples();
+    let cancel =
+        |log: &Log, by: &str| Command::Cancel { mission: log.2.clone(), by: by.to_owned(), places: BTreeMap::new() };
+    for _ in 0..2 {
+        assert_eq!(log.apply(cancel(&log, "Nia")), Outcome::Done);
+    }
+    let other = log.apply(cancel(&log, "Tom"));
+    assert!(matches!(other, Outcome::Refused(Refused::Over { .. })), "{other:?}");
+}
+
+#[test]
 fn a_mission_with_a_recovery_branch_goes_on_with_it() {
     let mut log = Log::of(&with_recovery());
     log.hold(&[("r1", "amber"), ("lab_arm", "arm")]);
@@ -269,8 +296,18 @@ fn a_mission_with_a_recovery_branch_goes_on_with_it() {
     let (_, spec) = entry.plan(&role("helper")).unwrap().tasks().next().unwrap();
     assert_eq!(spec.parameters["to"], "IC Room 6");
     assert!(log.0.held_by(&robot("arm")).is_none(), "the others are free");
+    let arm = Holding { robot: robot("arm"), epoch: epoch(2) };
+    assert_eq!(entry.former, [arm], "and may still be at work");
+
+    // Whoever has the sample does nothing else meanwhile, should it come back.
+    let recovering = log.2.clone();
+    log.2 = log.submit("next", &shipped()["lab-samples"]);
+    let full = log.award(&[("r1", "amber"), ("lab_arm", "arm")]);
+    assert!(matches!(full, Outcome::Refused(Refused::HandsFull { .. })), "{full:?}");
+    log.2 = recovering;
 
     let then = log.hold(&[("helper", "birch")]);
+    assert_eq!(log.entry().former, []);
     log.ended("helper", then, 0..1);
     let (cause, items) = log.rescue();
     assert_eq!(cause, "the recovery branch was carried out; the sample is with amber at IC Room 6");
