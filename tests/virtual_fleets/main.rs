@@ -19,6 +19,7 @@ mod requests;
 mod rescue;
 mod restart;
 mod setbacks;
+mod stalls;
 mod supervision;
 mod takeover;
 mod takeover_everywhere;
