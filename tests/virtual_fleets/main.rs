@@ -12,6 +12,7 @@ mod keepers;
 mod leaderless;
 mod leases;
 mod leaving;
+mod leaving_robots;
 mod notebooks;
 mod queueing;
 mod recovery;
