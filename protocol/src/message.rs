@@ -146,6 +146,8 @@ pub enum FailureKind {
     Leaving,
     /// The plan cannot be taken up.
     Plan,
+    /// Its notebook cannot be written: after a crash it would not know what it held.
+    Notebook,
 }
 
 /// What the coordinator says to a report. What was reported is in the ledger before anything but `NotCoordinator` is said.

@@ -27,6 +27,7 @@ use serde_json::json;
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
+use tokio::time::Instant;
 use tracing::{debug, error, info, warn};
 use zenoh_keyexpr::keyexpr;
 
@@ -91,6 +92,7 @@ impl Reign {
         settings: &CoordinatorSettings,
         leadership: &Leadership,
         term: u64,
+        yielded: Option<Instant>,
         myself: &ActorRef<CoordinatorMessage>,
     ) -> Result<Reign, BusError> {
         let CoordinatorSettings { node, keys, bus, .. } = settings;
@@ -132,11 +134,16 @@ impl Reign {
             members: BTreeSet::new(),
             free: BTreeSet::new(),
             requests: 0,
-            autopilot: Autopilot::new(settings.voters, settings.dead_after, settings.near),
+            autopilot: Autopilot::new(settings.voters, settings.dead_after, settings.near, yielded),
             foreign: BTreeMap::new(),
             tasks,
             _token: token,
         })
+    }
+
+    /// When this node last gave the lead away because another was better placed.
+    pub(super) fn yielded(&self) -> Option<Instant> {
+        self.autopilot.yielded()
     }
 
     /// Tells everybody who coordinates.

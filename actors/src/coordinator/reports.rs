@@ -161,8 +161,11 @@ fn next(entry: Option<&MissionEntry>, report: &Report, places: impl FnOnce() -> 
         let what = failure.task.as_ref().map_or("go on".to_owned(), |task| format!("do {task}"));
         let cause = format!("{} as {} could not {what}: {}", report.robot, report.role, failure.cause);
         return Step::Commit(match role.kind {
-            // It leaves the role to another; a robot that merely leaves the fleet may come back and bid.
-            RoleKind::Managed => release(report, cause, failure.kind != FailureKind::Leaving),
+            // It leaves the role to another. One that merely leaves the fleet, or has begun nothing because it could not
+            // write that down, may come back and bid.
+            RoleKind::Managed => {
+                release(report, cause, !matches!(failure.kind, FailureKind::Leaving | FailureKind::Notebook))
+            }
             RoleKind::Unmanaged => Command::Fail { mission: report.mission.clone(), cause, places: places() },
         });
     }

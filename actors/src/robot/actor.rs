@@ -101,6 +101,10 @@ pub struct RobotState {
     pub(super) writing: bool,
     /// Whether there is, or may be, a page in the notebook.
     pub(super) page_written: bool,
+    /// Why the notebook could not be written the last time, if it could not.
+    pub(super) notebook_problem: Option<String>,
+    /// When it was tried.
+    pub(super) notebook_tried_at: NodeTime,
     /// Those who wait for the robot to have left; `Some` from when it was told to.
     pub(super) leaving: Option<Vec<RpcReplyPort<bool>>>,
     pub(super) tasks: Tasks,
@@ -159,6 +163,8 @@ impl Actor for Robot {
             writing: false,
             // Whatever stands there and is not taken up is torn out.
             page_written: true,
+            notebook_problem: None,
+            notebook_tried_at: now,
             leaving: None,
             tasks,
             settings,
@@ -264,23 +270,28 @@ impl RobotState {
             suspended: self.tenure.is_suspended(),
         });
         let mut worker = self.worker.clone();
-        let mut problem = Some("its body does not answer");
+        let silent = || Some("its body does not answer".to_owned());
+        let mut problem = silent();
         if let Some(report) = self.settings.body.telemetry() {
             worker.place = report.place.clone();
             worker.pose = report.pose;
             worker.battery = report.battery;
             problem = match () {
-                () if !report.able => Some("its battery is too low to move"),
-                () if self.settings.body.silent_for() >= self.settings.patience.silence => problem,
+                () if !report.able => Some("its battery is too low to move".to_owned()),
+                () if self.settings.body.silent_for() >= self.settings.patience.silence => silent(),
                 () => None,
             };
         }
+        if let Some(why) = &self.notebook_problem {
+            // What it would hold it could not write down, and would have forgotten after a crash.
+            problem = Some(format!("its notebook cannot be written: {why}"));
+        }
         if self.leaving.is_some() {
-            problem = Some("it leaves the fleet");
+            problem = Some("it leaves the fleet".to_owned());
         }
         worker.availability = match (problem, holding) {
             (_, Some(holding)) => holding,
-            (Some(problem), None) => Availability::OutOfService { problem: problem.to_owned() },
+            (Some(problem), None) => Availability::OutOfService { problem },
             (None, None) => Availability::Free,
         };
         let changed = worker.availability != self.worker.availability || worker.place != self.worker.place;

@@ -9,6 +9,7 @@ use crate::plan::{Division, LocalPlan, Signal, StepAction, StepIndex};
 use serde::{Deserialize, Serialize};
 use std::cmp::Reverse;
 use std::collections::{BTreeMap, BTreeSet};
+use std::time::Duration;
 
 /// A mission as it was asked for: checked and divided.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -84,6 +85,25 @@ impl Priority {
     /// As a number.
     pub fn get(self) -> i8 {
         self.0
+    }
+}
+
+/// Longest time until a deadline: ten years of seconds.
+const ALLOWED_MAX_S: f64 = 315_360_000.0;
+
+/// A time in which no mission can be done, or be waited for. Nothing was asked for.
+#[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
+#[error("allowed are more than 0 and at most {ALLOWED_MAX_S} seconds")]
+pub struct DeadlineError;
+
+/// Reads the time, in seconds from now, in which a mission should be done.
+///
+/// # Errors
+/// [`DeadlineError`] if it is none, has passed, or is longer than ten years.
+pub fn time_until_deadline(seconds: f64) -> Result<Duration, DeadlineError> {
+    match Duration::try_from_secs_f64(seconds) {
+        Ok(time) if seconds > 0.0 && seconds <= ALLOWED_MAX_S => Ok(time),
+        _ => Err(DeadlineError),
     }
 }
 

@@ -6,6 +6,8 @@
 //!   has only cleaning up left ──────▶ the role has ended
 //!   told nobody of its work ────────▶ the role is open again       (also: `on_loss: restart`)
 //!   told others ────────────────────▶ failed
+//! the same within the recovery branch, of which there is one: with what it moves in hand ──▶ needs rescue; else as above,
+//!   and what was lost at first is still where it was
 //! given up or withdrawn while somebody has, or may have, an item ──▶ needs rescue ── a person ──▶ failed
 //! ```
 

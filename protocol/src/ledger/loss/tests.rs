@@ -315,6 +315,44 @@ fn a_mission_with_a_recovery_branch_goes_on_with_it() {
 }
 
 #[test]
+fn who_is_lost_in_the_recovery_branch_is_replaced_while_it_has_nothing_in_hand() {
+    let mut log = Log::of(&with_recovery());
+    log.hold(&[("r1", "amber"), ("lab_arm", "arm")]);
+    log.ended("r1", epoch(2), 0..8);
+    log.lose("r1", epoch(2), false);
+    let then = log.hold(&[("helper", "birch")]);
+    log.lose("helper", then, false);
+    let entry = log.entry();
+    assert_eq!((entry.branch, &entry.state), (Branch::Recovery, &MissionState::Pending));
+    assert_eq!(entry.open_roles(), [role("helper")].into());
+    assert_eq!((log.keepers(), entry.released), (vec!["amber!".to_owned()], 2), "the sample is where it was");
+    // Who is lost last of all leaves the mission to a person, and the first loss is not forgotten.
+    for name in ["cedar", "dogwood", "elm"] {
+        let then = log.hold(&[("helper", name)]);
+        log.lose("helper", then, true);
+    }
+    let (cause, items) = log.rescue();
+    assert!(cause.starts_with("its roles were given up 5 times: silent for 7 s (r1); "), "{cause}");
+    assert!(cause.ends_with("; the sample is with amber at IC Room 6"), "{cause}");
+    assert_eq!(items, [("amber", Some(&place()), true)]);
+}
+
+#[test]
+fn who_is_lost_in_the_recovery_branch_with_the_item_in_hand_needs_rescue_there() {
+    let text = std::fs::read_to_string("missions/lab-samples.yaml").unwrap()
+        + "recovery: { task: hand_over, type: wait, roles: [lab_arm], parameters: { seconds: \"5\" }, acquires: { sample: lab_arm } }\n";
+    let mut log = Log::of(&MissionTemplate::parse(&text, Format::Yaml).unwrap());
+    log.hold(&[("r1", "amber"), ("lab_arm", "arm")]);
+    log.ended("r1", epoch(2), 0..8);
+    log.lose("r1", epoch(2), false);
+    let then = log.hold(&[("lab_arm", "arm")]);
+    log.lose("lab_arm", then, false);
+    let (cause, items) = log.rescue();
+    assert_eq!(cause, "arm was lost as lab_arm and may have the sample: silent for 7 s");
+    assert_eq!(items, [("amber", Some(&place()), false), ("arm", Some(&place()), false)]);
+}
+
+#[test]
 fn a_branch_that_asks_for_a_place_that_nobody_knows_is_not_taken() {
     let mut log = Log::of(&with_recovery());
     log.hold(&[("r1", "amber"), ("lab_arm", "arm")]);
