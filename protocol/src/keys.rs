@@ -85,7 +85,8 @@ macro_rules! words {
                 match self { $($name::$variant => $word),* }
             }
 
-            fn read(word: &str) -> Option<$name> {
+            /// Which of them a word stands for, if any.
+            pub fn read(word: &str) -> Option<$name> {
                 $name::ALL.iter().copied().find(|call| call.word() == word)
             }
         }

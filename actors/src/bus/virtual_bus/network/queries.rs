@@ -93,7 +93,8 @@ impl Network {
             }
         }
         if !legs.is_empty() {
-            self.queries.insert(query, Pending { asker, replies, question: Arc::new(question), kind: route.kind, legs });
+            self.queries
+                .insert(query, Pending { asker, replies, question: Arc::new(question), kind: route.kind, legs });
             if let Some(end) = self.now.checked_add(limit) {
                 self.at(end, Event::Limit { query });
             }
