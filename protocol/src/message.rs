@@ -2,7 +2,7 @@
 //!
 //! | key | how | who → whom | says | answer |
 //! |---|---|---|---|---|
-//! | `wire/knowledge/{node}` | publish | node → all | [`Record`] | – |
+//! | `wire/knowledge/{node}` | publish | node → all | [`Statement`] | – |
 //! | `wire/gossip/{node}` | query | node → node | [`Exchange`] | [`Exchange`] |
 //! | `wire/beacon` | publish | coordinator → all | [`Beacon`] | – |
 //! | `wire/bid/*` | query | coordinator → robots | [`CallForBids`](crate::auction::CallForBids) | [`Tender`](crate::auction::Tender) |
@@ -16,16 +16,35 @@
 //! From `wire/beacon` on, what is published or asked is [`Within`] a cluster.
 
 use crate::ids::{ClusterId, MissionId, NodeId, PlaceId, RobotId, RoleId, TaskId};
-use crate::knowledge::{Digest, Record};
+use crate::knowledge::{Digest, Record, Scope, Stamp};
 use crate::lease::{Award, Declined, Ending, Epoch, Holding};
 use crate::plan::{LocalPlan, Signal, StepIndex};
 use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, BTreeSet};
 
-/// One side of an anti-entropy round.
+/// What a node publishes of itself.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub enum Statement {
+    /// All of it.
+    Record(Record),
+    /// That it still says what it said: whoever has heard that need not hear it again.
+    Still {
+        /// Its latest version.
+        stamp: Stamp,
+        /// The version, of the same incarnation, with which it began to say this.
+        since: u64,
+    },
+}
+
+/// One side of an anti-entropy round. It begins with sums of what the one has, where both may well have the same; the other
+/// answers with its digest of where they differ. Else it begins with the digest.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Exchange {
-    /// What the sender has.
+    /// Sums of all that the sender has ([`KnowledgeBase::sums`](crate::knowledge::KnowledgeBase::sums)), to be compared; or none.
+    pub sums: Vec<u64>,
+    /// Of whom the digest tells.
+    pub scope: Scope,
+    /// What the sender has of them.
     pub digest: Digest,
     /// What the sender thinks the other lacks, as much as fits a message.
     pub records: Vec<Record>,

@@ -19,6 +19,10 @@ use tracing::{debug, info, warn};
 /// Final states of goals that are remembered.
 const REMEMBERED: usize = 32;
 
+/// How long an answer will do for a body at rest. A guess: well below the three seconds after which a host takes a driver for
+/// silent, which matters only to a body with something under way.
+const REST: Duration = Duration::from_millis(800);
+
 /// How a body is driven.
 #[derive(Clone)]
 pub struct BodyLinkSettings {
@@ -30,7 +34,8 @@ pub struct BodyLinkSettings {
     pub bus: SharedBus,
     /// Ids of goals begin here: different for each life of the node, so that no id is used twice.
     pub first_goal: u64,
-    /// How often the host is told that the driver is there. Raised: a lost command is repeated later. Default 300 ms.
+    /// How often the host is told that the driver is there, while the body has something to do or the host does not answer;
+    /// a body at rest is looked after once a second. Raised: a lost command is repeated later. Default 300 ms.
     pub beat: Duration,
 }
 
@@ -88,6 +93,8 @@ pub struct BodyLink;
 pub struct BodyLinkState {
     settings: BodyLinkSettings,
     body: Body,
+    /// When a command was last answered.
+    answered_at: Option<Instant>,
     tasks: Tasks,
 }
 
@@ -294,7 +301,7 @@ impl Actor for BodyLink {
         tasks.beat(settings.beat, &myself, || BodyLinkMessage::Beat);
         myself.cast(BodyLinkMessage::Beat)?;
         hand_out.send(body.clone())?;
-        Ok(BodyLinkState { settings, body, tasks })
+        Ok(BodyLinkState { settings, body, answered_at: None, tasks })
     }
 
     async fn handle(
@@ -317,7 +324,8 @@ impl BodyLinkState {
     /// Sends the orders that were not answered; on a beat also without any.
     fn send(&mut self, myself: &ActorRef<BodyLinkMessage>, beat: bool) {
         let orders = self.body.lock().unanswered.clone();
-        if orders.is_empty() && !beat {
+        let answered_lately = self.answered_at.is_some_and(|at| at.elapsed() < REST);
+        if orders.is_empty() && (!beat || answered_lately && self.body.is_at_rest()) {
             return;
         }
         let commands: Vec<Option<Order>> =
@@ -340,6 +348,7 @@ impl BodyLinkState {
     fn answered(&mut self, order: Option<Order>, reply: Reply) {
         match reply.payload {
             Ok(payload) => {
+                self.answered_at = Some(Instant::now());
                 if let Some(order) = order {
                     self.body.lock().unanswered.retain(|waiting| *waiting != order);
                 }

@@ -78,6 +78,8 @@ pub struct RobotState {
     pub(super) settings: RobotSettings,
     bidder: Bidder,
     pub(super) worker: Worker,
+    /// The worker as this life of the actor last told others of it.
+    told: Option<Worker>,
     sensed_at: NodeTime,
     pub(super) tenure: Tenure,
     /// What a former life had written down, until the coordinator has spoken.
@@ -145,6 +147,7 @@ impl Actor for Robot {
         let mut state = RobotState {
             bidder: Bidder::new(robot.clone(), Arc::clone(&settings.estimator)),
             worker: settings.worker.clone(),
+            told: None,
             sensed_at: now,
             tenure,
             resumes: recalled.as_ref().map(|page| page.award.epoch),
@@ -246,6 +249,17 @@ async fn recall(settings: &RobotSettings) -> Option<Page> {
     }
 }
 
+/// Others hear of charge in steps of this size: a guess. Bids and the robot itself count with the exact one.
+const CHARGE_TOLD: f64 = 0.02;
+
+/// Whether others need to hear what a robot has become: an idle one loses a little charge every second, which changes
+/// nobody's mind.
+fn is_news(told: &Worker, now: &Worker) -> bool {
+    let lost = (told.battery.get() - now.battery.get()).abs() >= CHARGE_TOLD;
+    let useful = |worker: &Worker| worker.battery >= worker.useful_charge;
+    lost || useful(told) != useful(now) || Worker { battery: told.battery, ..now.clone() } != *told
+}
+
 impl RobotState {
     async fn beat(&mut self, myself: &ActorRef<RobotMessage>) -> Result<(), ActorProcessingErr> {
         let now = self.settings.clock.now();
@@ -294,11 +308,14 @@ impl RobotState {
             (Some(problem), None) => Availability::OutOfService { problem },
             (None, None) => Availability::Free,
         };
-        let changed = worker.availability != self.worker.availability || worker.place != self.worker.place;
         self.worker = worker;
-        if changed || now.since(self.sensed_at) >= Duration::from_secs(1) {
+        let now_is = &self.worker;
+        let urgent = |told: &Worker| told.availability != now_is.availability || told.place != now_is.place;
+        let due = now.since(self.sensed_at) >= Duration::from_secs(1);
+        if self.told.as_ref().is_none_or(|told| urgent(told) || due && is_news(told, now_is)) {
             self.sensed_at = now;
             let worker = self.worker.clone();
+            self.told = Some(worker.clone());
             if self.settings.gossip.update_with(move |knowledge| knowledge.worker = Some(worker)).is_err() {
                 debug!(robot = %self.settings.robot, "gossip has stopped");
             }
