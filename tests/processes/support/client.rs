@@ -109,6 +109,7 @@ impl Client {
 
 /// A story that fails shows what was heard last, and what the fleet says of itself.
 impl Drop for Client {
+    #[expect(clippy::print_stderr, reason = "a failed test tells why")]
     fn drop(&mut self) {
         if std::thread::panicking() {
             self.events();

@@ -165,6 +165,7 @@ impl Fleet {
 
 /// A story that fails shows what its nodes had logged.
 impl Drop for Fleet {
+    #[expect(clippy::print_stderr, reason = "a failed test tells why")]
     fn drop(&mut self) {
         if std::thread::panicking() {
             eprintln!("{}", self.logs());

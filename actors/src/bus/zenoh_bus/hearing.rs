@@ -62,7 +62,7 @@ pub(super) async fn attend(life: &Arc<Life>, session: &Session) -> Result<(), Bu
     let linked = move |event: zenoh::session::LinkEvent| {
         let (link, opened) = (event.link(), event.kind() == SampleKind::Put);
         if opened && port(link.src().as_str()).is_some_and(|port| !accepting.contains(&port)) {
-            runtime.spawn(be_sure(weak.clone(), own, *link.zid()));
+            runtime.spawn(be_sure(weak.clone(), own, *link.zid(), link.dst().to_string()));
         }
     };
     let listener = session.info().link_events_listener().history(true).callback(linked).background().await;
@@ -75,13 +75,12 @@ fn port(address: &str) -> Option<String> {
 }
 
 /// Asks a neighbour until it answers that it is heard and hears. If it does not, the session is replaced.
-async fn be_sure(life: Weak<Life>, own: ZenohId, neighbour: ZenohId) {
+async fn be_sure(life: Weak<Life>, own: ZenohId, neighbour: ZenohId, address: String) {
     for _ in 0..ENOUGH {
         sleep(PAUSE).await;
         let Some(life) = life.upgrade() else { return };
         let session = life.session();
-        let gone = !session.info().transports().await.any(|link| *link.zid() == neighbour);
-        if gone || session.zid() != own || session.is_closed() {
+        if session.zid() != own || !is_linked(&session, neighbour).await {
             return;
         }
         let heard = match ask(&session, &format!("{HEARING}/{neighbour}?back={own}")).await {
@@ -90,19 +89,26 @@ async fn be_sure(life: Weak<Life>, own: ZenohId, neighbour: ZenohId) {
             None => ask(&session, &format!("@/{neighbour}/router")).await.is_some(),
         };
         if heard {
-            life.forget_sessions_for(neighbour);
+            life.forget_sessions_for(&address);
             return;
         }
         debug!(%neighbour, "is not heard, or does not hear");
     }
     let Some(life) = life.upgrade() else { return };
-    match life.count_session_for(neighbour) {
+    if !is_linked(&life.session(), neighbour).await {
+        return;
+    }
+    match life.count_session_for(&address) {
         count if count <= SESSIONS => {
             warn!(%neighbour, "linked, and yet one does not hear the other: the session is opened anew");
             life.replace(own);
         }
         _ => warn!(%neighbour, "linked, and yet one does not hear the other, whatever is done; it may be none of ours"),
     }
+}
+
+async fn is_linked(session: &Session, neighbour: ZenohId) -> bool {
+    !session.is_closed() && session.info().transports().await.any(|link| *link.zid() == neighbour)
 }
 
 /// The first answer to a question.

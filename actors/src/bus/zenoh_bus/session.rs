@@ -7,7 +7,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError, RwLock, Weak};
 use std::time::Duration;
 use tokio::sync::mpsc::{UnboundedSender, unbounded_channel};
 use tokio::time::sleep;
-use tracing::{info, warn};
+use tracing::{error, info, warn};
 use zenoh::Session;
 use zenoh::sample::SampleKind;
 use zenoh::session::ZenohId;
@@ -18,8 +18,9 @@ use zenoh_keyexpr::OwnedKeyExpr;
 /// counts as known, and is never told of any declaration. See [`hearing`] for those to whom it happens all the same.
 const AWAY: Duration = Duration::from_millis(250);
 
-/// How long after a session could not be opened anew it is tried again.
+/// How long after a session could not be opened anew it is tried again, and how often.
 const TRY_AGAIN: Duration = Duration::from_secs(1);
+const TRIES: u32 = 30;
 
 /// What is declared on a session.
 #[derive(Clone)]
@@ -49,7 +50,8 @@ pub(super) struct Life {
     declaring: tokio::sync::Mutex<()>,
     /// Which session is to be opened anew.
     stale: UnboundedSender<ZenohId>,
-    /// How many sessions were opened for the sake of a neighbour that was not heard yet.
+    /// How many sessions were opened for the sake of a neighbour that was not heard yet, by its address: its id changes with
+    /// its own sessions.
     in_vain: Mutex<BTreeMap<String, u32>>,
 }
 
@@ -205,28 +207,49 @@ impl Life {
         Ok(Declared { id, life: Arc::downgrade(self) })
     }
 
-    /// Ends everything declared, and the session.
-    pub(super) async fn close(&self) -> Result<(), BusError> {
+    /// Declares everything on a new session.
+    async fn declare_all(&self, session: &Session) -> Result<(), BusError> {
+        let wanted: Vec<u64> = self.entries().all.keys().copied().collect();
+        for id in wanted {
+            let Some(declaration) = self.entries().all.get(&id).map(|entry| entry.declaration.clone()) else {
+                continue;
+            };
+            let declared = declaration.declare(session, self.settings.message_max).await?;
+            let mut entries = self.entries();
+            // Otherwise it ended in the meantime, and so does what was declared for it.
+            if let Some(entry) = entries.all.get_mut(&id) {
+                entry.declared = Some(declared);
+            }
+        }
+        Ok(())
+    }
+
+    fn end_all(&self) {
         let all = {
             let mut entries = self.entries();
             entries.closed = true;
             std::mem::take(&mut entries.all)
         };
-        drop(all);
+        drop(all); // not while the entries are held: Zenoh waits for callbacks under way
+    }
+
+    /// Ends everything declared, and the session.
+    pub(super) async fn close(&self) -> Result<(), BusError> {
+        self.end_all();
         self.session().close().await.map_err(|problem| failed("close", problem))
     }
 
     /// Counts one more session for the sake of a neighbour; returns how many there were.
-    pub(super) fn count_session_for(&self, neighbour: ZenohId) -> u32 {
+    pub(super) fn count_session_for(&self, neighbour: &str) -> u32 {
         let mut in_vain = self.in_vain.lock().unwrap_or_else(PoisonError::into_inner);
-        let count = in_vain.entry(neighbour.to_string()).or_default();
+        let count = in_vain.entry(neighbour.to_owned()).or_default();
         *count += 1;
         *count
     }
 
     /// A neighbour is heard, and hears.
-    pub(super) fn forget_sessions_for(&self, neighbour: ZenohId) {
-        self.in_vain.lock().unwrap_or_else(PoisonError::into_inner).remove(&neighbour.to_string());
+    pub(super) fn forget_sessions_for(&self, neighbour: &str) {
+        self.in_vain.lock().unwrap_or_else(PoisonError::into_inner).remove(neighbour);
     }
 
     /// Has a session replaced, if it is still that of now.
@@ -236,7 +259,8 @@ impl Life {
     }
 
     /// Opens the session anew, at the same addresses, and declares everything again. Meanwhile publications and questions
-    /// fail, and presence is out of sight.
+    /// fail, and presence is out of sight. If that cannot be done for long, the bus closes: every stream ends, and whoever
+    /// supervises the node learns of it.
     async fn begin_anew(self: &Arc<Self>) {
         let _declaring = self.declaring.lock().await;
         let ended: Vec<_> = {
@@ -248,32 +272,31 @@ impl Life {
             warn!(%problem, "a session did not close well");
         }
         self.entries().all.values().for_each(|entry| entry.declaration.lose_sight());
+        let mut tries = 0;
         let session = loop {
             if self.entries().closed {
                 return;
             }
-            match open(&self.settings).await {
-                Ok(session) => break session,
-                Err(problem) => warn!(%problem, "the session cannot be opened anew; tries again"),
+            let problem = match open(&self.settings).await {
+                Ok(session) => match self.declare_all(&session).await {
+                    Ok(()) => break session,
+                    Err(problem) => {
+                        // The next try declares everything on a session of its own.
+                        let _ = session.close().await;
+                        problem
+                    }
+                },
+                Err(problem) => problem,
+            };
+            tries += 1;
+            if tries >= TRIES {
+                error!(%problem, "the session cannot be opened anew: the bus is closed");
+                self.end_all();
+                return;
             }
+            warn!(%problem, "the session cannot be opened anew; tries again");
             sleep(TRY_AGAIN).await;
         };
-        let wanted: Vec<u64> = self.entries().all.keys().copied().collect();
-        for id in wanted {
-            let Some(declaration) = self.entries().all.get(&id).map(|entry| entry.declaration.clone()) else {
-                continue;
-            };
-            match declaration.declare(&session, self.settings.message_max).await {
-                Ok(declared) => {
-                    let mut entries = self.entries();
-                    // Otherwise it ended in the meantime, and so does what was declared for it.
-                    if let Some(entry) = entries.all.get_mut(&id) {
-                        entry.declared = Some(declared);
-                    }
-                }
-                Err(problem) => warn!(%problem, "was not declared anew"),
-            }
-        }
         *self.session.write().unwrap_or_else(PoisonError::into_inner) = session.clone();
         if self.entries().closed {
             // Nobody closed this one.
