@@ -1,8 +1,8 @@
 //! A node's share in the replicated ledger.
 
-use super::belief::{Leadership, Metrics, Watcher};
+use super::belief::{Leadership, Watcher};
 use super::canvass::{self, Ear};
-use super::errors::{BootstrapError, HandOverError, MemberError, ProposeError, StartError, not_leader, write_error};
+use super::errors::{BootstrapError, MemberError, ProposeError, StartError, not_leader, write_error};
 use super::gather::{Gatherer, Proposal};
 use super::journal::Journal;
 use super::network::{Acks, Heard, Switchboard};
@@ -10,14 +10,14 @@ use super::runtime::seed_elections;
 use super::serve::Service;
 use super::settings::ReplicaSettings;
 use super::store::{self, Applied, MachineStore};
-use super::succession::{self, Resigned, Succession};
+use super::succession::Resigned;
 use super::types::{Epoch, Peer, Raft, RaftId, StateMachine, epoch_of};
 use crate::bus::SharedBus;
 use consort_protocol::codec::{self, CodecError};
 use consort_protocol::ids::{ClusterId, NodeId};
 use consort_protocol::keys::Keys;
+use openraft::ChangeMembers;
 use openraft::error::{CheckIsLeaderError, Fatal, InitializeError, RaftError};
-use openraft::{ChangeMembers, ServerState};
 use std::collections::{BTreeMap, BTreeSet};
 use std::future::Future;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
@@ -41,7 +41,7 @@ const SHARED_MAX: usize = 16 * 1024;
 /// A node's share in the replicated ledger. Clones are the same share; when the last is dropped, the node falls
 /// silent, as in a crash.
 pub struct Replica<S: StateMachine> {
-    inner: Arc<Inner<S>>,
+    pub(super) inner: Arc<Inner<S>>,
 }
 
 impl<S: StateMachine> Clone for Replica<S> {
@@ -50,16 +50,16 @@ impl<S: StateMachine> Clone for Replica<S> {
     }
 }
 
-struct Inner<S: StateMachine> {
-    id: RaftId,
-    settings: ReplicaSettings,
-    raft: Raft<S>,
+pub(super) struct Inner<S: StateMachine> {
+    pub(super) id: RaftId,
+    pub(super) settings: ReplicaSettings,
+    pub(super) raft: Raft<S>,
     machine: MachineStore<S>,
-    leadership: watch::Sender<Leadership>,
+    pub(super) leadership: watch::Sender<Leadership>,
     acked_at: watch::Receiver<Option<Instant>>,
-    resigned: Arc<Resigned>,
-    ear: Arc<Ear>,
-    board: Switchboard,
+    pub(super) resigned: Arc<Resigned>,
+    pub(super) ear: Arc<Ear>,
+    pub(super) board: Switchboard,
     refused: Arc<AtomicU64>,
     proposals: mpsc::UnboundedSender<Proposal<S>>,
     _gathering: Task,
@@ -358,88 +358,6 @@ impl<S: StateMachine> Replica<S> {
     /// [`MemberError`].
     pub async fn remove_observer(&self, id: RaftId, limit: Duration) -> Result<(), MemberError> {
         self.change(ChangeMembers::RemoveNodes(BTreeSet::from([id])), true, limit).await
-    }
-
-    /// Gives the lead to another voter, which has all that this one has and is elected within a few round trips; to none of
-    /// `shunned` unless there is nobody else. From the call on this node refuses proposals and no longer counts itself
-    /// leader; it goes on voting and following. Waits `limit` at most for a voter that has everything.
-    ///
-    /// # Errors
-    /// [`HandOverError`] says whether this node still leads.
-    pub async fn hand_over(&self, shunned: &BTreeSet<NodeId>, limit: Duration) -> Result<NodeId, HandOverError> {
-        let inner = &*self.inner;
-        let mut metrics = inner.raft.metrics();
-        let (vote, leads) = {
-            let now = metrics.borrow_and_update();
-            (now.vote, now.state == ServerState::Leader)
-        };
-        if !leads {
-            return Err(HandOverError::NotLeader);
-        }
-        let term = vote.leader_id().term;
-        let others = inner.leadership.borrow().voters.keys().filter(|id| **id != inner.id).count();
-        if others == 0 {
-            return Err(HandOverError::Alone);
-        }
-        inner.resigned.resign(term);
-        inner.leadership.send_modify(|now| {
-            if now.term == term {
-                *now = now.clone().without_reign();
-            }
-        });
-        let asked_at = Instant::now();
-        let found = async {
-            loop {
-                let latest = metrics.borrow_and_update().clone();
-                if latest.vote != vote {
-                    return Err(HandOverError::NotLeader);
-                }
-                let shunned = if asked_at.elapsed() < limit / 2 { shunned } else { &BTreeSet::new() };
-                if let Some(successor) = self.best_successor(&latest, shunned) {
-                    return Ok((successor, latest));
-                }
-                metrics.changed().await.map_err(|_| HandOverError::Closed)?;
-            }
-        };
-        let nobody = Err(HandOverError::NobodyReady { others, limit });
-        let (successor, latest) = match timeout(limit, found).await.unwrap_or(nobody) {
-            Ok(found) => found,
-            Err(problem) => {
-                inner.resigned.take_back();
-                return Err(problem);
-            }
-        };
-        let membership = latest.membership_config.membership();
-        let name = membership.get_node(&successor).map(|peer| peer.name.clone());
-        let name = name.ok_or(HandOverError::Closed)?;
-        let word = Succession { ends: vote, successor };
-        inner.ear.note_resigned();
-        if !succession::release(&inner.raft, &word).await {
-            return Err(HandOverError::Closed);
-        }
-        info!(node = %inner.settings.node, term, successor = %name, "hands over");
-        match succession::proclaim(&inner.board, membership.get_joint_config(), &word, inner.settings.heartbeat).await {
-            true => Ok(name),
-            false => Err(HandOverError::Unheard { successor: name }),
-        }
-    }
-
-    /// Of the voters that have answered of late, without the shunned unless there is nobody else, one that has the whole
-    /// log: that of the lowest number.
-    fn best_successor(&self, latest: &Metrics, shunned: &BTreeSet<NodeId>) -> Option<RaftId> {
-        let replication = latest.replication.as_ref()?;
-        let leadership = self.inner.leadership.borrow().clone();
-        let near = |id: &RaftId| {
-            let heard = self.inner.board.heard.last(*id);
-            *id != self.inner.id && heard.is_some_and(|at| at.elapsed() <= self.inner.settings.heartbeat * 2)
-        };
-        let near: Vec<_> = leadership.voters.iter().filter(|(id, _)| near(id)).collect();
-        let all_shunned = near.iter().all(|(_, name)| shunned.contains(*name));
-        let ready = near.into_iter().filter(|(id, name)| {
-            let matched = replication.get(*id).copied().flatten().map(|at| at.index);
-            (all_shunned || !shunned.contains(*name)) && matched >= latest.last_log_index
-        });
-        ready.map(|(id, _)| *id).min()
     }
 
     /// Waits until this replica has given up for good, and says why: its journal could not be read or written. After an
