@@ -1,7 +1,7 @@
 //! The wire format: one version byte, then bincode. All of bincode that the project uses is in this file.
 //!
-//! Every message has a size limit ([`LIMIT`]), which also bounds what decoding may allocate, and must be used up
-//! exactly. Wire types are not recursive and skip no field: bincode does not describe itself. What a node stores for
+//! Every message has a size limit ([`LIMIT`]), which also bounds what decoding may allocate (16 times that), and must be used
+//! up exactly. Wire types are not recursive and skip no field: bincode does not describe itself. What a node stores for
 //! itself (snapshots, log entries) has the same layout and a larger limit ([`RECORD_LIMIT`]).
 
 use bincode::config::{self, Config};
@@ -16,6 +16,10 @@ pub const LIMIT: usize = 64 * 1024;
 
 /// Largest stored record, in bytes. A guess: a mission takes some kilobytes, so this holds tens of thousands.
 pub const RECORD_LIMIT: usize = 256 * 1024 * 1024;
+
+/// What decoding may take in memory, as a multiple of the largest message: bincode counts a number by its width there, and
+/// the widest, of 16 bytes, may have been sent as one. With less, some of what may be sent could not be read.
+const WIDENING: usize = 16;
 
 /// Why bytes are not a message, or a value cannot become one. Nothing was changed.
 #[derive(Debug, thiserror::Error)]
@@ -59,9 +63,9 @@ pub fn encode<T: Serialize>(message: &T) -> Result<Vec<u8>, CodecError> {
 /// The message that the bytes spell, all of them.
 ///
 /// # Errors
-/// [`CodecError`] says what is wrong; whatever the bytes are, this neither panics nor allocates beyond [`LIMIT`].
+/// [`CodecError`] says what is wrong; whatever the bytes are, this neither panics nor allocates beyond 16 times [`LIMIT`].
 pub fn decode<T: DeserializeOwned>(bytes: &[u8]) -> Result<T, CodecError> {
-    decode_within(bytes, LIMIT, config::standard().with_limit::<LIMIT>())
+    decode_within(bytes, LIMIT, config::standard().with_limit::<{ LIMIT * WIDENING }>())
 }
 
 /// A record to be stored, as bytes.
@@ -77,7 +81,7 @@ pub fn encode_record<T: Serialize>(record: &T) -> Result<Vec<u8>, CodecError> {
 /// # Errors
 /// As [`decode`], beyond [`RECORD_LIMIT`].
 pub fn decode_record<T: DeserializeOwned>(bytes: &[u8]) -> Result<T, CodecError> {
-    decode_within(bytes, RECORD_LIMIT, config::standard().with_limit::<RECORD_LIMIT>())
+    decode_within(bytes, RECORD_LIMIT, config::standard().with_limit::<{ RECORD_LIMIT.saturating_mul(WIDENING) }>())
 }
 
 fn encode_within<T: Serialize>(value: &T, limit: usize) -> Result<Vec<u8>, CodecError> {
@@ -132,6 +136,17 @@ mod tests {
         let bytes = [VERSION, 253, 0, 0, 0, 0, 0, 0, 0, 16];
         assert!(matches!(decode::<String>(&bytes), Err(CodecError::Malformed(_))));
         assert!(matches!(decode::<Vec<u64>>(&bytes), Err(CodecError::Malformed(_))));
+    }
+
+    #[test]
+    fn all_that_may_be_sent_can_be_read() {
+        // Numbers that are small are sent as one byte each.
+        let narrow = vec![0_u128; LIMIT - 10];
+        assert_eq!(decode::<Vec<u128>>(&encode(&narrow).unwrap()).unwrap(), narrow);
+        let optional = vec![Some(7_u64); LIMIT / 2 - 10];
+        assert_eq!(decode::<Vec<Option<u64>>>(&encode(&optional).unwrap()).unwrap(), optional);
+        let words = vec!["a".to_owned(); LIMIT / 2 - 10];
+        assert_eq!(decode::<Vec<String>>(&encode(&words).unwrap()).unwrap(), words);
     }
 
     #[test]

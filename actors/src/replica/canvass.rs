@@ -10,6 +10,9 @@
 //! - *Canvass* (pre-vote; Ongaro's dissertation, 9.6): a node that has not heard a leader for a time drawn anew from
 //!   `election_min..election_max` asks the other voters whether they hear one, and whether its log is as long as
 //!   theirs. It stands for election only if a majority would have it.
+//! - *Patience with slow disks*: a voter that is about to bring its vote to disk, or has just done so, neither stands nor
+//!   would have anybody else, for [`SYNCS_TO_LEAD`] times as long as that took it. Else a candidate that waits for votes
+//!   would be overtaken by the next one, in the next term, for ever.
 //! - *Refusal*: a voter grants no vote within `election_min` of its leader's last word (openraft's leader lease, set
 //!   to that), unless that leader has resigned ([`super::succession`]). So a leader that a majority acknowledged more
 //!   recently is the only one.
@@ -32,6 +35,10 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 use tokio::time::{Instant, MissedTickBehavior, interval, sleep, sleep_until};
 
+/// How many syncs one after another it takes from a vote that is given until its leader is heard, and one to spare: the
+/// winner brings its reign to disk and then the reign's first entry, while it is asked for by others.
+const SYNCS_TO_LEAD: u32 = 4;
+
 /// A question before standing: may I?
 #[derive(Debug, Clone, Serialize, Deserialize)]
 pub(super) struct Canvass {
@@ -49,8 +56,11 @@ struct Heard {
     voted: Option<Instant>,
     /// When this node last heard a leader to which it is still bound: it votes for nobody else for a while.
     bound: Option<Instant>,
-    /// Votes that openraft may be about to give, this node's own candidacy included.
+    /// Votes that openraft may be about to give, this node's own candidacy included, and when the first of them began.
     deciding: u32,
+    began: Instant,
+    /// Until when those that were given are waited for.
+    patient_until: Instant,
     /// The latest vote known to be given.
     ballot: Vote,
     /// Appends that openraft has in hand, and when the last one began or ended.
@@ -69,6 +79,8 @@ impl Ear {
             // Whom its former life was bound to, nobody knows.
             bound: Some(now),
             deciding: 0,
+            began: now,
+            patient_until: now,
             ballot: Vote::default(),
             appends: 0,
             moved: now,
@@ -110,6 +122,9 @@ impl Ear {
     pub(super) fn may_decide(&self, election_min: Duration) -> bool {
         let mut heard = self.lock();
         let free = heard.bound.is_none_or(|at| at.elapsed() >= election_min);
+        if free && heard.deciding == 0 {
+            heard.began = Instant::now();
+        }
         heard.deciding += u32::from(free);
         free
     }
@@ -118,6 +133,8 @@ impl Ear {
     pub(super) fn decided(&self, given: Option<Vote>) {
         let mut heard = self.lock();
         heard.deciding -= 1;
+        heard.patient_until =
+            heard.patient_until.max(Instant::now() + heard.began.elapsed().min(APPEND_MAX) * SYNCS_TO_LEAD);
         heard.ballot = given.map_or(heard.ballot, |given| if given > heard.ballot { given } else { heard.ballot });
     }
 
@@ -158,13 +175,11 @@ impl Ear {
         self.lock().leader
     }
 
-    fn voted(&self) -> Option<Instant> {
-        self.lock().voted
-    }
-
     /// Whether no leader has been heard for `patience`, and no candidate is waited for.
     pub(super) fn hears_none(&self, patience: Duration, heartbeat: Duration) -> bool {
-        self.leader().elapsed() >= patience && self.voted().is_none_or(|at| at.elapsed() >= heartbeat)
+        let heard = self.lock();
+        let waits = heard.deciding > 0 || heard.patient_until > Instant::now();
+        heard.leader.elapsed() >= patience && !waits && heard.voted.is_none_or(|at| at.elapsed() >= heartbeat)
     }
 }
 

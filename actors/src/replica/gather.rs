@@ -4,7 +4,7 @@
 //! entries in a second than its disk syncs. Bernstein et al., *Concurrency Control and Recovery in Database Systems*,
 //! 1987, 6.4, call this group commit. A command that comes alone goes at once: nothing waits for company.
 
-use super::replica::ProposeError;
+use super::errors::ProposeError;
 use super::types::{Batch, Raft, StateMachine};
 use futures::StreamExt as _;
 use futures::future::BoxFuture;

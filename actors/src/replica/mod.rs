@@ -24,7 +24,9 @@
 //! 2014. When to stand for election is decided by `canvass`, not by openraft, which has neither pre-vote nor check
 //! quorum.
 
+mod belief;
 mod canvass;
+mod errors;
 mod gather;
 mod journal;
 mod network;
@@ -38,8 +40,10 @@ mod store;
 mod succession;
 mod types;
 
+pub use belief::Leadership;
+pub use errors::{BootstrapError, HandOverError, MemberError, ProposeError, StartError};
 pub use journal::{Journal, MemoryJournal, Recorded, StoreIdentity};
-pub use replica::{BootstrapError, HandOverError, Leadership, MemberError, ProposeError, Replica, StartError};
+pub use replica::Replica;
 pub use runtime::{SeededRuntime, seed_elections};
 pub use salvage::{Holdings, holdings, sole_voter};
 pub use settings::{ReplicaSettings, SettingsError};

@@ -6,6 +6,7 @@
 //! or its answer was lost, and is sent again.
 
 use super::canvass::Canvass;
+use super::settings::APPEND_MAX;
 use super::succession::Succession;
 use super::types::{Peer, RaftId, StateMachine, Types, Vote};
 use crate::bus::SharedBus;
@@ -15,8 +16,7 @@ use consort_protocol::keys::{Key, Keys, RaftCall};
 use futures::StreamExt as _;
 use futures::stream::FuturesUnordered;
 use openraft::error::{
-    InstallSnapshotError, NetworkError, PayloadTooLarge, RPCError, RaftError, RemoteError, SnapshotMismatch, Timeout,
-    Unreachable,
+    InstallSnapshotError, NetworkError, RPCError, RaftError, RemoteError, SnapshotMismatch, Timeout, Unreachable,
 };
 use openraft::network::{Backoff, RPCOption, RPCTypes};
 use openraft::raft::{
@@ -39,7 +39,7 @@ pub(super) const SNAPSHOT_CHUNK: usize = 48 * 1024;
 
 /// Bytes of an append of several entries. A follower brings them to disk by one sync, and a slow link carries them within
 /// a second; larger ones save little. One entry alone may fill a message.
-const APPEND_BYTES: usize = 32 * 1024;
+pub(super) const APPEND_BYTES: usize = 32 * 1024;
 
 /// A leader's question beside openraft: are you there?
 #[derive(Debug, Clone, Serialize, Deserialize)]
@@ -306,15 +306,8 @@ impl<S: StateMachine> RaftNetwork<Types<S>> for Line {
         question: AppendEntriesRequest<Types<S>>,
         option: RPCOption,
     ) -> Result<AppendEntriesResponse<RaftId>, RPCError<RaftId, Peer, RaftError<RaftId>>> {
-        let several = question.entries.len() > 1;
-        let bytes = match self.encode(&question) {
-            Ok(bytes) if !several || bytes.len() <= APPEND_BYTES => bytes,
-            Ok(_) | Err(CodecError::TooLarge { .. }) if several => {
-                return Err(PayloadTooLarge::new_entries_hint(question.entries.len() as u64 / 2).into());
-            }
-            Ok(bytes) => bytes,
-            Err(error) => return Err(unencodable(&error)),
-        };
+        // openraft took as many entries as fit: the log's store gives no more at once.
+        let bytes = self.encode(&question).map_err(|error| unencodable(&error))?;
         let asked_at = Instant::now();
         let trouble = match self.append(question.vote, bytes, option.hard_ttl()).await {
             Ok(Answer::Done(answer)) => {
@@ -356,10 +349,11 @@ impl<S: StateMachine> RaftNetwork<Types<S>> for Line {
     async fn vote(
         &mut self,
         question: VoteRequest<RaftId>,
-        option: RPCOption,
+        _: RPCOption,
     ) -> Result<VoteResponse<RaftId>, RPCError<RaftId, Peer, RaftError<RaftId>>> {
         let bytes = self.encode(&question).map_err(|error| unencodable(&error))?;
-        match self.ask(RaftCall::Vote, bytes, option.hard_ttl()).await {
+        // openraft would have it before a slow disk has the vote: see `runtime`.
+        match self.ask(RaftCall::Vote, bytes, APPEND_MAX).await {
             Ok(Answer::Done(answer)) => Ok(answer),
             Ok(Answer::Mismatch(_)) => Err(out_of_place()),
             Err(trouble) => Err(self.explain(RPCTypes::Vote, &trouble)),

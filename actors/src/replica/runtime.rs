@@ -1,9 +1,14 @@
-//! Tokio for openraft, with chance that repeats.
+//! Tokio for openraft, with chance that repeats and limits that bear slow disks.
 //!
 //! openraft draws exactly one random number: the election timeout, once, when a node is built, on the thread that
 //! builds it and before anything is awaited. [`seed_elections`] is called just before that, so that nothing in a node
 //! is left to chance. (The timeout itself goes unused: see `canvass`.)
+//!
+//! openraft limits its questions, too. It derives the limit of a request for a vote from the time for which voters refuse
+//! candidates, and before it answers the voter has brought its vote to disk: a fleet whose disks take longer than that could
+//! elect nobody. So no question's limit is below [`APPEND_MAX`]; `network` sets stricter ones where they serve.
 
+use super::settings::APPEND_MAX;
 use openraft::{AsyncRuntime, TokioRuntime};
 use rand::{Rng as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;
@@ -46,7 +51,8 @@ impl rand08::RngCore for ElectionChance {
     }
 }
 
-/// [`TokioRuntime`] with a seeded generator. Time and tasks are tokio's, so paused time works.
+/// [`TokioRuntime`] with a seeded generator, and with limits of [`APPEND_MAX`] at least. Time and tasks are tokio's, so
+/// paused time works.
 #[derive(Debug, Default, PartialEq, Eq)]
 pub struct SeededRuntime;
 
@@ -79,7 +85,7 @@ impl AsyncRuntime for SeededRuntime {
     }
 
     fn timeout<R, F: Future<Output = R> + Send>(duration: Duration, future: F) -> Self::Timeout<R, F> {
-        TokioRuntime::timeout(duration, future)
+        TokioRuntime::timeout(duration.max(APPEND_MAX), future)
     }
 
     fn timeout_at<R, F: Future<Output = R> + Send>(deadline: Self::Instant, future: F) -> Self::Timeout<R, F> {

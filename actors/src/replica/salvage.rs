@@ -6,7 +6,7 @@
 //! much (entries that were never committed), so people decide it, not nodes.
 
 use super::journal::{Recorded, StoreIdentity};
-use super::store::{self, Kept, Machine, write_record};
+use super::store::{self, Held, Kept, Machine, write_record};
 use super::types::{Epoch, LogId, Peer, RaftId, SnapshotMeta, StateMachine, StoredMembership, Vote, epoch_of};
 use consort_protocol::ids::NodeId;
 use openraft::Membership;
@@ -39,7 +39,7 @@ fn unfold<S: StateMachine>(recorded: Recorded) -> io::Result<Unfolded<S>> {
     let (log, mut machine) = store::take_up::<S>(recorded)?;
     // What the snapshot holds is committed, whatever was noted since.
     let committed = log.committed.max(machine.applied);
-    for (_, entry) in log.entries {
+    for (_, Held { entry, .. }) in log.entries {
         if machine.applied < Some(entry.log_id) {
             machine.carry_out(entry);
         }

@@ -1,8 +1,8 @@
 //! Raft's answers to other voters' questions. One task holds them all; a slow one delays no other.
 
+use super::belief::Leadership;
 use super::canvass::{Canvass, Ear};
 use super::network::{Answer, Beat};
-use super::replica::Leadership;
 use super::succession::{self, Succession};
 use super::types::{Raft, RaftId, StateMachine, Types, Vote};
 use crate::bus::{BusError, Encoding, Query, Stream};

@@ -6,8 +6,8 @@ use openraft::{Config, SnapshotPolicy};
 use std::sync::Arc;
 use std::time::Duration;
 
-/// How long a voter may take to bring an append to its disk and answer, as long as it says that it is at it. Higher bears
-/// slower disks, lower gives up one that hangs sooner. A guess: a hundred times what a sync takes on a disk in order.
+/// How long a voter may take to bring an append, as long as it says that it is at it, or a vote to its disk and answer. Higher
+/// bears slower disks, lower gives up one that hangs sooner. A guess: a hundred times what a sync takes on a disk in order.
 pub(super) const APPEND_MAX: Duration = Duration::from_secs(2);
 
 /// How one node takes part in the replicated ledger. All nodes of a fleet use the same times.
@@ -81,8 +81,8 @@ impl ReplicaSettings {
         let config = Config {
             cluster_name: self.fleet.to_string(),
             heartbeat_interval: millis(self.heartbeat),
-            // Beats and elections are driven by `canvass`. What is left of these two: the first is the limit of a vote
-            // request, the second the time for which voters refuse candidates.
+            // Beats and elections are driven by `canvass`, and `runtime` has a longer limit for a request for a vote, which
+            // would be the first of these two. What is left of the second: the time for which voters refuse candidates.
             election_timeout_min: millis(self.election_min) * 2 / 3,
             election_timeout_max: millis(self.election_min),
             enable_elect: false,

@@ -1,6 +1,7 @@
 //! openraft's storage over a [`Journal`]: the log cached in memory, and the state machine with its snapshots.
 
 use super::journal::{Journal, Recorded};
+use super::network::APPEND_BYTES;
 use super::types::{
     Batch, Epoch, LogId, SnapshotMeta, StateMachine, StorageError, StorageIOError, StoredMembership, Types, Vote,
     epoch_of,
@@ -49,7 +50,7 @@ pub(super) fn take_up<S: StateMachine>(recorded: Recorded) -> Result<(Log<S>, Ma
         purged: read(purged)?,
         entries: entries
             .iter()
-            .map(|(index, bytes)| Ok((*index, read_record(bytes)?)))
+            .map(|(index, bytes)| Ok((*index, Held { entry: read_record(bytes)?, bytes: bytes.len() })))
             .collect::<Result<_, std::io::Error>>()?,
     };
     check_continuity(&log)?;
@@ -85,7 +86,7 @@ fn shown(log_id: Option<&LogId>) -> String {
 /// Whether each entry stands where it says it does, right after the one before; the first, right after what was purged.
 fn check_continuity<S: StateMachine>(log: &Log<S>) -> std::io::Result<()> {
     let mut last = log.purged;
-    for (index, entry) in &log.entries {
+    for (index, Held { entry, .. }) in &log.entries {
         let expected = last.map_or(0, |last| last.index + 1);
         if *index != expected || entry.log_id.index != expected || last >= Some(entry.log_id) {
             let (found, last) = (epoch_of(&entry.log_id), shown(last.as_ref()));
@@ -101,7 +102,14 @@ pub(super) struct Log<S: StateMachine> {
     pub(super) vote: Option<Vote>,
     pub(super) committed: Option<LogId>,
     pub(super) purged: Option<LogId>,
-    pub(super) entries: BTreeMap<u64, Entry<Types<S>>>,
+    pub(super) entries: BTreeMap<u64, Held<S>>,
+}
+
+/// An entry of the log.
+pub(super) struct Held<S: StateMachine> {
+    pub(super) entry: Entry<Types<S>>,
+    /// Its encoded size.
+    bytes: usize,
 }
 
 /// The log and the vote.
@@ -142,7 +150,25 @@ impl<S: StateMachine> RaftLogReader<Types<S>> for LogStore<S> {
         &mut self,
         range: R,
     ) -> Result<Vec<Entry<Types<S>>>, StorageError> {
-        Ok(lock(&self.log).entries.range(range).map(|(_, entry)| entry.clone()).collect())
+        Ok(lock(&self.log).entries.range(range).map(|(_, held)| held.entry.clone()).collect())
+    }
+
+    /// The entries from `start` on, and before `end`, that go in one message: one at least, and more while they fit.
+    async fn limited_get_log_entries(&mut self, start: u64, end: u64) -> Result<Vec<Entry<Types<S>>>, StorageError> {
+        let log = lock(&self.log);
+        let mut bytes = 0;
+        let fits = |held: &&Held<S>| {
+            let first = bytes == 0;
+            bytes += held.bytes;
+            first || bytes <= APPEND_BYTES
+        };
+        Ok(log
+            .entries
+            .range(start..end)
+            .map(|(_, held)| held)
+            .take_while(fits)
+            .map(|held| held.entry.clone())
+            .collect())
     }
 }
 
@@ -151,7 +177,7 @@ impl<S: StateMachine> RaftLogStorage<Types<S>> for LogStore<S> {
 
     async fn get_log_state(&mut self) -> Result<LogState<Types<S>>, StorageError> {
         let log = lock(&self.log);
-        let last = log.entries.last_key_value().map(|(_, entry)| entry.log_id);
+        let last = log.entries.last_key_value().map(|(_, held)| held.entry.log_id);
         Ok(LogState { last_purged_log_id: log.purged, last_log_id: last.or(log.purged) })
     }
 
@@ -193,15 +219,17 @@ impl<S: StateMachine> RaftLogStorage<Types<S>> for LogStore<S> {
     {
         let entries: Vec<_> = entries.into_iter().collect();
         let records =
-            entries.iter().map(|entry| Ok((entry.log_id.index, write_record(entry)?))).collect::<Result<_, _>>();
+            entries.iter().map(|entry| Ok((entry.log_id.index, write_record(entry)?))).collect::<Result<Vec<_>, _>>();
         let records = records.map_err(writing_logs)?;
+        let sizes: Vec<usize> = records.iter().map(|(_, record)| record.len()).collect();
         if mutants::is(Mutant::SkipFsync) {
             let journal = Arc::clone(&self.journal);
             tokio::spawn(async move { journal.append(records).await });
         } else {
             self.journal.append(records).await.map_err(writing_logs)?;
         }
-        lock(&self.log).entries.extend(entries.into_iter().map(|entry| (entry.log_id.index, entry)));
+        let held = entries.into_iter().zip(sizes).map(|(entry, bytes)| (entry.log_id.index, Held { entry, bytes }));
+        lock(&self.log).entries.extend(held);
         self.appended.send_modify(|count| *count += 1);
         callback.log_io_completed(Ok(()));
         Ok(())

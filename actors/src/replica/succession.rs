@@ -21,14 +21,20 @@
 //! Why there are never two: the leaver stops counting itself leader before the first message goes out, and takes the vote
 //! itself, so that its own openraft follows.
 
+use super::belief::Metrics;
+use super::errors::HandOverError;
 use super::network::Switchboard;
+use super::replica::Replica;
 use super::types::{Raft, RaftId, StateMachine, Vote};
+use consort_protocol::ids::NodeId;
 use openraft::raft::AppendEntriesRequest;
-use openraft::{CommittedLeaderId, LogId};
+use openraft::{CommittedLeaderId, LogId, ServerState};
 use serde::{Deserialize, Serialize};
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
+use tokio::time::{Instant, timeout};
+use tracing::info;
 
 /// A leader's last word to a voter.
 #[derive(Debug, Clone, Serialize, Deserialize)]
@@ -99,4 +105,118 @@ pub(super) async fn proclaim(
         }
     }
     false
+}
+
+impl<S: StateMachine> Replica<S> {
+    /// Gives the lead to another voter, which has all that this one has and is elected within a few round trips; to none of
+    /// `shunned` unless there is nobody else. From the call on this node refuses proposals and no longer counts itself
+    /// leader; it goes on voting and following. Waits `limit` at most for a voter that has everything.
+    ///
+    /// # Errors
+    /// [`HandOverError`] says whether this node still leads.
+    pub async fn hand_over(&self, shunned: &BTreeSet<NodeId>, limit: Duration) -> Result<NodeId, HandOverError> {
+        let asked_at = Instant::now();
+        let pick = |latest: &Metrics| {
+            let shunned = if asked_at.elapsed() < limit / 2 { shunned } else { &BTreeSet::new() };
+            let near = self.near();
+            let all_shunned = near.values().all(|name| shunned.contains(name));
+            self.best_successor(latest, near, |name| all_shunned || !shunned.contains(name))
+        };
+        self.hand_over_by(pick, limit).await
+    }
+
+    /// Gives up the lead to one of these voters, or else keeps it.
+    ///
+    /// # Errors
+    /// As for [`hand_over`](Self::hand_over).
+    pub async fn hand_over_to(&self, to: &BTreeSet<NodeId>, limit: Duration) -> Result<NodeId, HandOverError> {
+        let pick = |latest: &Metrics| self.best_successor(latest, self.near(), |name| to.contains(name));
+        self.hand_over_by(pick, limit).await
+    }
+
+    async fn hand_over_by(
+        &self,
+        pick: impl Fn(&Metrics) -> Option<RaftId>,
+        limit: Duration,
+    ) -> Result<NodeId, HandOverError> {
+        let inner = &*self.inner;
+        let mut metrics = inner.raft.metrics();
+        let (vote, leads) = {
+            let now = metrics.borrow_and_update();
+            (now.vote, now.state == ServerState::Leader)
+        };
+        if !leads {
+            return Err(HandOverError::NotLeader);
+        }
+        let term = vote.leader_id().term;
+        let others = inner.leadership.borrow().voters.keys().filter(|id| **id != inner.id).count();
+        if others == 0 {
+            return Err(HandOverError::Alone);
+        }
+        inner.resigned.resign(term);
+        inner.leadership.send_modify(|now| {
+            if now.term == term {
+                *now = now.clone().without_reign();
+            }
+        });
+        let found = async {
+            loop {
+                let latest = metrics.borrow_and_update().clone();
+                if latest.vote != vote {
+                    return Err(HandOverError::NotLeader);
+                }
+                if let Some(successor) = pick(&latest) {
+                    return Ok((successor, latest));
+                }
+                metrics.changed().await.map_err(|_| HandOverError::Closed)?;
+            }
+        };
+        let nobody = Err(HandOverError::NobodyReady { others, limit });
+        let (successor, latest) = match timeout(limit, found).await.unwrap_or(nobody) {
+            Ok(found) => found,
+            Err(problem) => {
+                inner.resigned.take_back();
+                return Err(problem);
+            }
+        };
+        let membership = latest.membership_config.membership();
+        let name = membership.get_node(&successor).map(|peer| peer.name.clone());
+        let name = name.ok_or(HandOverError::Closed)?;
+        let word = Succession { ends: vote, successor };
+        inner.ear.note_resigned();
+        if !release(&inner.raft, &word).await {
+            return Err(HandOverError::Closed);
+        }
+        info!(node = %inner.settings.node, term, successor = %name, "hands over");
+        match proclaim(&inner.board, membership.get_joint_config(), &word, inner.settings.heartbeat).await {
+            true => Ok(name),
+            false => Err(HandOverError::Unheard { successor: name }),
+        }
+    }
+
+    /// The other voters that have answered of late.
+    fn near(&self) -> BTreeMap<RaftId, NodeId> {
+        let near = |id: &RaftId| {
+            let heard = self.inner.board.heard.last(*id);
+            *id != self.inner.id && heard.is_some_and(|at| at.elapsed() <= self.inner.settings.heartbeat * 2)
+        };
+        let mut voters = self.inner.leadership.borrow().voters.clone();
+        voters.retain(|id, _| near(id));
+        voters
+    }
+
+    /// Of these voters one that may be it and has the whole log: that of the lowest number.
+    fn best_successor(
+        &self,
+        latest: &Metrics,
+        among: BTreeMap<RaftId, NodeId>,
+        may: impl Fn(&NodeId) -> bool,
+    ) -> Option<RaftId> {
+        let replication = latest.replication.as_ref()?;
+        let mut ready = among.into_iter().filter(|(id, name)| {
+            let matched = replication.get(id).copied().flatten().map(|at| at.index);
+            may(name) && matched >= latest.last_log_index
+        });
+        ready.next().map(|(id, _)| id)
+    }
 }

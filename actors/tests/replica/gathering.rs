@@ -1,16 +1,17 @@
 //! Commands that arrive while an entry is being written share the next one.
 
-use crate::support::{SOON, node, on_virtual_time, usual};
+use crate::support::{NAMES, SOON, node, on_virtual_time, usual};
 use async_trait::async_trait;
 use consort_actors::bus::virtual_bus::{LinkModel, VirtualNetwork};
 use consort_actors::replica::{
     Epoch, Journal, MemoryJournal, ProposeError, Recorded, Replica, StateMachine, StoreIdentity,
 };
+use consort_protocol::ids::NodeId;
 use futures::future::join_all;
 use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, BTreeSet};
 use std::io;
-use std::sync::Arc;
+use std::sync::{Arc, Mutex};
 use std::time::Duration;
 use tokio::time::{Instant, sleep};
 
@@ -29,6 +30,7 @@ enum Put {
     Plain(u64),
     Apart(u64),
     Bulky(u64, Vec<u8>),
+    Numbers(u64, Vec<u64>),
 }
 
 impl StateMachine for Shelf {
@@ -38,7 +40,7 @@ impl StateMachine for Shelf {
     fn apply(
         &mut self,
         at: Epoch,
-        (Put::Plain(number) | Put::Apart(number) | Put::Bulky(number, _)): Put,
+        (Put::Plain(number) | Put::Apart(number) | Put::Bulky(number, _) | Put::Numbers(number, _)): Put,
     ) -> (Epoch, usize) {
         self.0.push((at, number));
         (at, self.0.len())
@@ -49,50 +51,63 @@ impl StateMachine for Shelf {
     }
 }
 
-/// A journal that takes its time to add entries.
+/// A journal that takes its time to write votes and entries.
 #[derive(Clone)]
-struct Slow(MemoryJournal, Duration);
+struct Slow {
+    journal: MemoryJournal,
+    sync: Duration,
+    /// How many entries each append brought.
+    appends: Arc<Mutex<Vec<usize>>>,
+}
+
+impl Slow {
+    fn new(identity_seed: u64, sync: Duration) -> Slow {
+        Slow { journal: MemoryJournal::new(identity_seed), sync, appends: Arc::default() }
+    }
+}
 
 #[async_trait]
 impl Journal for Slow {
     fn identity(&self) -> StoreIdentity {
-        self.0.identity()
+        self.journal.identity()
     }
 
     async fn load(&self) -> io::Result<Recorded> {
-        self.0.load().await
+        self.journal.load().await
     }
 
     async fn record_vote(&self, vote: Vec<u8>) -> io::Result<()> {
-        self.0.record_vote(vote).await
+        sleep(self.sync).await;
+        self.journal.record_vote(vote).await
     }
 
     async fn record_committed(&self, committed: Option<Vec<u8>>) -> io::Result<()> {
-        self.0.record_committed(committed).await
+        self.journal.record_committed(committed).await
     }
 
     async fn append(&self, entries: Vec<(u64, Vec<u8>)>) -> io::Result<()> {
-        sleep(self.1).await;
-        self.0.append(entries).await
+        self.appends.lock().unwrap().push(entries.len());
+        sleep(self.sync).await;
+        self.journal.append(entries).await
     }
 
     async fn truncate(&self, index: u64) -> io::Result<()> {
-        self.0.truncate(index).await
+        self.journal.truncate(index).await
     }
 
     async fn purge(&self, index: u64, last: Vec<u8>) -> io::Result<()> {
-        self.0.purge(index, last).await
+        self.journal.purge(index, last).await
     }
 
     async fn keep_snapshot(&self, snapshot: Vec<u8>) -> io::Result<()> {
-        self.0.keep_snapshot(snapshot).await
+        self.journal.keep_snapshot(snapshot).await
     }
 }
 
 /// A node that leads alone, and its journal.
 async fn alone() -> (Replica<Shelf>, Slow) {
     let network = VirtualNetwork::new(1, LinkModel::LAN);
-    let journal = Slow(MemoryJournal::new(1), SLOW);
+    let journal = Slow::new(1, SLOW);
     let bus = Arc::new(network.bus(node("ada")));
     let replica = Replica::start(usual(node("ada")), bus, Arc::new(journal.clone()), 1).await.expect("a start");
     replica.bootstrap(BTreeMap::from([(replica.id(), node("ada"))])).await.expect("a first founding");
@@ -177,24 +192,48 @@ fn a_node_that_does_not_lead_refuses_each_of_many_at_once() {
     });
 }
 
+/// Some voters with disks that take their time, and one of them, which leads.
+struct Voters {
+    network: VirtualNetwork,
+    all: BTreeMap<NodeId, Replica<Shelf>>,
+    journals: BTreeMap<NodeId, Slow>,
+}
+
+impl Voters {
+    async fn founded(seed: u64, size: usize, sync: Duration, link: LinkModel) -> Voters {
+        let network = VirtualNetwork::new(seed, link);
+        let (mut all, mut journals) = (BTreeMap::new(), BTreeMap::new());
+        for (number, name) in (1..).zip(&NAMES[..size]) {
+            let journal = Slow::new(seed * 10 + number, sync);
+            journals.insert(node(name), journal.clone());
+            let bus = Arc::new(network.bus(node(name)));
+            let replica = Replica::<Shelf>::start(usual(node(name)), bus, Arc::new(journal), seed * 10 + number).await;
+            all.insert(node(name), replica.expect("a start"));
+        }
+        let members = all.iter().map(|(name, replica)| (replica.id(), name.clone())).collect();
+        all[&node("ada")].bootstrap(members).await.expect("a first founding");
+        Voters { network, all, journals }
+    }
+
+    /// Who leads, and how long it took to become so.
+    async fn leader(&self, limit: Duration) -> (NodeId, Replica<Shelf>) {
+        let began = Instant::now();
+        loop {
+            let mut all = self.all.iter();
+            if let Some((name, leader)) = all.find(|(_, replica)| replica.leadership().borrow().is_me) {
+                return (name.clone(), leader.clone());
+            }
+            assert!(began.elapsed() < limit, "nobody leads within {limit:?}");
+            sleep(Duration::from_millis(1)).await;
+        }
+    }
+}
+
 /// Three voters whose disks take `slow` for each append: 32 clients ask for 4 kB each, four times over.
 async fn three_voters_with_slow_disks(seed: u64, slow: Duration, link: LinkModel) {
-    let network = VirtualNetwork::new(seed, link);
-    let mut voters = BTreeMap::new();
-    for (number, name) in (1..).zip(["ada", "bob", "cyd"]) {
-        let journal = Arc::new(Slow(MemoryJournal::new(seed * 10 + number), slow));
-        let bus = Arc::new(network.bus(node(name)));
-        let replica = Replica::<Shelf>::start(usual(node(name)), bus, journal, seed * 10 + number).await;
-        voters.insert(node(name), replica.expect("a start"));
-    }
-    let members = voters.iter().map(|(name, replica)| (replica.id(), name.clone())).collect();
-    voters[&node("ada")].bootstrap(members).await.expect("a first founding");
-    let leader = loop {
-        match voters.values().find(|replica| replica.leadership().borrow().is_me) {
-            Some(leader) => break leader.clone(),
-            None => sleep(Duration::from_millis(1)).await,
-        }
-    };
+    let fleet = Voters::founded(seed, 3, slow, link).await;
+    let (_, leader) = fleet.leader(slow * 40).await;
+    let voters = &fleet.all;
     let first = leader.leadership().borrow().clone();
     let mut beliefs: Vec<_> = voters.values().map(Replica::leadership).collect();
     let steady = async {
@@ -241,4 +280,69 @@ fn disks_slower_than_any_election_cost_no_leader_either() {
     for seed in 1..=3 {
         on_virtual_time(three_voters_with_slow_disks(seed, SLOWER * 7, LinkModel::LAN));
     }
+}
+
+/// The longest sync with which a leader can be elected, as the README has it, less a little.
+const SLOWEST: Duration = Duration::from_millis(900);
+
+#[test]
+fn voters_with_slow_disks_elect_a_leader_and_the_next_one_within_some_ten_syncs() {
+    for (seed, size) in (1..=5).flat_map(|seed| [(seed, 3), (seed, 5)]) {
+        for sync in [SLOWER * 2, SLOWEST] {
+            on_virtual_time(async {
+                let mut fleet = Voters::founded(seed, size, sync, LinkModel::LAN).await;
+                for round in 0..2 {
+                    let (name, leader) = fleet.leader(sync * 12 + SOON / 5).await;
+                    leader.propose(Put::Plain(round), sync * 12).await.expect("a commit");
+                    fleet.network.crash(&name);
+                    fleet.all.remove(&name);
+                    drop(leader);
+                    if size == 3 {
+                        // Two of three, whose votes are both needed.
+                        let (_, leader) = fleet.leader(sync * 12 + SOON / 5).await;
+                        leader.propose(Put::Plain(7), sync * 12).await.expect("a commit");
+                        break;
+                    }
+                }
+            });
+        }
+    }
+}
+
+/// A number is counted by its width when it is read: what is short to send may be long to read.
+#[test]
+fn entries_of_many_small_numbers_reach_the_others() {
+    on_virtual_time(async {
+        let fleet = Voters::founded(1, 3, Duration::ZERO, LinkModel::LAN).await;
+        let (_, leader) = fleet.leader(SOON).await;
+        let largest = Put::Numbers(1, vec![7; 60_000]);
+        put_all(&leader, [largest].into_iter()).await;
+        put_all(&leader, (2..20).map(|number| Put::Numbers(number, vec![7; 10_000]))).await;
+        for (name, replica) in &fleet.all {
+            let mut applied = replica.applied();
+            applied.wait_for(|_| replica.read(|shelf| shelf.0.len() == 19)).await.expect("a replica");
+            assert_eq!(replica.refused(), 0, "{name}");
+        }
+    });
+}
+
+#[test]
+fn a_follower_that_lags_is_sent_as_many_entries_at_once_as_fit_a_message() {
+    on_virtual_time(async {
+        let fleet = Voters::founded(1, 3, Duration::ZERO, LinkModel::LAN).await;
+        let (name, leader) = fleet.leader(SOON).await;
+        let lost = fleet.all.keys().find(|other| **other != name).expect("three voters").clone();
+        let others = fleet.all.keys().filter(|other| **other != lost).cloned().collect();
+        fleet.network.partition([vec![lost.clone()], others]);
+        for number in 0..80 {
+            leader.propose(Put::Bulky(number, vec![7; 4000]), SOON).await.expect("a commit");
+        }
+        fleet.journals[&lost].appends.lock().unwrap().clear();
+        fleet.network.heal();
+        let mut applied = fleet.all[&lost].applied();
+        applied.wait_for(|_| fleet.all[&lost].read(|shelf| shelf.0.len() == 80)).await.expect("a replica");
+        // Eight of them fit; a first question may have brought some that were not asked for.
+        let appends = fleet.journals[&lost].appends.lock().unwrap().clone();
+        assert!(appends.len() <= 12 && appends.iter().all(|count| *count <= 8), "{appends:?}");
+    });
 }

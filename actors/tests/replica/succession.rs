@@ -191,3 +191,25 @@ fn at_no_moment_do_two_lead_while_leaders_leave_die_and_are_cut_off() {
         });
     }
 }
+
+#[test]
+fn a_leader_that_is_voted_out_hands_over_at_once() {
+    for seed in 0..20 {
+        on_virtual_time(async {
+            let fleet = Fleet::founded(seed, 4, usual).await;
+            fleet.note(1).await;
+            let leader = fleet.leader().await;
+            let chief = fleet.live[&leader].clone();
+            let kept: BTreeSet<_> = fleet.live.values().map(Replica::id).filter(|id| *id != chief.id()).collect();
+            chief.set_voters(kept.clone(), SOON).await.expect("a commit");
+            let voted_out_at = Instant::now();
+            assert!(!fleet.believed(&leader).is_me && chief.quorum_age().is_none(), "seed {seed}");
+            fleet.until("another leads", |fleet| fleet.leaders().iter().any(|name| *name != leader)).await;
+            let next = fleet.leader().await;
+            fleet.live[&next].propose(Ask::Note(2), SOON).await.expect("a commit");
+            assert!(voted_out_at.elapsed() < Duration::from_millis(100), "seed {seed}: {:?}", voted_out_at.elapsed());
+            assert_eq!(fleet.believed(&next).voters.keys().copied().collect::<BTreeSet<_>>(), kept);
+            assert_eq!(fleet.live[&next].read(|tally| tally.numbers()), [1, 2]);
+        });
+    }
+}

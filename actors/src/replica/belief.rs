@@ -1,0 +1,201 @@
+//! What a node believes of who leads, and how it comes to believe it.
+
+use super::network::Acks;
+use super::succession::Resigned;
+use super::types::{Peer, RaftId, Reign, reign_of};
+use consort_protocol::ids::NodeId;
+use consort_protocol::mutants::{self, Mutant};
+use openraft::ServerState;
+use std::collections::{BTreeMap, BTreeSet};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Duration;
+use tokio::sync::watch;
+use tokio::time::Instant;
+
+pub(super) type Metrics = openraft::RaftMetrics<RaftId, Peer>;
+
+/// Who leads, as this node believes. A watch shows the latest belief; a reign that came and went in between is seen
+/// by the next one's being greater.
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
+pub struct Leadership {
+    /// This node's term. It also grows by candidacies that fail.
+    pub term: u64,
+    /// The reign this node accepts at present, its own included; `None` while it knows of none, or has lost its
+    /// majority. A node that is cut off as an observer goes on believing in the last it heard of.
+    pub reign: Option<Reign>,
+    /// The name of the reign's leader, if this node knows its membership yet.
+    pub leader: Option<NodeId>,
+    /// Whether this node leads, holds all that was committed before its reign, and has been acknowledged by a majority
+    /// not longer ago than [`ReplicaSettings::quorum_silence_max`].
+    pub is_me: bool,
+    /// Whether this node was elected but hears no majority: it must not act, and a proposal is refused at once.
+    pub cut_off: bool,
+    /// Who votes.
+    pub voters: BTreeMap<RaftId, NodeId>,
+    /// While voters are being changed: those that vote in the end. Until then, a majority of the former ones counts too.
+    pub changing_to: Option<BTreeSet<RaftId>>,
+    /// Who is replicated to without a vote.
+    pub observers: BTreeMap<RaftId, NodeId>,
+}
+
+impl Leadership {
+    pub(super) fn without_reign(self) -> Leadership {
+        Leadership { reign: None, leader: None, is_me: false, cut_off: false, ..self }
+    }
+}
+
+/// Turns openraft's metrics into [`Leadership`], doubts it when the majority falls silent, and then mutes the node.
+pub(super) struct Watcher {
+    pub(super) silence_max: Duration,
+    pub(super) election_max: Duration,
+    pub(super) leadership: watch::Sender<Leadership>,
+    pub(super) resigned: Arc<Resigned>,
+    pub(super) acked: watch::Sender<Option<Instant>>,
+    pub(super) muted: Arc<AtomicBool>,
+    /// The reign in which this node was elected, if it leads, and since when it knows.
+    pub(super) elected: Option<(Reign, Instant)>,
+    /// Whether the metrics are new: the ages in them count from when they came.
+    pub(super) fresh: bool,
+    pub(super) acked_by_raft: Option<Instant>,
+    pub(super) me: RaftId,
+    pub(super) acks: watch::Receiver<Acks>,
+}
+
+impl Watcher {
+    pub(super) async fn run(mut self, mut metrics: watch::Receiver<Metrics>) {
+        loop {
+            self.fresh |= metrics.has_changed().unwrap_or(false);
+            let latest = metrics.borrow_and_update().clone();
+            if std::mem::take(&mut self.fresh) {
+                // Metrics are sent at the instant they are taken, and openraft takes them at every event. Its whole
+                // milliseconds round the age down, so one is added.
+                let age = latest.millis_since_quorum_ack.map(|ms| Duration::from_millis(ms + 1));
+                self.acked_by_raft = age.and_then(|age| Instant::now().checked_sub(age));
+            }
+            let mut acked = self.acked_by_raft;
+            if latest.state == ServerState::Leader {
+                let halves = latest.membership_config.membership().get_joint_config();
+                acked = acked.max(self.acks.borrow_and_update().majority(&latest.vote, self.me, halves));
+            }
+            self.acked.send_replace(acked);
+            let elected_at = self.note_election(&latest);
+            if self.believe_until_changed(&latest, acked, elected_at, &mut metrics).await.is_err() {
+                break;
+            }
+        }
+        self.acked.send_replace(None);
+        self.leadership.send_modify(|now| {
+            *now = Leadership { term: now.term, ..Leadership::default() };
+        });
+    }
+
+    /// Since when this node leads, if it does.
+    fn note_election(&mut self, latest: &Metrics) -> Option<Instant> {
+        let reign = reign_of(&latest.vote).filter(|_| latest.state == ServerState::Leader);
+        if self.elected.map(|(reign, _)| reign) != reign {
+            self.elected = reign.map(|reign| (reign, Instant::now()));
+        }
+        self.elected.map(|(_, at)| at)
+    }
+
+    /// Tells what follows from `latest`, and what no longer does once the majority has been silent for too long.
+    async fn believe_until_changed(
+        &mut self,
+        latest: &Metrics,
+        acked: Option<Instant>,
+        elected_at: Option<Instant>,
+        metrics: &mut watch::Receiver<Metrics>,
+    ) -> Result<(), watch::error::RecvError> {
+        // A fresh leader has not been acknowledged yet; that is no silence to complain of, for a while.
+        let Some(doubt_at) = acked.or(elected_at).map(|at| at + self.silence_max) else {
+            self.muted.store(false, Ordering::Relaxed);
+            self.tell(latest, Quorum::Unknown);
+            return self.news(metrics).await;
+        };
+        if doubt_at > Instant::now() {
+            self.muted.store(false, Ordering::Relaxed);
+            self.tell(latest, if acked.is_some() { Quorum::Hears } else { Quorum::Unknown });
+            tokio::select! {
+                biased;
+                changed = self.news(metrics) => return changed,
+                () = tokio::time::sleep_until(doubt_at) => {}
+            }
+        }
+        if mutants::is(Mutant::DeafLeader) {
+            self.tell(latest, Quorum::Hears);
+            return self.news(metrics).await;
+        }
+        // Metrics come with each beat, so this is looked at often enough.
+        self.muted.store(self.falls_silent(doubt_at.elapsed()), Ordering::Relaxed);
+        self.tell(latest, Quorum::Silent);
+        self.news(metrics).await
+    }
+
+    /// Waits for openraft's metrics, or for an answer beside it.
+    async fn news(&mut self, metrics: &mut watch::Receiver<Metrics>) -> Result<(), watch::error::RecvError> {
+        tokio::select! {
+            biased;
+            changed = metrics.changed() => {
+                self.fresh = true;
+                changed
+            }
+            answered = self.acks.changed() => answered,
+        }
+    }
+
+    /// Whether a leader says nothing at `doubted` after it began to doubt its majority: four times the longest
+    /// election timeout, in which any other majority finds a leader, then once that time aloud, and so on.
+    fn falls_silent(&self, doubted: Duration) -> bool {
+        let round = self.election_max * 5;
+        doubted.as_nanos() % round.as_nanos().max(1) < (self.election_max * 4).as_nanos()
+    }
+
+    fn tell(&self, metrics: &Metrics, quorum: Quorum) {
+        let mut next = believe(metrics, quorum);
+        self.leadership.send_if_modified(|now| {
+            // Asked here, under the watch's lock: whoever resigns does so first and then takes that lock.
+            if self.resigned.covers(next.term) {
+                next = std::mem::take(&mut next).without_reign();
+            }
+            let changed = *now != next;
+            if changed {
+                *now = next;
+            }
+            changed
+        });
+    }
+}
+
+/// What an elected leader knows of its majority.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Quorum {
+    /// Not acknowledged yet, or not elected.
+    Unknown,
+    Hears,
+    Silent,
+}
+
+/// What a node believes, given openraft's metrics and what is known of its majority.
+fn believe(metrics: &Metrics, quorum: Quorum) -> Leadership {
+    let running = metrics.running_state.is_ok() && metrics.state != ServerState::Shutdown;
+    let reign = reign_of(&metrics.vote).filter(|_| running && metrics.vote.is_committed());
+    let elected = running && metrics.state == ServerState::Leader;
+    // The first entry of a reign is openraft's blank one: once it is applied, so is all that was committed before.
+    let caught_up = reign.is_some() && metrics.last_applied.map(|at| at.leader_id.term) == reign.map(|now| now.term);
+    let cut_off = elected && quorum == Quorum::Silent;
+    let reign = reign.filter(|_| !cut_off);
+    let membership = metrics.membership_config.membership();
+    let name = |id: RaftId| membership.get_node(&id).map(|peer| peer.name.clone());
+    let named = |ids: Vec<RaftId>| ids.into_iter().filter_map(|id| Some((id, name(id)?))).collect();
+    Leadership {
+        term: metrics.current_term,
+        reign,
+        leader: reign.and_then(|reign| name(reign.leader)),
+        is_me: elected && caught_up && quorum == Quorum::Hears,
+        cut_off,
+        voters: named(membership.voter_ids().collect()),
+        changing_to: membership.get_joint_config().get(1).cloned(),
+        observers: named(membership.learner_ids().collect()),
+    }
+}
