@@ -37,6 +37,7 @@ pub const HUNTS: [Hunt; Mutant::ALL.len()] = [
     Hunt { mutant: Mutant::LostRelay, within: 100 },
     Hunt { mutant: Mutant::WaitSkipped, within: 100 },
     Hunt { mutant: Mutant::GuardSkipped, within: 100 },
+    Hunt { mutant: Mutant::TwoRemoved, within: 100 },
 ];
 
 /// What came of a hunt.
