@@ -200,7 +200,7 @@ fn a_coordinator_that_stood_still_comes_back_and_has_no_say() {
 
 #[test]
 fn everybody_is_killed_at_once_and_the_mission_under_way_completes() {
-    let mut fleet = hospital("all", 4.0);
+    let mut fleet = hospital("all", 8.0);
     let mut client = Client::open(&fleet.address("world"), "all");
     ready(&client, 2);
     let under_way = submit(&client, "all-1");

@@ -3,6 +3,8 @@
 //! Zenoh calls back inside its own receiving and sending, so every callback here only pushes into a mailbox without
 //! limit. Queries go to all matching services, replies are not consolidated, and every query has its own limit.
 
+mod hearing;
+mod session;
 mod settings;
 
 pub use settings::{Mode, ZenohSettings};
@@ -10,16 +12,16 @@ pub use settings::{Mode, ZenohSettings};
 use super::{Bus, BusError, Delivery, Encoding, Link, Presence, Query, Replier, Reply, Sample, Stream, Token, keys};
 use async_trait::async_trait;
 use bytes::Bytes;
+use session::{Declaration, Life};
 use std::collections::BTreeSet;
+use std::sync::Arc;
 use std::time::Duration;
 use tokio::runtime::{Handle, RuntimeFlavor};
 use tokio::sync::mpsc;
 use tokio::time::{Instant, sleep};
-use zenoh::Session;
 use zenoh::bytes::{Encoding as ZenohEncoding, ZBytes};
 use zenoh::qos::CongestionControl;
 use zenoh::query::{ConsolidationMode, QueryTarget, ReplyError};
-use zenoh::sample::SampleKind;
 use zenoh_keyexpr::OwnedKeyExpr;
 
 /// How often a condition is looked at while it is awaited.
@@ -29,8 +31,7 @@ const LOOK_AGAIN: Duration = Duration::from_millis(10);
 /// closes with the last of them.
 #[derive(Clone)]
 pub struct ZenohBus {
-    session: Session,
-    message_max: usize,
+    life: Arc<Life>,
 }
 
 impl ZenohBus {
@@ -46,19 +47,17 @@ impl ZenohBus {
         if !multi_threaded {
             return Err(failed("open", "Zenoh needs a multi-threaded tokio runtime"));
         }
-        let config = settings.config()?;
-        let session = zenoh::open(config).await.map_err(|problem| why_not_opened(&settings, &problem.to_string()))?;
-        Ok(ZenohBus { session, message_max: settings.message_max })
+        Ok(ZenohBus { life: Life::begin(settings).await? })
     }
 
-    /// This node's id on the bus, as its neighbours see it in [`Bus::links`].
+    /// This node's id on the bus, as its neighbours see it in [`Bus::links`]. It changes when a session is opened anew.
     pub fn id(&self) -> String {
-        self.session.zid().to_string()
+        self.life.session().zid().to_string()
     }
 
     /// Where this node listens, with the ports it was given.
     pub async fn listening(&self) -> Vec<String> {
-        self.session.info().locators().await.iter().map(ToString::to_string).collect()
+        session::listening(&self.life.session()).await
     }
 
     /// Waits until there is a neighbour, at most for `limit`; returns all there are. None is no error: this node goes on
@@ -79,7 +78,7 @@ impl ZenohBus {
     /// # Errors
     /// [`BusError::Failed`] if Zenoh says so; the session is of no further use in either case.
     pub async fn close(&self) -> Result<(), BusError> {
-        self.session.close().await.map_err(|problem| failed("close", problem))
+        self.life.close().await
     }
 }
 
@@ -148,35 +147,26 @@ fn reply(from: zenoh::query::Reply, asked: &OwnedKeyExpr) -> Option<Reply> {
 impl Bus for ZenohBus {
     async fn publish(&self, key: &str, payload: Bytes, encoding: Encoding, delivery: Delivery) -> Result<(), BusError> {
         let key = keys::single(key)?;
-        keys::fits("publish", &payload, self.message_max)?;
+        keys::fits("publish", &payload, self.life.settings().message_max)?;
         let control = match delivery {
             Delivery::Drop => CongestionControl::Drop,
             Delivery::Block => CongestionControl::Block,
         };
-        let put = self.session.put(key, payload).encoding(to_zenoh(encoding)).congestion_control(control);
+        let session = self.life.session();
+        let put = session.put(key, payload).encoding(to_zenoh(encoding)).congestion_control(control);
         put.await.map_err(|problem| failed("publish", problem))
     }
 
     async fn subscribe(&self, key_expr: &str) -> Result<Stream<Sample>, BusError> {
         let wanted = keys::expression(key_expr)?;
         let (mailbox, receiver) = mpsc::unbounded_channel();
-        let hear = move |sample: zenoh::sample::Sample| {
-            if sample.kind() == SampleKind::Put {
-                // Nobody hears it any more: the declaration is about to end.
-                let _ = mailbox.send(Sample {
-                    key: sample.key_expr().to_string(),
-                    payload: content(sample.payload()),
-                    encoding: from_zenoh(sample.encoding()),
-                });
-            }
-        };
-        let declared = self.session.declare_subscriber(wanted).callback(hear).await;
-        Ok(Stream::new(receiver, Box::new(declared.map_err(|problem| failed("subscribe", problem))?)))
+        let declared = self.life.declare(Declaration::Samples(wanted, mailbox)).await?;
+        Ok(Stream::new(receiver, Box::new(declared)))
     }
 
     async fn query(&self, key_expr: &str, payload: Bytes, limit: Duration) -> Result<Stream<Reply>, BusError> {
         let (asked, parameters) = keys::selector(key_expr)?;
-        keys::fits("query", &payload, self.message_max)?;
+        keys::fits("query", &payload, self.life.settings().message_max)?;
         let (mailbox, receiver) = mpsc::unbounded_channel();
         let key = asked.clone();
         let hear = move |answer: zenoh::query::Reply| {
@@ -184,8 +174,8 @@ impl Bus for ZenohBus {
                 let _ = mailbox.send(reply);
             }
         };
-        let mut get = self
-            .session
+        let session = self.life.session();
+        let mut get = session
             .get((asked, parameters))
             .target(QueryTarget::All)
             .consolidation(ConsolidationMode::None)
@@ -200,50 +190,39 @@ impl Bus for ZenohBus {
     async fn serve(&self, key_expr: &str) -> Result<Stream<Query>, BusError> {
         let wanted = keys::expression(key_expr)?;
         let (mailbox, receiver) = mpsc::unbounded_channel();
-        let message_max = self.message_max;
-        let hear = move |query: zenoh::query::Query| {
-            let _ = mailbox.send(Query {
-                key: query.key_expr().to_string(),
-                parameters: query.parameters().to_string(),
-                payload: query.payload().map(content).unwrap_or_default(),
-                replier: Box::new(ZenohReplier {
-                    asked: OwnedKeyExpr::from(query.key_expr().clone()),
-                    query,
-                    message_max,
-                }),
-            });
-        };
-        let declared = self.session.declare_queryable(wanted).callback(hear).await;
-        Ok(Stream::new(receiver, Box::new(declared.map_err(|problem| failed("serve", problem))?)))
+        let declared = self.life.declare(Declaration::Questions(wanted, mailbox)).await?;
+        Ok(Stream::new(receiver, Box::new(declared)))
     }
 
     async fn announce(&self, key: &str) -> Result<Token, BusError> {
-        let key = keys::single(key)?;
-        let declared = self.session.liveliness().declare_token(key).await;
-        Ok(Token::new(Box::new(declared.map_err(|problem| failed("announce", problem))?)))
+        let declared = self.life.declare(Declaration::Token(keys::single(key)?)).await?;
+        Ok(Token::new(Box::new(declared)))
     }
 
     async fn watch(&self, key_expr: &str) -> Result<Stream<Presence>, BusError> {
         let wanted = keys::expression(key_expr)?;
         let (mailbox, receiver) = mpsc::unbounded_channel();
-        let mut present = BTreeSet::new();
-        // Zenoh repeats itself when links come and go; only changes are passed on.
-        let hear = move |sample: zenoh::sample::Sample| {
-            let key = sample.key_expr().to_string();
-            let alive = sample.kind() == SampleKind::Put;
-            let changed = if alive { present.insert(key.clone()) } else { present.remove(&key) };
-            if changed {
-                let _ = mailbox.send(Presence { key, alive });
-            }
-        };
-        let declared = self.session.liveliness().declare_subscriber(wanted).history(true).callback_mut(hear).await;
-        Ok(Stream::new(receiver, Box::new(declared.map_err(|problem| failed("watch", problem))?)))
+        let declared = self.life.declare(Declaration::Presence(wanted, mailbox, Arc::default())).await?;
+        Ok(Stream::new(receiver, Box::new(declared)))
     }
 
     async fn links(&self) -> Vec<Link> {
-        let transports = self.session.info().transports().await;
+        let transports = self.life.session().info().transports().await;
         let links = transports.map(|link| Link { peer: link.zid().to_string(), kind: link.whatami().to_string() });
         links.collect::<BTreeSet<Link>>().into_iter().collect()
+    }
+}
+
+/// What Zenoh calls with questions: they go into a mailbox.
+fn questions(mailbox: mpsc::UnboundedSender<Query>, message_max: usize) -> impl Fn(zenoh::query::Query) + Send + Sync {
+    move |query| {
+        // Nobody answers any more: the declaration is about to end.
+        let _ = mailbox.send(Query {
+            key: query.key_expr().to_string(),
+            parameters: query.parameters().to_string(),
+            payload: query.payload().map(content).unwrap_or_default(),
+            replier: Box::new(ZenohReplier { asked: OwnedKeyExpr::from(query.key_expr().clone()), query, message_max }),
+        });
     }
 }
 

@@ -1,0 +1,119 @@
+//! Whether a node and its neighbours hear one another.
+//!
+//! A link is no proof of it. Zenoh 1.10.2 tells a neighbour of a node's subscriptions, services and tokens when that
+//! neighbour is new to its routes, which it works out at most every 100 ms and compares by places in a graph. A link that
+//! breaks and is back within that time, or a node that comes while another goes, takes over a place that is known already:
+//! it is told of nothing, now or later, and whatever it publishes or asks goes nowhere. So whoever opened a link asks
+//! through it, until it has an answer, whether the neighbour hears it and is heard. If not, only a new session helps, which
+//! stays away for long enough to be new to everybody.
+
+use super::session::Life;
+use super::{BusError, failed};
+use std::collections::BTreeSet;
+use std::sync::{Arc, Weak};
+use std::time::Duration;
+use tokio::runtime::Handle;
+use tokio::time::sleep;
+use tracing::{debug, warn};
+use zenoh::Session;
+use zenoh::query::{ConsolidationMode, QueryTarget};
+use zenoh::sample::SampleKind;
+use zenoh::session::ZenohId;
+
+/// Where a node answers its neighbours, outside of any fleet's keys, followed by its id on the bus. With the parameter
+/// `back=ID` it answers whether that one answers it.
+const HEARING: &str = "consort-hearing";
+const YES: &str = "heard";
+const NO: &str = "not heard";
+
+/// How long a neighbour has for its answer.
+const LIMIT: Duration = Duration::from_secs(2);
+
+/// How long before it is asked, at first and again: routes are there 100 ms after a link.
+const PAUSE: Duration = Duration::from_millis(400);
+
+/// So often it does not answer before that is taken for more than a bad moment.
+const ENOUGH: u32 = 6;
+
+/// So many sessions are opened for one neighbour in vain: it may speak another language.
+const SESSIONS: u32 = 3;
+
+/// Answers neighbours, and asks those to whom this session opens a link.
+pub(super) async fn attend(life: &Arc<Life>, session: &Session) -> Result<(), BusError> {
+    let (own, runtime) = (session.zid(), Handle::current());
+    let key = format!("{HEARING}/{own}");
+    let (on, weak, spawner) = (key.clone(), Arc::downgrade(life), runtime.clone());
+    let answer = move |query: zenoh::query::Query| {
+        let (on, weak) = (on.clone(), weak.clone());
+        spawner.spawn(async move {
+            let heard = match (query.parameters().get("back"), weak.upgrade()) {
+                (None, _) => true,
+                (Some(back), Some(life)) => ask(&life.session(), &format!("{HEARING}/{back}")).await.is_some(),
+                (Some(_), None) => return,
+            };
+            // Whoever asked may have gone.
+            let _ = query.reply(on, if heard { YES } else { NO }).await;
+        });
+    };
+    session.declare_queryable(key).callback(answer).background().await.map_err(|problem| failed("serve", problem))?;
+
+    let weak = Arc::downgrade(life);
+    let accepting: BTreeSet<String> = life.settings().listen.iter().filter_map(|address| port(address)).collect();
+    let linked = move |event: zenoh::session::LinkEvent| {
+        let (link, opened) = (event.link(), event.kind() == SampleKind::Put);
+        if opened && port(link.src().as_str()).is_some_and(|port| !accepting.contains(&port)) {
+            runtime.spawn(be_sure(weak.clone(), own, *link.zid()));
+        }
+    };
+    let listener = session.info().link_events_listener().history(true).callback(linked).background().await;
+    listener.map_err(|problem| failed("notice links", problem))
+}
+
+/// The port of an address as `tcp/127.0.0.1:7447`.
+fn port(address: &str) -> Option<String> {
+    address.rsplit_once(':').map(|(_, port)| port.to_owned())
+}
+
+/// Asks a neighbour until it answers that it is heard and hears. If it does not, the session is replaced.
+async fn be_sure(life: Weak<Life>, own: ZenohId, neighbour: ZenohId) {
+    for _ in 0..ENOUGH {
+        sleep(PAUSE).await;
+        let Some(life) = life.upgrade() else { return };
+        let session = life.session();
+        let gone = !session.info().transports().await.any(|link| *link.zid() == neighbour);
+        if gone || session.zid() != own || session.is_closed() {
+            return;
+        }
+        let heard = match ask(&session, &format!("{HEARING}/{neighbour}?back={own}")).await {
+            Some(answer) => answer == YES,
+            // A router that is none of ours says of itself, if anything, what the admin space of Zenoh has.
+            None => ask(&session, &format!("@/{neighbour}/router")).await.is_some(),
+        };
+        if heard {
+            life.forget_sessions_for(neighbour);
+            return;
+        }
+        debug!(%neighbour, "is not heard, or does not hear");
+    }
+    let Some(life) = life.upgrade() else { return };
+    match life.count_session_for(neighbour) {
+        count if count <= SESSIONS => {
+            warn!(%neighbour, "linked, and yet one does not hear the other: the session is opened anew");
+            life.replace(own);
+        }
+        _ => warn!(%neighbour, "linked, and yet one does not hear the other, whatever is done; it may be none of ours"),
+    }
+}
+
+/// The first answer to a question.
+async fn ask(session: &Session, selector: &str) -> Option<String> {
+    let asked = session.get(selector).target(QueryTarget::All).consolidation(ConsolidationMode::None).timeout(LIMIT);
+    let (mailbox, mut replies) = tokio::sync::mpsc::unbounded_channel();
+    let hear = move |reply: zenoh::query::Reply| {
+        if let Ok(sample) = reply.into_result() {
+            let _ = mailbox.send(sample.payload().try_to_string().map(|text| text.into_owned()).unwrap_or_default());
+        }
+    };
+    asked.callback(hear).await.ok()?;
+    replies.recv().await
+}

@@ -1,0 +1,301 @@
+//! A session that can be opened anew, with everything that was declared on it.
+
+use super::{Mode, ZenohSettings, content, failed, from_zenoh, hearing, questions, why_not_opened};
+use crate::bus::{BusError, Presence, Query, Sample};
+use std::collections::{BTreeMap, BTreeSet};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError, RwLock, Weak};
+use std::time::Duration;
+use tokio::sync::mpsc::{UnboundedSender, unbounded_channel};
+use tokio::time::sleep;
+use tracing::{info, warn};
+use zenoh::Session;
+use zenoh::sample::SampleKind;
+use zenoh::session::ZenohId;
+use zenoh_keyexpr::OwnedKeyExpr;
+
+/// How long a router stays away before it links up. Zenoh 1.10.2 works out its routes at most every 100 ms, and compares
+/// them by the places of the nodes in its graph: who comes within that time after somebody went takes the other's place,
+/// counts as known, and is never told of any declaration. See [`hearing`] for those to whom it happens all the same.
+const AWAY: Duration = Duration::from_millis(250);
+
+/// How long after a session could not be opened anew it is tried again.
+const TRY_AGAIN: Duration = Duration::from_secs(1);
+
+/// What is declared on a session.
+#[derive(Clone)]
+pub(super) enum Declaration {
+    /// Samples are heard.
+    Samples(OwnedKeyExpr, UnboundedSender<Sample>),
+    /// Questions are answered.
+    Questions(OwnedKeyExpr, UnboundedSender<Query>),
+    /// Presence is told.
+    Token(OwnedKeyExpr),
+    /// Presence is heard; what is present is remembered, since Zenoh repeats itself when links come and go.
+    Presence(OwnedKeyExpr, UnboundedSender<Presence>, Arc<Mutex<BTreeSet<String>>>),
+}
+
+/// A declaration, and what Zenoh gave for it while there is a session.
+struct Entry {
+    declaration: Declaration,
+    declared: Option<Box<dyn Send + Sync>>,
+}
+
+/// A session and its declarations. The session closes when this is dropped.
+pub(super) struct Life {
+    settings: ZenohSettings,
+    session: RwLock<Session>,
+    entries: Mutex<Entries>,
+    /// Held while something is declared, or everything anew.
+    declaring: tokio::sync::Mutex<()>,
+    /// Which session is to be opened anew.
+    stale: UnboundedSender<ZenohId>,
+    /// How many sessions were opened for the sake of a neighbour that was not heard yet.
+    in_vain: Mutex<BTreeMap<String, u32>>,
+}
+
+#[derive(Default)]
+struct Entries {
+    next: u64,
+    all: BTreeMap<u64, Entry>,
+    /// Nothing is declared any more.
+    closed: bool,
+}
+
+/// Ends a declaration when dropped.
+pub(super) struct Declared {
+    id: u64,
+    life: Weak<Life>,
+}
+
+impl Drop for Declared {
+    fn drop(&mut self) {
+        if let Some(life) = self.life.upgrade() {
+            let ended = life.entries().all.remove(&self.id);
+            drop(ended); // not while the entries are held: Zenoh waits for callbacks under way
+        }
+    }
+}
+
+async fn open(settings: &ZenohSettings) -> Result<Session, BusError> {
+    if settings.mode == Mode::Router {
+        sleep(AWAY).await;
+    }
+    let opened = zenoh::open(settings.config()?).await;
+    opened.map_err(|problem| why_not_opened(settings, &problem.to_string()))
+}
+
+/// Where a session listens, with the ports it was given.
+pub(super) async fn listening(session: &Session) -> Vec<String> {
+    session.info().locators().await.iter().map(ToString::to_string).collect()
+}
+
+/// Addresses to listen on, with the ports that the system gave for port 0: others know them by now.
+fn with_ports(listen: &[String], given: &[String]) -> Vec<String> {
+    let at = |address: &String| {
+        let Some(host) = address.strip_suffix(":0") else { return address.clone() };
+        let same = given.iter().find(|given| given.rsplit_once(':').is_some_and(|(at, _)| at == host));
+        let port = same.or(given.first()).and_then(|given| Some(given.rsplit_once(':')?.1));
+        port.map_or_else(|| address.clone(), |port| format!("{host}:{port}"))
+    };
+    listen.iter().map(at).collect()
+}
+
+impl Declaration {
+    async fn declare(&self, session: &Session, message_max: usize) -> Result<Box<dyn Send + Sync>, BusError> {
+        match self {
+            Declaration::Samples(key, mailbox) => {
+                let mailbox = mailbox.clone();
+                let hear = move |sample: zenoh::sample::Sample| {
+                    if sample.kind() == SampleKind::Put {
+                        // Nobody hears it any more: the declaration is about to end.
+                        let _ = mailbox.send(Sample {
+                            key: sample.key_expr().to_string(),
+                            payload: content(sample.payload()),
+                            encoding: from_zenoh(sample.encoding()),
+                        });
+                    }
+                };
+                let declared = session.declare_subscriber(key.clone()).callback(hear).await;
+                Ok(Box::new(declared.map_err(|problem| failed("subscribe", problem))?))
+            }
+            Declaration::Questions(key, mailbox) => {
+                let declared = session.declare_queryable(key.clone());
+                let declared = declared.callback(questions(mailbox.clone(), message_max)).await;
+                Ok(Box::new(declared.map_err(|problem| failed("serve", problem))?))
+            }
+            Declaration::Token(key) => {
+                let declared = session.liveliness().declare_token(key.clone()).await;
+                Ok(Box::new(declared.map_err(|problem| failed("announce", problem))?))
+            }
+            Declaration::Presence(key, mailbox, present) => {
+                let (mailbox, present) = (mailbox.clone(), present.clone());
+                let hear = move |sample: zenoh::sample::Sample| {
+                    let key = sample.key_expr().to_string();
+                    let alive = sample.kind() == SampleKind::Put;
+                    let mut present = present.lock().unwrap_or_else(PoisonError::into_inner);
+                    let changed = if alive { present.insert(key.clone()) } else { present.remove(&key) };
+                    if changed {
+                        let _ = mailbox.send(Presence { key, alive });
+                    }
+                };
+                let declared = session.liveliness().declare_subscriber(key.clone()).history(true).callback(hear).await;
+                Ok(Box::new(declared.map_err(|problem| failed("watch", problem))?))
+            }
+        }
+    }
+
+    /// Without a session nobody is known to be present.
+    fn lose_sight(&self) {
+        if let Declaration::Presence(_, mailbox, present) = self {
+            for key in std::mem::take(&mut *present.lock().unwrap_or_else(PoisonError::into_inner)) {
+                let _ = mailbox.send(Presence { key, alive: false });
+            }
+        }
+    }
+}
+
+impl Life {
+    /// Opens a session.
+    pub(super) async fn begin(mut settings: ZenohSettings) -> Result<Arc<Life>, BusError> {
+        let session = open(&settings).await?;
+        settings.listen = with_ports(&settings.listen, &listening(&session).await);
+        let (stale, mut asked) = unbounded_channel();
+        let life = Arc::new(Life {
+            stale,
+            settings,
+            session: RwLock::new(session.clone()),
+            entries: Mutex::default(),
+            declaring: tokio::sync::Mutex::default(),
+            in_vain: Mutex::default(),
+        });
+        hearing::attend(&life, &session).await?;
+        let weak = Arc::downgrade(&life);
+        tokio::spawn(async move {
+            while let Some(stale) = asked.recv().await {
+                let Some(life) = weak.upgrade() else { return };
+                if life.session().zid() == stale {
+                    life.begin_anew().await;
+                }
+            }
+        });
+        Ok(life)
+    }
+
+    pub(super) fn settings(&self) -> &ZenohSettings {
+        &self.settings
+    }
+
+    /// The session of now. After it was closed everything that is attempted fails.
+    pub(super) fn session(&self) -> Session {
+        self.session.read().unwrap_or_else(PoisonError::into_inner).clone()
+    }
+
+    fn entries(&self) -> MutexGuard<'_, Entries> {
+        self.entries.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Declares something until what is returned is dropped; it outlives the session.
+    pub(super) async fn declare(self: &Arc<Self>, declaration: Declaration) -> Result<Declared, BusError> {
+        let _declaring = self.declaring.lock().await;
+        let declared = declaration.declare(&self.session(), self.settings.message_max).await?;
+        let mut entries = self.entries();
+        let id = entries.next;
+        entries.next += 1;
+        entries.all.insert(id, Entry { declaration, declared: Some(declared) });
+        Ok(Declared { id, life: Arc::downgrade(self) })
+    }
+
+    /// Ends everything declared, and the session.
+    pub(super) async fn close(&self) -> Result<(), BusError> {
+        let all = {
+            let mut entries = self.entries();
+            entries.closed = true;
+            std::mem::take(&mut entries.all)
+        };
+        drop(all);
+        self.session().close().await.map_err(|problem| failed("close", problem))
+    }
+
+    /// Counts one more session for the sake of a neighbour; returns how many there were.
+    pub(super) fn count_session_for(&self, neighbour: ZenohId) -> u32 {
+        let mut in_vain = self.in_vain.lock().unwrap_or_else(PoisonError::into_inner);
+        let count = in_vain.entry(neighbour.to_string()).or_default();
+        *count += 1;
+        *count
+    }
+
+    /// A neighbour is heard, and hears.
+    pub(super) fn forget_sessions_for(&self, neighbour: ZenohId) {
+        self.in_vain.lock().unwrap_or_else(PoisonError::into_inner).remove(&neighbour.to_string());
+    }
+
+    /// Has a session replaced, if it is still that of now.
+    pub(super) fn replace(&self, stale: ZenohId) {
+        // Otherwise there is nobody any more for whom to open one.
+        let _ = self.stale.send(stale);
+    }
+
+    /// Opens the session anew, at the same addresses, and declares everything again. Meanwhile publications and questions
+    /// fail, and presence is out of sight.
+    async fn begin_anew(self: &Arc<Self>) {
+        let _declaring = self.declaring.lock().await;
+        let ended: Vec<_> = {
+            let mut entries = self.entries();
+            entries.all.values_mut().filter_map(|entry| entry.declared.take()).collect()
+        };
+        drop(ended);
+        if let Err(problem) = self.session().close().await {
+            warn!(%problem, "a session did not close well");
+        }
+        self.entries().all.values().for_each(|entry| entry.declaration.lose_sight());
+        let session = loop {
+            if self.entries().closed {
+                return;
+            }
+            match open(&self.settings).await {
+                Ok(session) => break session,
+                Err(problem) => warn!(%problem, "the session cannot be opened anew; tries again"),
+            }
+            sleep(TRY_AGAIN).await;
+        };
+        let wanted: Vec<u64> = self.entries().all.keys().copied().collect();
+        for id in wanted {
+            let Some(declaration) = self.entries().all.get(&id).map(|entry| entry.declaration.clone()) else {
+                continue;
+            };
+            match declaration.declare(&session, self.settings.message_max).await {
+                Ok(declared) => {
+                    let mut entries = self.entries();
+                    // Otherwise it ended in the meantime, and so does what was declared for it.
+                    if let Some(entry) = entries.all.get_mut(&id) {
+                        entry.declared = Some(declared);
+                    }
+                }
+                Err(problem) => warn!(%problem, "was not declared anew"),
+            }
+        }
+        *self.session.write().unwrap_or_else(PoisonError::into_inner) = session.clone();
+        if self.entries().closed {
+            // Nobody closed this one.
+            let _ = session.close().await;
+            return;
+        }
+        info!(id = %session.zid(), "opened its session anew");
+        if let Err(problem) = hearing::attend(self, &session).await {
+            warn!(%problem, "does not notice if it is not heard");
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::with_ports;
+
+    #[test]
+    fn a_port_that_was_given_is_kept() {
+        let listen = ["tcp/127.0.0.1:0", "tcp/[::1]:7", "tcp/0.0.0.0:0"].map(str::to_owned);
+        let given = ["tcp/127.0.0.1:38589", "tcp/[::1]:7"].map(str::to_owned);
+        assert_eq!(with_ports(&listen, &given), ["tcp/127.0.0.1:38589", "tcp/[::1]:7", "tcp/0.0.0.0:38589"]);
+        assert_eq!(with_ports(&listen[..1], &[]), ["tcp/127.0.0.1:0"]);
+    }
+}
