@@ -9,7 +9,7 @@ use super::serve::Service;
 use super::settings::{ReplicaSettings, SettingsError};
 use super::store::{self, Applied, MachineStore};
 use super::succession::{self, Resigned, Succession};
-use super::types::{Epoch, Peer, Raft, RaftId, Reign, StateMachine, epoch_of, reign_of};
+use super::types::{Epoch, LogId, Peer, Raft, RaftId, Reign, StateMachine, epoch_of, reign_of};
 use crate::bus::{BusError, SharedBus};
 use consort_protocol::codec::{self, CodecError};
 use consort_protocol::ids::{ClusterId, NodeId};
@@ -269,7 +269,7 @@ impl<S: StateMachine> Replica<S> {
         let place = journal.place();
         let opened = store::open::<S>(journal, applied).await;
         let (log, machine) = opened.map_err(|problem| StartError::Journal { place, problem })?;
-        let appended = log.appended();
+        let (appended, found) = (log.appended(), log.last());
         let keys = Keys::new(&settings.fleet);
         let queries = bus.serve(&keys.any_raft(id.0)).await?;
         let heard = Arc::<Heard>::default();
@@ -300,6 +300,7 @@ impl<S: StateMachine> Replica<S> {
             resigned: Arc::clone(&resigned),
             acked: tell_acked,
             muted,
+            found,
             elected: None,
             fresh: true,
             acked_by_raft: None,
@@ -698,6 +699,8 @@ struct Watcher {
     resigned: Arc<Resigned>,
     acked: watch::Sender<Option<Instant>>,
     muted: Arc<AtomicBool>,
+    /// The last entry that this node found in its log when it was started.
+    found: Option<LogId>,
     /// The reign in which this node was elected, if it leads, and since when it knows.
     elected: Option<(Reign, Instant)>,
     /// Whether the metrics are new: the ages in them count from when they came.
@@ -797,7 +800,7 @@ impl Watcher {
     }
 
     fn tell(&self, metrics: &Metrics, quorum: Quorum) {
-        let mut next = believe(metrics, quorum);
+        let mut next = believe(metrics, quorum, self.found);
         self.leadership.send_if_modified(|now| {
             // Asked here, under the watch's lock: whoever resigns does so first and then takes that lock.
             if self.resigned.covers(next.term) {
@@ -822,12 +825,16 @@ enum Quorum {
 }
 
 /// What a node believes, given openraft's metrics and what is known of its majority.
-fn believe(metrics: &Metrics, quorum: Quorum) -> Leadership {
+fn believe(metrics: &Metrics, quorum: Quorum, found: Option<LogId>) -> Leadership {
     let running = metrics.running_state.is_ok() && metrics.state != ServerState::Shutdown;
     let reign = reign_of(&metrics.vote).filter(|_| running && metrics.vote.is_committed());
     let elected = running && metrics.state == ServerState::Leader;
     // The first entry of a reign is openraft's blank one: once it is applied, so is all that was committed before.
-    let caught_up = reign.is_some() && metrics.last_applied.map(|at| at.leader_id.term) == reign.map(|now| now.term);
+    let begun = reign.is_some() && metrics.last_applied.map(|at| at.leader_id.term) == reign.map(|now| now.term);
+    // A leader that was started anew leads on in its old reign, where that entry says nothing: what it had in its log may
+    // have been committed and acknowledged before, and is applied anew only after a majority has confirmed it.
+    let resumed = found.filter(|last| reign.is_some_and(|now| now.term == last.leader_id.term));
+    let caught_up = begun && resumed.is_none_or(|last| metrics.last_applied >= Some(last));
     let cut_off = elected && quorum == Quorum::Silent;
     let reign = reign.filter(|_| !cut_off);
     let membership = metrics.membership_config.membership();
