@@ -22,7 +22,8 @@ pub enum Mutant {
     LeaseNotChecked,
     /// A coordinator takes a role from a silent robot well before lease and grace have passed.
     EarlyRelease,
-    /// The ledger carries out what names an award no longer in force.
+    /// Neither the coordinator nor the ledger looks whether a report names the award in force. (If the ledger alone did not,
+    /// next to nothing would follow: the coordinator has looked a round trip before.)
     RefusedApplied,
     /// A report is answered before what it says was committed.
     UncommittedReport,
@@ -34,11 +35,13 @@ pub enum Mutant {
     WaitSkipped,
     /// A robot takes over an item, or lets another do so, before the ledger is known to hold what came before.
     GuardSkipped,
+    /// The autopilot takes a second voter out together with one that is gone.
+    TwoRemoved,
 }
 
 impl Mutant {
     /// All of them.
-    pub const ALL: [Mutant; 12] = [
+    pub const ALL: [Mutant; 13] = [
         Mutant::SkipFsync,
         Mutant::DoubleVote,
         Mutant::DeafLeader,
@@ -51,6 +54,7 @@ impl Mutant {
         Mutant::LostRelay,
         Mutant::WaitSkipped,
         Mutant::GuardSkipped,
+        Mutant::TwoRemoved,
     ];
 
     /// Its name, as commands take it.
@@ -68,6 +72,7 @@ impl Mutant {
             Mutant::LostRelay => "lost-relay",
             Mutant::WaitSkipped => "wait-skipped",
             Mutant::GuardSkipped => "guard-skipped",
+            Mutant::TwoRemoved => "two-removed",
         }
     }
 }
@@ -116,6 +121,19 @@ pub fn choose(mutant: Option<Mutant>) -> Result<(), NotBuilt> {
     }
     #[cfg(not(feature = "mutants"))]
     if mutant.is_some() { Err(NotBuilt) } else { Ok(()) }
+}
+
+/// What `judge` says on this thread without any mistake: whoever checks makes none.
+pub fn without<R>(judge: impl FnOnce() -> R) -> R {
+    #[cfg(feature = "mutants")]
+    {
+        let chosen = chosen::CHOSEN.replace(None);
+        let said = judge();
+        chosen::CHOSEN.set(chosen);
+        said
+    }
+    #[cfg(not(feature = "mutants"))]
+    judge()
 }
 
 /// Whether the current thread makes this mistake.

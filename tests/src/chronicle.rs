@@ -52,6 +52,8 @@ pub enum Entry {
         at: Epoch,
         /// A digest of its command; `None` for an entry of Raft's own.
         digest: Option<u64>,
+        /// Its commands, in their order.
+        commands: Arc<[Command]>,
     },
 }
 
@@ -228,7 +230,7 @@ impl Observer for Chronicle {
             hasher.write(&codec::encode_record(&commands).expect("it was read from bytes"));
             hasher.finish()
         });
-        self.add(Entry::Applied { node: node.clone(), at, digest });
+        self.add(Entry::Applied { node: node.clone(), at, digest, commands: commands.into() });
     }
 }
 

@@ -43,3 +43,23 @@ fn what_is_said_on_a_slow_disk_is_heard_although_the_role_is_over() {
         ]}"#,
     );
 }
+
+/// All nodes went down right after a client had been acknowledged. The coordinator came back in its old reign, and counted
+/// itself caught up before it had taken in what its own log held: who asked it then was told of no such mission.
+#[test]
+fn a_coordinator_that_comes_back_in_its_old_reign_knows_what_it_has_acknowledged() {
+    holds(
+        165,
+        3.0,
+        r#"{"steps": [
+            {"at_ms": 40631, "act": "weather", "loss": 0.34, "duplication": 0.0, "reordering": 0.0, "delay_ms": 3, "for_ms": 2679},
+            {"at_ms": 46398, "act": "slow_disk", "node": "aster", "write_ms": 125, "for_ms": 782},
+            {"at_ms": 46756, "act": "submit", "request": "r3", "room": "PC Room 5"},
+            {"at_ms": 47080, "act": "blackout", "disk": "torn", "for_ms": 7293},
+            {"at_ms": 57009, "act": "slow_disk", "node": "aster", "write_ms": 131, "for_ms": 6050},
+            {"at_ms": 58795, "act": "slow_disk", "node": "lab-arm", "write_ms": 126, "for_ms": 4264},
+            {"at_ms": 62733, "act": "submit", "request": "r1", "room": "PC Room 1"},
+            {"at_ms": 62959, "act": "blackout", "disk": "torn", "for_ms": 189}
+        ]}"#,
+    );
+}

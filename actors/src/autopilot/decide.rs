@@ -6,6 +6,7 @@
 
 use crate::replica::RaftId;
 use consort_protocol::ids::NodeId;
+use consort_protocol::mutants::{self, Mutant};
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
 
@@ -208,6 +209,10 @@ impl View {
     fn replace_the_gone(&self) -> Option<Change> {
         let (gone, why) = self.gone()?;
         let mut voters: BTreeSet<RaftId> = self.voters.keys().copied().filter(|id| *id != gone).collect();
+        if mutants::is(Mutant::TwoRemoved) {
+            let another = voters.iter().copied().find(|id| *id != self.me);
+            another.map(|id| voters.remove(&id));
+        }
         if self.voters.len() > self.target {
             return Some(Change::Vote { voters, reason: format!("{why}: enough are left") });
         }

@@ -131,7 +131,7 @@ fn next(entry: Option<&MissionEntry>, report: &Report, places: impl FnOnce() -> 
     let Some(role) = entry.roles.get(&report.role) else { return ended(Ending::Replaced) };
     if role.kind == RoleKind::Managed {
         match &role.holder {
-            Some(_) if mutants::is(Mutant::IgnoreEpoch) => {}
+            Some(_) if mutants::is(Mutant::IgnoreEpoch) || mutants::is(Mutant::RefusedApplied) => {}
             Some(holder) if holder.epoch == report.epoch && holder.robot == report.robot => {
                 if role.phase == RolePhase::Ended {
                     return ended(Ending::Over);

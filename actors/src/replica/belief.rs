@@ -2,7 +2,7 @@
 
 use super::network::Acks;
 use super::succession::Resigned;
-use super::types::{Peer, RaftId, Reign, reign_of};
+use super::types::{LogId, Peer, RaftId, Reign, reign_of};
 use consort_protocol::ids::NodeId;
 use consort_protocol::mutants::{self, Mutant};
 use openraft::ServerState;
@@ -53,6 +53,8 @@ pub(super) struct Watcher {
     pub(super) resigned: Arc<Resigned>,
     pub(super) acked: watch::Sender<Option<Instant>>,
     pub(super) muted: Arc<AtomicBool>,
+    /// The last entry that this node found in its log when it was started.
+    pub(super) found: Option<LogId>,
     /// The reign in which this node was elected, if it leads, and since when it knows.
     pub(super) elected: Option<(Reign, Instant)>,
     /// Whether the metrics are new: the ages in them count from when they came.
@@ -152,7 +154,7 @@ impl Watcher {
     }
 
     fn tell(&self, metrics: &Metrics, quorum: Quorum) {
-        let mut next = believe(metrics, quorum);
+        let mut next = believe(metrics, quorum, self.found);
         self.leadership.send_if_modified(|now| {
             // Asked here, under the watch's lock: whoever resigns does so first and then takes that lock.
             if self.resigned.covers(next.term) {
@@ -177,12 +179,16 @@ enum Quorum {
 }
 
 /// What a node believes, given openraft's metrics and what is known of its majority.
-fn believe(metrics: &Metrics, quorum: Quorum) -> Leadership {
+fn believe(metrics: &Metrics, quorum: Quorum, found: Option<LogId>) -> Leadership {
     let running = metrics.running_state.is_ok() && metrics.state != ServerState::Shutdown;
     let reign = reign_of(&metrics.vote).filter(|_| running && metrics.vote.is_committed());
     let elected = running && metrics.state == ServerState::Leader;
     // The first entry of a reign is openraft's blank one: once it is applied, so is all that was committed before.
-    let caught_up = reign.is_some() && metrics.last_applied.map(|at| at.leader_id.term) == reign.map(|now| now.term);
+    let begun = reign.is_some() && metrics.last_applied.map(|at| at.leader_id.term) == reign.map(|now| now.term);
+    // A leader that was started anew leads on in its old reign, where that entry says nothing: what it had in its log may
+    // have been committed and acknowledged before, and is applied anew only after a majority has confirmed it.
+    let resumed = found.filter(|last| reign.is_some_and(|now| now.term == last.leader_id.term));
+    let caught_up = begun && resumed.is_none_or(|last| metrics.last_applied >= Some(last));
     let cut_off = elected && quorum == Quorum::Silent;
     let reign = reign.filter(|_| !cut_off);
     let membership = metrics.membership_config.membership();

@@ -114,7 +114,7 @@ impl<S: StateMachine> Replica<S> {
         let place = journal.place();
         let opened = store::open::<S>(journal, applied).await;
         let (log, machine) = opened.map_err(|problem| StartError::Journal { place, problem })?;
-        let appended = log.appended();
+        let (appended, found) = (log.appended(), log.last());
         let keys = Keys::new(&settings.fleet);
         let queries = bus.serve(&keys.any_raft(id.0)).await?;
         let heard = Arc::<Heard>::default();
@@ -145,6 +145,7 @@ impl<S: StateMachine> Replica<S> {
             resigned: Arc::clone(&resigned),
             acked: tell_acked,
             muted,
+            found,
             elected: None,
             fresh: true,
             acked_by_raft: None,

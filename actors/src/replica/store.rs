@@ -131,6 +131,12 @@ impl<S: StateMachine> Clone for LogStore<S> {
 }
 
 impl<S: StateMachine> LogStore<S> {
+    /// The last entry of the log, if it ever had one.
+    pub(super) fn last(&self) -> Option<LogId> {
+        let log = lock(&self.log);
+        log.entries.last_key_value().map(|(_, held)| held.entry.log_id).or(log.purged)
+    }
+
     /// How often entries have been written, now and whenever it grows.
     pub(super) fn appended(&self) -> watch::Receiver<u64> {
         self.appended.subscribe()
@@ -176,9 +182,7 @@ impl<S: StateMachine> RaftLogStorage<Types<S>> for LogStore<S> {
     type LogReader = Self;
 
     async fn get_log_state(&mut self) -> Result<LogState<Types<S>>, StorageError> {
-        let log = lock(&self.log);
-        let last = log.entries.last_key_value().map(|(_, held)| held.entry.log_id);
-        Ok(LogState { last_purged_log_id: log.purged, last_log_id: last.or(log.purged) })
+        Ok(LogState { last_purged_log_id: lock(&self.log).purged, last_log_id: self.last() })
     }
 
     async fn get_log_reader(&mut self) -> Self {

@@ -4,6 +4,7 @@ use crate::exit::Failure;
 use crate::output;
 use clap::{ArgGroup, Args as ClapArgs};
 use consort_protocol::mutants::{self, Mutant};
+use consort_tests::chaos::many::percentiles;
 use consort_tests::chaos::mutants::{HUNTS, hunt};
 use consort_tests::chaos::scoreboard::{self, markdown};
 use consort_tests::chaos::{Cast, Kind, Many, Order, Outcome, Schedule, Violation, cast, generate, shrink};
@@ -35,7 +36,7 @@ Examples:
   consort chaos --seed 4711 --verbose                   # one of them, with all that is done in it
   consort chaos --seed 4711 --schedule chaos-4711.json  # a violation again, with what was written beside it
   consort chaos --faults partition,coordinator-crash    # some kinds of faults alone
-  consort chaos --scoreboard --runs 50                  # how the fleet fares under each kind of fault
+  consort chaos --scoreboard --runs 50 --save score.json  # how the fleet fares under each kind of fault
 
   # whether deliberate mistakes are found, and by what
   cargo run --release --features mutants -- chaos --mutants
@@ -75,6 +76,9 @@ pub struct Args {
     /// Print how the fleet fares under each kind of fault, as a table (Markdown, or JSON with --json)
     #[arg(long)]
     scoreboard: bool,
+    /// Write the scoreboard to a file, too (JSON)
+    #[arg(long, value_name = "FILE", requires = "scoreboard")]
+    save: Option<PathBuf>,
     /// Runs for each line of the scoreboard
     #[arg(long, value_name = "N", default_value_t = 50, value_parser = clap::value_parser!(u64).range(1..), requires = "scoreboard")]
     runs: u64,
@@ -200,6 +204,11 @@ fn score(args: &Args) -> Result<(), Failure> {
         rows.push(scoreboard::row(name, &kinds, args.runs, args.minutes, args.jobs(), || bar.inc(1)));
     }
     bar.finish_and_clear();
+    if let Some(file) = &args.save {
+        let text = serde_json::to_string_pretty(&rows).expect("a row is plain data") + "\n";
+        std::fs::write(file, text)
+            .map_err(|problem| Failure::Unsuccessful(format!("{} was not written: {problem}", file.display())))?;
+    }
     if args.json {
         json(&rows)?;
     } else {
@@ -250,7 +259,7 @@ fn many(args: &Args) -> Result<(), Failure> {
     let found = many.run(|outcome| {
         bar.inc(1);
         totals.add(outcome);
-        bar.set_message(format!("{} missions, {} takeovers", totals.acknowledged, totals.takeovers));
+        bar.set_message(format!("{} missions, {} takeovers", totals.acknowledged, totals.takeovers.len()));
         if args.json && printed.is_ok() {
             printed = json(outcome);
         }
@@ -266,17 +275,28 @@ fn many(args: &Args) -> Result<(), Failure> {
     let rate = count as f64 * 60.0 / seconds;
     if !args.json {
         output::line(format_args!(
-            "{count} seeds held: {} missions acknowledged, none lost ({} completed, {} failed with a cause, {} withdrawn); \
-             {} takeovers; {:.1} simulated hours in {seconds:.1} s, {rate:.0} seeds a minute",
+            "{count} seeds held: {} missions acknowledged, none lost ({} completed, {} failed with a cause, {} withdrawn)\n\
+             {} takeovers{}; converged{} after the last fault\n\
+             {:.1} simulated hours in {seconds:.1} s, {rate:.0} seeds a minute",
             totals.acknowledged,
             totals.completed,
             totals.failed,
             totals.canceled,
-            totals.takeovers,
+            totals.takeovers.len(),
+            middle_and_worst(&totals.takeovers, 1.0, "ms"),
+            middle_and_worst(&totals.converged, 1000.0, "s"),
             totals.simulated_ms as f64 / 3_600_000.0,
         ))?;
     }
     Ok(())
+}
+
+/// The middle of some times in milliseconds and the one that only one in a hundred exceeds, in words.
+fn middle_and_worst(times_ms: &[u64], unit_ms: f64, unit: &str) -> String {
+    let in_units = |ms: u64| ms as f64 / unit_ms;
+    percentiles(times_ms).map_or(String::new(), |(p50, p99)| {
+        format!(" p50 {:.1} {unit}, p99 {:.1} {unit}", in_units(p50), in_units(p99))
+    })
 }
 
 #[derive(Default)]
@@ -285,7 +305,8 @@ struct Totals {
     completed: usize,
     failed: usize,
     canceled: usize,
-    takeovers: usize,
+    takeovers: Vec<u64>,
+    converged: Vec<u64>,
     simulated_ms: u64,
 }
 
@@ -294,9 +315,10 @@ impl Totals {
         let tally = &outcome.tally;
         self.acknowledged += tally.acknowledged;
         self.completed += tally.completed;
-        self.failed += tally.failed;
+        self.failed += tally.failed + tally.rescues;
         self.canceled += tally.canceled;
-        self.takeovers += tally.takeovers_ms.len();
+        self.takeovers.extend(&tally.takeovers_ms);
+        self.converged.extend(tally.converged_ms);
         self.simulated_ms += tally.simulated_ms;
     }
 }

@@ -73,8 +73,9 @@ impl World {
         self.get_mut::<Battery>(robot).strands = ticket;
     }
 
-    /// From one moment to the next a robot has this charge, whatever it had before: a battery that fails, or is exchanged. A
-    /// robot that stands with an empty battery stays where it is all the same. Of a robot that is not here nothing is said.
+    /// From one moment to the next a robot has this charge, whatever it had before: a battery that fails, or is filled. A
+    /// robot that stands with an empty battery stays where it is all the same (but see
+    /// [`exchange_battery`](Self::exchange_battery)). Of a robot that is not here nothing is said.
     pub fn set_charge(&mut self, robot: &RobotId, charge: BatteryShare) {
         let Some(robot) = self.robots.get(robot).copied() else { return };
         let (now, working) = (self.now, self.get::<GoalBook>(robot).is_busy());
@@ -83,6 +84,14 @@ impl World {
             (battery.charge, battery.since) = (charge.get(), now);
         }
         self.set_working(robot, working);
+    }
+
+    /// Somebody gives a robot a full battery: one that stood with an empty battery can move again, from where it stands.
+    pub fn exchange_battery(&mut self, robot: &RobotId) {
+        if let Some(entity) = self.robots.get(robot).copied() {
+            self.get_mut::<Battery>(entity).able = true;
+        }
+        self.set_charge(robot, BatteryShare::FULL);
     }
 
     /// The charge has come down to the stopping share. What is left drains on at the idle rate.

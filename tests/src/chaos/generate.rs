@@ -2,7 +2,7 @@
 
 use super::cast::{ARM, Cast, ROOMS, WORLD};
 use super::schedule::{Act, Fate, Kind, Mishap, Schedule, Step};
-use rand::seq::{IndexedRandom, SliceRandom};
+use rand::seq::{IndexedMutRandom, IndexedRandom, SliceRandom};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use std::time::Duration;
@@ -108,6 +108,7 @@ impl Draw<'_> {
                 for voter in self.cast.voters() {
                     self.tire(voter, at_ms);
                 }
+                self.ask_just_before(at_ms);
                 Act::Blackout { disk: Fate::Torn, for_ms: for_ms.min(10_000) }
             }
             Kind::Pause => Act::Pause { node: self.node(), for_ms: for_ms.min(20_000) },
@@ -165,6 +166,18 @@ impl Draw<'_> {
         }
     }
 
+    /// More often than not a client is acknowledged right before, so that there is something to lose.
+    fn ask_just_before(&mut self, at_ms: u64) {
+        if !self.chance.random_bool(0.7) {
+            return;
+        }
+        let before = self.chance.random_range(30..400);
+        let mut requests: Vec<&mut Step> = self.steps.iter_mut().filter(|s| s.act.submits().is_some()).collect();
+        if let Some(request) = requests.choose_mut(&mut self.chance) {
+            request.at_ms = at_ms - before;
+        }
+    }
+
     /// A disk is lost, unless too few would be left for a majority of the voters.
     fn wipe(&mut self, for_ms: u64) -> Option<Act> {
         let voters = self.cast.voters();
@@ -179,6 +192,9 @@ impl Draw<'_> {
     fn groups(&mut self) -> Vec<Vec<String>> {
         let mut nodes: Vec<String> = self.cast.nodes().into_iter().map(str::to_owned).collect();
         nodes.shuffle(&mut self.chance);
+        if self.chance.random_bool(0.4) {
+            return self.stray(nodes);
+        }
         let parts = if self.chance.random_bool(0.7) { 2 } else { 3 };
         let mut groups: Vec<Vec<String>> = vec![vec![]; parts];
         for (number, node) in nodes.into_iter().enumerate() {
@@ -188,6 +204,15 @@ impl Draw<'_> {
         let with_client = self.chance.random_range(0..parts);
         groups[with_client].push("client".to_owned());
         groups
+    }
+
+    /// A carrier is away with its body: it can act, and nobody renews its lease.
+    fn stray(&mut self, nodes: Vec<String>) -> Vec<Vec<String>> {
+        let carrier = *self.cast.carriers.choose(&mut self.chance).expect("a fleet has carriers");
+        let away = |name: &str| name == WORLD || name == carrier;
+        let (away, mut others): (Vec<String>, Vec<String>) = nodes.into_iter().partition(|name| away(name));
+        others.push("client".to_owned());
+        vec![others, away]
     }
 
     /// A share with two decimals, as people write it.

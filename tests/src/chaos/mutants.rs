@@ -23,20 +23,23 @@ pub const MINUTES: f64 = 3.0;
 /// Nodes of a hunted fleet.
 pub const NODES: usize = 7;
 
-/// All mistakes, each with the number of seeds within which it must be found: about twice what was measured.
+/// All mistakes, each with the number of seeds within which it must be found: about three times what was
+/// measured. The four at 160 take a carrier that is lost to the coordinator at work and a second one that takes its role over,
+/// which few schedules have.
 pub const HUNTS: [Hunt; Mutant::ALL.len()] = [
-    Hunt { mutant: Mutant::SkipFsync, within: 100 },
-    Hunt { mutant: Mutant::DoubleVote, within: 100 },
-    Hunt { mutant: Mutant::DeafLeader, within: 100 },
-    Hunt { mutant: Mutant::IgnoreEpoch, within: 100 },
-    Hunt { mutant: Mutant::LeaseNotChecked, within: 100 },
-    Hunt { mutant: Mutant::EarlyRelease, within: 100 },
-    Hunt { mutant: Mutant::RefusedApplied, within: 100 },
-    Hunt { mutant: Mutant::UncommittedReport, within: 100 },
-    Hunt { mutant: Mutant::RequestForgotten, within: 100 },
-    Hunt { mutant: Mutant::LostRelay, within: 100 },
-    Hunt { mutant: Mutant::WaitSkipped, within: 100 },
-    Hunt { mutant: Mutant::GuardSkipped, within: 100 },
+    Hunt { mutant: Mutant::SkipFsync, within: 50 },
+    Hunt { mutant: Mutant::DoubleVote, within: 20 },
+    Hunt { mutant: Mutant::DeafLeader, within: 3 },
+    Hunt { mutant: Mutant::IgnoreEpoch, within: 160 },
+    Hunt { mutant: Mutant::LeaseNotChecked, within: 160 },
+    Hunt { mutant: Mutant::EarlyRelease, within: 160 },
+    Hunt { mutant: Mutant::RefusedApplied, within: 160 },
+    Hunt { mutant: Mutant::UncommittedReport, within: 3 },
+    Hunt { mutant: Mutant::RequestForgotten, within: 20 },
+    Hunt { mutant: Mutant::LostRelay, within: 3 },
+    Hunt { mutant: Mutant::WaitSkipped, within: 3 },
+    Hunt { mutant: Mutant::GuardSkipped, within: 3 },
+    Hunt { mutant: Mutant::TwoRemoved, within: 6 },
 ];
 
 /// What came of a hunt.

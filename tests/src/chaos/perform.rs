@@ -34,6 +34,8 @@ pub(super) struct Hand {
     weather: BTreeMap<usize, LinkModel>,
     slow: BTreeMap<usize, (String, u64)>,
     paused: BTreeMap<usize, String>,
+    /// Robots whose battery ran down.
+    flat: BTreeSet<String>,
 }
 
 impl Hand {
@@ -48,6 +50,7 @@ impl Hand {
             weather: BTreeMap::new(),
             slow: BTreeMap::new(),
             paused: BTreeMap::new(),
+            flat: BTreeSet::new(),
         }
     }
 
@@ -115,6 +118,7 @@ impl Hand {
             Act::Battery { robot } => {
                 let charge = BatteryShare::new(0.04).expect("a share");
                 fleet.world.with(|world| world.set_charge(&slug(robot), charge));
+                self.flat.insert(robot.clone());
             }
             Act::Skill { robot, how, times } => self.gear.stumble(robot, *how, *times),
         }
@@ -161,6 +165,10 @@ impl Hand {
             self.end(fleet, number).await;
         }
         self.gear.steady();
+        // A robot with an empty battery does not refuse for good, and a mission may wait for it.
+        for robot in std::mem::take(&mut self.flat) {
+            fleet.world.with(|world| world.exchange_battery(&slug(&robot)));
+        }
     }
 
     pub(super) async fn crash(&mut self, fleet: &mut Fleet, number: usize, nodes: &[String], disk: Fate) {

@@ -22,12 +22,12 @@ pub struct Row {
     pub double_holders: usize,
     /// Missions that were carried out.
     pub completed: usize,
-    /// Missions that failed with a cause, or were withdrawn.
+    /// Missions that failed with a cause, were withdrawn, or wait for a person.
     pub otherwise_ended: usize,
     /// How many takeovers there were.
     pub takeovers: usize,
-    /// From the loss of a leader to the next: the middle, in milliseconds. A leader lost for want of a majority is replaced
-    /// once there is one again.
+    /// From the loss of a leader to the next: the middle, in milliseconds. It is lost when it is killed, or when it ceases to
+    /// count itself leader, since it hears no majority; then it is replaced once there is a majority again.
     pub takeover_p50_ms: Option<u64>,
     /// The same: all but one in a hundred were quicker.
     pub takeover_p99_ms: Option<u64>,
@@ -81,7 +81,7 @@ pub fn row(name: &'static str, kinds: &[Kind], runs: u64, minutes: f64, jobs: us
         lost_missions: sum(|outcome| outcome.tally.lost),
         double_holders: violations.iter().filter(|(_, name)| name == "one_holder" || name == "under_lease").count(),
         completed: sum(|outcome| outcome.tally.completed),
-        otherwise_ended: sum(|outcome| outcome.tally.failed + outcome.tally.canceled),
+        otherwise_ended: sum(|outcome| outcome.tally.failed + outcome.tally.canceled + outcome.tally.rescues),
         takeovers: takeovers.len(),
         takeover_p50_ms: takeover.map(|(p50, _)| p50),
         takeover_p99_ms: takeover.map(|(_, p99)| p99),

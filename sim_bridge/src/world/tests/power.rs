@@ -53,6 +53,18 @@ fn under_five_percent_it_stops_dead_where_it_is() {
 }
 
 #[test]
+fn a_robot_that_stands_empty_moves_again_once_its_battery_was_exchanged() {
+    let mut world = World::new(hospital(1).robot(weak(0.03))).unwrap();
+    assert_eq!(world.advance(at(1.0)), [BodyEvent::Stranded { robot: robot("r1") }]);
+    world.set_charge(&robot("r1"), BatteryShare::FULL);
+    assert!(!world.telemetry(&robot("r1")).unwrap().able, "the charge alone does not bring it back");
+    world.exchange_battery(&robot("r1"));
+    assert!(world.telemetry(&robot("r1")).unwrap().able);
+    assert_eq!(charge(&world, "r1"), 1.0);
+    does(&mut world, "r1", 1, Goal::Wait { time: Seconds::new(1.0).unwrap() });
+}
+
+#[test]
 fn an_idle_robot_runs_down_too_and_one_that_starts_low_never_moves() {
     let mut world = World::new(hospital(1).robot(weak(0.06))).unwrap();
     assert!((world.next_due().unwrap().as_secs() - 100.0).abs() < 1e-9);

@@ -28,7 +28,7 @@ impl Invariant for Committed {
             Entry::Done { node, what: "starts again" } => {
                 self.last.remove(node);
             }
-            Entry::Applied { node, at, digest } => {
+            Entry::Applied { node, at, digest, .. } => {
                 let known = self.entries.entry(at.index).or_insert_with(|| (at.term, *digest, node.clone()));
                 if (known.0, known.1) != (at.term, *digest) {
                     let (term, _, who) = known;

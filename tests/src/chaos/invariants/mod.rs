@@ -7,8 +7,12 @@ mod acknowledged;
 mod alive;
 mod committed;
 mod custody;
+mod guarded;
+mod keepers;
 mod one_holder;
 mod one_leader;
+mod reference;
+mod replayed;
 mod settled;
 mod signals;
 mod under_lease;
@@ -57,5 +61,8 @@ pub fn all() -> Vec<Box<dyn Invariant>> {
         Box::<settled::Settled>::default(),
         Box::<signals::Signals>::default(),
         Box::<custody::Custody>::default(),
+        Box::<guarded::Guarded>::default(),
+        Box::<keepers::Keepers>::default(),
+        Box::<replayed::Replayed>::default(),
     ]
 }

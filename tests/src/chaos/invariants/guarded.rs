@@ -1,0 +1,77 @@
+//! A robot takes an item over, or lets another do so, only after the ledger holds all that it had to do before.
+//!
+//! Else the loss of the robot at that instant would leave a ledger that cannot tell whether it has the item.
+
+use super::Invariant;
+use super::reference::Reference;
+use crate::{Entry, Fleet};
+use consort_protocol::event::Happening;
+use consort_protocol::ids::{MissionId, NodeId, RoleId};
+use consort_protocol::plan::{LocalPlan, StepAction, StepIndex};
+use std::collections::BTreeSet;
+use std::time::Duration;
+
+#[derive(Default)]
+pub(super) struct Guarded {
+    reference: Reference,
+}
+
+impl Guarded {
+    /// A robot performs the step that `is` knows by its action.
+    fn performs(
+        &self,
+        node: &NodeId,
+        mission: &MissionId,
+        role: &RoleId,
+        is: impl Fn(&StepAction) -> bool,
+    ) -> Result<(), String> {
+        let Some(entry) = self.reference.ledger.mission(mission) else { return Ok(()) };
+        let (Some(plan), Some(held)) = (entry.plan(role), entry.roles.get(role)) else { return Ok(()) };
+        // Whether somebody may act at all who does not hold the role is for others to judge.
+        if held.holder.as_ref().is_none_or(|holder| holder.robot.as_str() != node.as_str()) {
+            return Ok(());
+        }
+        let guarded = plan.guarded.iter().filter(|step| plan.steps.get(**step as usize).is_some_and(|s| is(&s.action)));
+        for step in guarded {
+            let missing: Vec<_> = before(plan, *step).difference(&held.ended).copied().collect();
+            if !missing.is_empty() {
+                return Err(format!(
+                    "{node} performs step {step} as {role} of {mission}, and no ledger has the steps {missing:?} before it"
+                ));
+            }
+        }
+        Ok(())
+    }
+}
+
+/// All steps that must have ended before this one begins.
+fn before(plan: &LocalPlan, step: StepIndex) -> BTreeSet<StepIndex> {
+    let mut all = BTreeSet::new();
+    let mut open = vec![step];
+    while let Some(step) = open.pop() {
+        let after = plan.steps.get(step as usize).map_or(&[][..], |step| &step.after);
+        open.extend(after.iter().filter(|before| all.insert(**before)));
+    }
+    all
+}
+
+impl Invariant for Guarded {
+    fn name(&self) -> &'static str {
+        "guarded"
+    }
+
+    fn see(&mut self, _: Duration, entry: &Entry, fleet: &Fleet) -> Result<(), String> {
+        self.reference.see(entry);
+        let node = entry.node();
+        match entry.happening() {
+            Some(Happening::TaskBegan { mission, role, task }) if fleet.is_robot(node) => {
+                self.performs(node, mission, role, |action| matches!(action, StepAction::Task { id, .. } if id == task))
+            }
+            Some(Happening::Sent { mission, signal }) if fleet.is_robot(node) => {
+                let is = |action: &StepAction| matches!(action, StepAction::Send(sent) if sent == signal);
+                self.performs(node, mission, &signal.from, is)
+            }
+            _ => Ok(()),
+        }
+    }
+}
