@@ -192,6 +192,7 @@ impl RobotState {
     fn put_down(&mut self, epoch: Epoch, reason: Ending) {
         if let Some(mut job) = self.job.take_if(|job| job.award.epoch == epoch) {
             job.stop();
+            self.talk.put_down(&job.award.mission, &job.award.role);
             // What has happened has happened; what was not said yet is said by whoever takes over.
             let untold = job.pen.abandon();
             let happened = untold.into_iter().filter_map(|telling| match telling {
