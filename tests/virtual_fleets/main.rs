@@ -12,6 +12,7 @@ mod keepers;
 mod leaderless;
 mod leases;
 mod leaving;
+mod people;
 mod queueing;
 mod recovery;
 mod refusals;

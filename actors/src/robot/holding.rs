@@ -13,6 +13,7 @@ use consort_protocol::codec;
 use consort_protocol::event::Happening;
 use consort_protocol::keys::Key;
 use consort_protocol::lease::{Action, Award, Declined, Ending, Epoch, Event};
+use consort_protocol::ledger::Branch;
 use consort_protocol::message::{AwardAnswer, AwardNotice, FailureKind, Report, ReportAnswer, TaskFailure};
 use consort_protocol::plan::StepIndex;
 use consort_protocol::units::NodeTime;
@@ -230,6 +231,7 @@ impl RobotState {
             mission: award.mission.clone(),
             role: award.role.clone(),
             epoch: award.epoch,
+            branch: Branch::default(),
             ended: ended.cloned().unwrap_or_default(),
             at: job.and_then(|job| job.sequencer.at().cloned()),
             place: self.settings.body.telemetry().map(|report| report.place.clone()),
