@@ -7,7 +7,7 @@
 //! | silence bound | 280 ms | 1400 ms | after which silence of the majority a leader doubts itself |
 //! | beacon | 250 ms | 500 ms | how often the coordinator tells robots that it is there |
 //! | auction window | 200 ms | 800 ms | how long an auction waits for a member that does not answer |
-//! | gossip beat, round | 2 s, 1 s | 2 s, 1 s | how often knowledge is repeated and compared |
+//! | gossip beat, round | 2 s, 1 s | 2 s, 1 s | how often knowledge is repeated (more rarely in large fleets) and compared |
 //! | probe, its round trip | 500, 150 ms | 1000, 400 ms | how failures are detected |
 //! | suspicion | 2 s | 4 s | how long a suspect has to say that it is alive |
 //! | dead after | 10 s | 20 s | how long a voter must be gone until the autopilot replaces it |

@@ -8,6 +8,7 @@ use consort_protocol::codec;
 use consort_protocol::ids::{FleetId, NodeId};
 use consort_protocol::keys::{Key, Keys};
 use consort_protocol::knowledge::{Knowledge, Stamp};
+use consort_protocol::message::Statement;
 use ractor::{Actor, ActorProcessingErr, ActorRef, SupervisionEvent};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
@@ -552,7 +553,7 @@ fn nonsense_is_counted_and_changes_nothing() {
         let before = fleet.node(0).stamp_of(&name(1)).unwrap();
         let mut forged = fleet.node(0).shared.read(|base| base.get(&name(1)).unwrap().record.clone());
         forged.stamp.version += 1000;
-        let forged = Bytes::from(codec::encode(&forged).unwrap());
+        let forged = Bytes::from(codec::encode(&Statement::Record(forged)).unwrap());
         for (key, payload) in [
             (Key::Knowledge(name(50)), Bytes::from_static(b"\x01nonsense")),
             (Key::Knowledge(name(50)), Bytes::new()),
@@ -572,6 +573,38 @@ fn nonsense_is_counted_and_changes_nothing() {
         assert!(fleet.node(0).stamp_of(&name(1)).unwrap().version <= before.version + 1);
         assert!(fleet.everybody_knows_everybody());
     });
+}
+
+/// Bytes and messages that the mean node of an idle fleet receives each second.
+async fn idle(size: usize, seed: u64) -> (f64, f64) {
+    let fleet = Fleet::of(size, seed, 0.0).await;
+    fleet.until("all meet", secs(10), Fleet::everybody_knows_everybody).await;
+    sleep(secs(30)).await;
+    let received = || {
+        let totals = fleet.nodes.keys().map(|node| fleet.network.traffic(node).total());
+        totals.fold((0, 0), |sum, node| (sum.0 + node.received, sum.1 + node.messages_received))
+    };
+    let before = received();
+    for _ in 0..60 {
+        sleep(secs(1)).await;
+        // Little is said, and all stays fresh: half of the usual bound on staleness, and what a beat may be late.
+        let oldest = fleet.nodes.values().flat_map(|node| (0..size).filter_map(|other| node.age_of(&name(other))));
+        assert!(oldest.max() < Some(millis(5_700)), "{size} nodes, seed {seed}");
+    }
+    assert!(fleet.everybody_knows_everybody());
+    let after = received();
+    let rate = |from: u64, to: u64| (to - from) as f64 / size as f64 / 60.0;
+    (rate(before.0, after.0), rate(before.1, after.1))
+}
+
+#[test]
+fn an_idle_fleet_says_little_and_each_node_of_a_large_one_hardly_hears_more() {
+    let (bytes_10, messages_10) = virtually(idle(10, 1));
+    let (bytes_80, messages_80) = virtually(idle(80, 1));
+    let figures = format!("{bytes_10:.0} B in {messages_10:.1} messages, {bytes_80:.0} B in {messages_80:.1}");
+    // Before nodes said in few words that nothing changed: 1.4 and 14 kB.
+    assert!(bytes_10 < 1_100.0 && bytes_80 < 2_600.0, "{figures}");
+    assert!(messages_80 < 2.5 * messages_10, "{figures}");
 }
 
 /// Hears how the actor below it ended.

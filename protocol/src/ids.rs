@@ -10,7 +10,11 @@ use std::sync::Arc;
 
 /// Why a text cannot be a name of its kind. Ordinary in hand-written files; nothing was changed.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error("{text:?} cannot name a {kind}: {problem}; allowed are 1 to {max} {allowed}", max = MAX_CHARS)]
+#[error(
+    "{text:?} cannot name {article} {kind}: {problem}; allowed are 1 to {max} {allowed}",
+    max = MAX_CHARS,
+    article = article(.kind)
+)]
 pub struct NameError {
     /// What was to be named, in words.
     pub kind: &'static str,
@@ -24,6 +28,10 @@ pub struct NameError {
 
 /// Longest name, in characters.
 pub const MAX_CHARS: usize = 64;
+
+fn article(kind: &str) -> &'static str {
+    if kind.starts_with(['a', 'e', 'i', 'o', 'u']) { "an" } else { "a" }
+}
 
 const SLUG: &str = "characters of A-Z, a-z, 0-9, `_`, `.` and `-`";
 const LABEL: &str = "characters, none of them a control character, without space at either end";

@@ -85,7 +85,8 @@ macro_rules! words {
                 match self { $($name::$variant => $word),* }
             }
 
-            fn read(word: &str) -> Option<$name> {
+            /// Which of them a word stands for, if any.
+            pub fn read(word: &str) -> Option<$name> {
                 $name::ALL.iter().copied().find(|call| call.word() == word)
             }
         }
@@ -134,6 +135,64 @@ words! {
         Get = "get",
         /// Look at all missions.
         List = "list",
+    }
+    /// What is said on a key, whoever says it of whom: to count by.
+    KeyKind {
+        /// Records of knowledge.
+        Knowledge = "knowledge",
+        /// Comparisons of knowledge.
+        Gossip = "gossip",
+        /// Failure detection.
+        Swim = "swim",
+        /// The leader's questions whether a voter is there.
+        RaftBeat = "raft/beat",
+        /// Entries of the ledger, and heartbeats.
+        RaftAppend = "raft/append",
+        /// All else of consensus.
+        Raft = "raft",
+        /// The coordinator's signs of life.
+        Beacon = "beacon",
+        /// What a body's driver says to its host.
+        BodyCommand = "body/command",
+        /// What a host says of its bodies.
+        BodyState = "body/state",
+        /// Auctions, awards and reports.
+        Work = "work",
+        /// Messages of missions, and questions for them.
+        Signal = "signal",
+        /// Changes of missions, and questions about those under way.
+        Live = "live",
+        /// Views and requests of people.
+        People = "people",
+        /// Whatever else.
+        Other = "other",
+    }
+}
+
+impl KeyKind {
+    /// The kind of a key or key expression, of whichever fleet.
+    pub fn of(text: &str) -> KeyKind {
+        let mut segments = text.split('/').skip(2);
+        match (segments.next(), segments.next()) {
+            (Some("wire"), Some(kind)) => match (kind, segments.last()) {
+                ("knowledge", _) => KeyKind::Knowledge,
+                ("gossip", _) => KeyKind::Gossip,
+                ("swim", _) => KeyKind::Swim,
+                ("raft", Some("beat")) => KeyKind::RaftBeat,
+                ("raft", Some("append")) => KeyKind::RaftAppend,
+                ("raft", _) => KeyKind::Raft,
+                ("beacon", _) => KeyKind::Beacon,
+                ("body", Some("state")) => KeyKind::BodyState,
+                ("body", _) => KeyKind::BodyCommand,
+                ("bid" | "award" | "report", _) => KeyKind::Work,
+                ("signal" | "said", _) => KeyKind::Signal,
+                ("live" | "changed", _) => KeyKind::Live,
+                ("people", _) => KeyKind::People,
+                _ => KeyKind::Other,
+            },
+            (Some("view" | "api" | "events"), _) => KeyKind::People,
+            _ => KeyKind::Other,
+        }
     }
 }
 
@@ -340,6 +399,22 @@ mod tests {
             assert!(text.starts_with("consort/ward/"), "{text}");
             assert_eq!(keys.read(&text).as_ref(), Some(&key), "{text}");
         }
+    }
+
+    #[test]
+    fn every_key_but_tokens_has_a_kind_to_count_it_by() {
+        let keys = Keys::new(&FleetId::new("ward").unwrap());
+        let mut counted = std::collections::BTreeSet::new();
+        for key in all() {
+            let kind = KeyKind::of(&keys.write(&key));
+            let token = matches!(key, Key::AliveRobot(_) | Key::AliveNode(_) | Key::AliveCoordinator(..));
+            assert_eq!(kind == KeyKind::Other, token, "{key}");
+            counted.insert(kind);
+        }
+        assert_eq!(counted.len(), KeyKind::ALL.len());
+        assert_eq!(KeyKind::of(&keys.any_bid()), KeyKind::Work);
+        assert_eq!(KeyKind::of(&keys.any_body_command()), KeyKind::BodyCommand);
+        assert_eq!(KeyKind::of("consort"), KeyKind::Other);
     }
 
     #[test]

@@ -105,6 +105,61 @@ pub enum Availability {
 /// What a node has of each other: enough to see what the other lacks.
 pub type Digest = BTreeMap<NodeId, Stamp>;
 
+/// Classes of owners at most.
+pub const CLASSES_MAX: u8 = 16;
+
+/// Some of all owners. Owners fall into classes by their names, the same on every node, so that two nodes which differ need
+/// speak only of the classes in which they do.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Scope {
+    /// How many classes there are.
+    classes: u8,
+    /// Which of them are within: a bit each.
+    within: u16,
+}
+
+impl Scope {
+    /// Everybody.
+    pub const ALL: Scope = Scope { classes: 1, within: 1 };
+
+    /// Nobody.
+    pub const NONE: Scope = Scope { classes: 1, within: 0 };
+
+    /// Those of whom two nodes know different things, by their sums; everybody if these cannot be compared.
+    pub fn of_difference(ours: &[u64], theirs: &[u64]) -> Scope {
+        let classes = u8::try_from(ours.len()).ok().filter(|classes| (1..=CLASSES_MAX).contains(classes));
+        match classes {
+            Some(classes) if ours.len() == theirs.len() => {
+                let differ = ours.iter().zip(theirs).enumerate().filter(|(_, (our, their))| our != their);
+                Scope { classes, within: differ.fold(0, |within, (class, _)| within | 1 << class) }
+            }
+            _ => Scope::ALL,
+        }
+    }
+
+    /// Whether this owner is one of them.
+    pub fn holds(&self, owner: &NodeId) -> bool {
+        self.within.checked_shr(class(owner, self.classes) as u32).unwrap_or(0) & 1 == 1
+    }
+}
+
+fn class(owner: &NodeId, classes: u8) -> usize {
+    (mix(hash(owner)) % u64::from(classes.max(1))) as usize
+}
+
+/// FNV-1a: the same on every machine.
+fn hash(owner: &NodeId) -> u64 {
+    let step = |hash: u64, byte| (hash ^ u64::from(byte)).wrapping_mul(0x0000_0100_0000_01b3);
+    owner.as_str().bytes().fold(0xcbf2_9ce4_8422_2325, step)
+}
+
+/// Spreads a number over all bits (the finaliser of SplitMix64: Steele, Lea, Flood 2014).
+fn mix(number: u64) -> u64 {
+    let number = (number ^ (number >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+    let number = (number ^ (number >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+    number ^ (number >> 31)
+}
+
 /// All that a node has heard.
 #[derive(Debug, Clone, Default)]
 pub struct KnowledgeBase {
@@ -146,14 +201,60 @@ impl KnowledgeBase {
         }
     }
 
-    /// What this node has.
-    pub fn digest(&self) -> Digest {
-        self.heard.iter().map(|(owner, heard)| (owner.clone(), heard.record.stamp)).collect()
+    /// The owner itself said, at `now`, that it is at `stamp`, and has said the same since version `since` of that
+    /// incarnation. False if this node has not heard what that is.
+    pub fn renew(&mut self, owner: &NodeId, stamp: Stamp, since: u64, now: NodeTime) -> bool {
+        let Some(heard) = self.heard.get_mut(owner) else { return false };
+        let known = &mut heard.record.stamp;
+        if *known > stamp {
+            return true; // it was overtaken by something later
+        }
+        if known.incarnation != stamp.incarnation || known.version < since {
+            return false;
+        }
+        *known = stamp;
+        heard.at = heard.at.max(now);
+        true
     }
 
-    /// The records that a node with this digest lacks or has in an older version.
-    pub fn missing_for(&self, digest: &Digest) -> Vec<&Record> {
-        let newer = |record: &&Record| digest.get(&record.owner).is_none_or(|stamp| *stamp < record.stamp);
+    /// What this node has of those within a scope.
+    pub fn digest(&self, scope: Scope) -> Digest {
+        let told = self.heard.iter().filter(|(owner, _)| scope.holds(owner));
+        told.map(|(owner, heard)| (owner.clone(), heard.record.stamp)).collect()
+    }
+
+    /// A number for each class of owners, as many as suit so many owners. Two nodes whose sums are equal have the same; that
+    /// they differ and their sums do not happens once in 2⁶⁴ times.
+    pub fn sums(&self) -> Vec<u64> {
+        let classes = (self.heard.len() / 12).next_power_of_two();
+        self.sums_of(u8::try_from(classes).unwrap_or(CLASSES_MAX).min(CLASSES_MAX))
+    }
+
+    /// The same for so many classes, to compare with another's; none if that are more than there may be.
+    pub fn sums_like(&self, theirs: &[u64]) -> Vec<u64> {
+        match u8::try_from(theirs.len()) {
+            Ok(classes) if classes <= CLASSES_MAX => self.sums_of(classes),
+            _ => vec![],
+        }
+    }
+
+    fn sums_of(&self, classes: u8) -> Vec<u64> {
+        let mut sums = vec![0u64; usize::from(classes)];
+        for (owner, heard) in &self.heard {
+            let Stamp { incarnation, version } = heard.record.stamp;
+            let entry = mix(mix(hash(owner) ^ mix(incarnation)).wrapping_add(version));
+            if let Some(sum) = sums.get_mut(class(owner, classes)) {
+                *sum = sum.wrapping_add(entry);
+            }
+        }
+        sums
+    }
+
+    /// The records that a node with this digest of those within a scope lacks or has in an older version.
+    pub fn missing_for(&self, scope: Scope, digest: &Digest) -> Vec<&Record> {
+        let newer = |record: &&Record| {
+            scope.holds(&record.owner) && digest.get(&record.owner).is_none_or(|stamp| *stamp < record.stamp)
+        };
         self.heard.values().map(|heard| &heard.record).filter(newer).collect()
     }
 
@@ -230,15 +331,75 @@ mod tests {
         #[test]
         fn after_one_exchange_two_nodes_know_the_same(a in records(), b in records()) {
             let (mut ada, mut bob) = (base(&a), base(&b));
-            let for_bob: Vec<Record> = ada.missing_for(&bob.digest()).into_iter().cloned().collect();
-            let for_ada: Vec<Record> = bob.missing_for(&ada.digest()).into_iter().cloned().collect();
+            let scope = Scope::of_difference(&ada.sums(), &bob.sums_like(&ada.sums()));
+            let for_bob: Vec<Record> = ada.missing_for(scope, &bob.digest(scope)).into_iter().cloned().collect();
+            let for_ada: Vec<Record> = bob.missing_for(scope, &ada.digest(scope)).into_iter().cloned().collect();
             let owners: BTreeSet<NodeId> = for_ada.iter().map(|record| record.owner.clone()).collect();
-            prop_assert_eq!(ada.behind(&bob.digest()), owners);
+            prop_assert_eq!(ada.behind(&bob.digest(scope)), owners);
             for record in for_bob { prop_assert!(bob.merge(record, NodeTime::ZERO)); }
             for record in for_ada { prop_assert!(ada.merge(record, NodeTime::ZERO)); }
             prop_assert_eq!(content(&ada), content(&bob));
-            prop_assert!(ada.missing_for(&bob.digest()).is_empty());
+            prop_assert!(ada.missing_for(Scope::ALL, &bob.digest(Scope::ALL)).is_empty());
+            prop_assert_eq!(Scope::of_difference(&ada.sums(), &bob.sums_like(&ada.sums())).within, 0);
         }
+    }
+
+    proptest! {
+        /// Whatever of an owner's statements is lost or overtaken, a version is never believed to say what it does not.
+        #[test]
+        fn to_hear_that_nothing_changed_is_as_good_as_to_hear_it_again(
+            changes in prop::collection::vec(any::<bool>(), 1..12),
+            heard in prop::collection::vec((0usize..12, any::<bool>()), 0..30),
+        ) {
+            let mut since = 0;
+            let mut versions = vec![];
+            for (version, changed) in changes.iter().enumerate() {
+                let version = version as u64;
+                since = if *changed { version } else { since };
+                let said = Record { stamp: Stamp { incarnation: 1, version }, ..record(1, 1, since) };
+                versions.push((said, since));
+            }
+            let mut base = KnowledgeBase::default();
+            for (which, whole) in heard {
+                let Some((said, since)) = versions.get(which) else { continue };
+                let before = base.get(&said.owner).map(|heard| heard.record.stamp);
+                if whole {
+                    base.merge(said.clone(), NodeTime::ZERO);
+                } else if !base.renew(&said.owner, said.stamp, *since, NodeTime::ZERO) {
+                    prop_assert!(before.is_none_or(|before| before.version < *since));
+                    continue;
+                }
+                let now = base.get(&said.owner).unwrap();
+                prop_assert_eq!(now.record.stamp, before.map_or(said.stamp, |before| before.max(said.stamp)));
+                prop_assert_eq!(&now.record, &versions[now.record.stamp.version as usize].0);
+            }
+        }
+    }
+
+    #[test]
+    fn an_earlier_life_says_nothing_about_a_later_one() {
+        let mut base = base(&[record(1, 2, 5)]);
+        let owner = record(1, 0, 0).owner;
+        assert!(base.renew(&owner, Stamp { incarnation: 1, version: 9 }, 0, NodeTime::ZERO));
+        assert!(!base.renew(&owner, Stamp { incarnation: 3, version: 9 }, 0, NodeTime::ZERO));
+        assert!(!base.renew(&record(2, 0, 0).owner, Stamp { incarnation: 1, version: 0 }, 0, NodeTime::ZERO));
+        assert_eq!(content(&base), [record(1, 2, 5)]);
+    }
+
+    #[test]
+    fn sums_tell_where_large_bases_differ_and_strange_ones_tell_nothing() {
+        let everybody: Vec<Record> = (0..=255).map(|owner| record(owner, 1, 1)).collect();
+        let (mut ada, bob) = (base(&everybody), base(&everybody));
+        ada.merge(record(77, 1, 2), NodeTime::ZERO);
+        let scope = Scope::of_difference(&ada.sums(), &bob.sums_like(&ada.sums()));
+        assert!(scope.holds(&record(77, 0, 0).owner));
+        // One class of sixteen, more or less.
+        assert!((1..=40).contains(&bob.digest(scope).len()), "{}", bob.digest(scope).len());
+        let strange = vec![0; 300];
+        assert_eq!(Scope::of_difference(&bob.sums_like(&strange), &strange), Scope::ALL);
+        assert_eq!(bob.digest(Scope::ALL).len(), 256);
+        assert!(bob.digest(Scope::NONE).is_empty());
+        assert!(!Scope { classes: 0, within: 0 }.holds(&record(1, 0, 0).owner));
     }
 
     #[test]

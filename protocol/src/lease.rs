@@ -244,6 +244,9 @@ enum Phase {
     Suspended,
 }
 
+/// Of so many roles the latest epoch is remembered. An award that is older than them all has left every queue long ago.
+const LATEST_KEPT: usize = 512;
+
 impl Tenure {
     /// No award yet.
     pub fn new(robot: RobotId, terms: LeaseTerms) -> Self {
@@ -256,6 +259,12 @@ impl Tenure {
         let latest = BTreeMap::from([((award.mission.clone(), award.role.clone()), award.epoch)]);
         let held = Some(Held { award, phase: Phase::Recalled, until: NodeTime::ZERO });
         Tenure { robot, terms, held, latest }
+    }
+
+    /// Forgets which awards it has heard of, but for the one it holds: those of another cluster are counted anew.
+    pub fn forget_latest(&mut self) {
+        let held = self.held.as_ref().map(|held| (held.award.mission.clone(), held.award.role.clone()));
+        self.latest.retain(|role, _| Some(role) == held.as_ref());
     }
 
     /// The award held or about to be, if any.
@@ -316,6 +325,10 @@ impl Tenure {
             return vec![];
         }
         let known = self.latest.insert((award.mission.clone(), award.role.clone()), award.epoch);
+        while self.latest.len() > LATEST_KEPT {
+            let oldest = self.latest.iter().min_by_key(|(_, epoch)| **epoch).map(|(role, _)| role.clone());
+            oldest.and_then(|role| self.latest.remove(&role));
+        }
         let mut actions = vec![];
         match &self.held {
             Some(held) if held.award.epoch == award.epoch => return vec![Action::Report],
@@ -376,7 +389,10 @@ impl Tenure {
         let Some(held) = self.held.as_mut().filter(|held| held.until <= now) else { return vec![] };
         match held.phase {
             Phase::Heard => {
-                self.held = None;
+                // Nobody has confirmed it, and nothing was begun: should it be told again, it is as good as new.
+                if let Some(held) = self.held.take() {
+                    self.latest.remove(&(held.award.mission, held.award.role));
+                }
                 vec![]
             }
             Phase::Active => {
@@ -394,12 +410,17 @@ impl Tenure {
 pub struct Watch {
     terms: LeaseTerms,
     contacts: BTreeMap<Epoch, BTreeMap<RobotId, NodeTime>>,
+    /// Awards that are about to be taken away, and since when: they are renewed no more, so that their time does run out.
+    let_go: BTreeMap<(Epoch, RobotId), NodeTime>,
 }
+
+/// How long an award is known to have been let go of after it has left the ledger: longer than a report is answered.
+const LET_GO_KEPT: Duration = Duration::from_secs(60);
 
 impl Watch {
     /// Begins with the coordinator's leadership.
     pub fn new(terms: LeaseTerms) -> Self {
-        Watch { terms, contacts: BTreeMap::new() }
+        Watch { terms, contacts: BTreeMap::new(), let_go: BTreeMap::new() }
     }
 
     /// The award stands in the ledger as this coordinator looks at it.
@@ -410,9 +431,20 @@ impl Watch {
         }
     }
 
-    /// A report of this award was answered with a renewal at `now`.
-    pub fn contact(&mut self, epoch: Epoch, robot: &RobotId, now: NodeTime) {
-        self.contacts.entry(epoch).or_default().insert(robot.clone(), now);
+    /// Asks whether a report of this award may be answered with a renewal at `now`, which then counts as contact. It may
+    /// not once the award was let go of: the holder's role may be given to another soon.
+    #[must_use]
+    pub fn renew(&mut self, epoch: Epoch, robot: &RobotId, now: NodeTime) -> bool {
+        let renewed = !self.let_go.contains_key(&(epoch, robot.clone()));
+        if renewed {
+            self.contacts.entry(epoch).or_default().insert(robot.clone(), now);
+        }
+        renewed
+    }
+
+    /// This award is to be taken away: it is renewed no more. It may be taken once it [is over](Watch::is_over).
+    pub fn let_go(&mut self, epoch: Epoch, robot: &RobotId, now: NodeTime) {
+        self.let_go.entry((epoch, robot.clone())).or_insert(now);
     }
 
     /// How long the holder has been out of contact, as far as this coordinator can know; nothing for an award that it has
@@ -429,8 +461,9 @@ impl Watch {
     }
 
     /// Forgets awards that are none of `live`.
-    pub fn retain(&mut self, live: &BTreeSet<Epoch>) {
+    pub fn retain(&mut self, live: &BTreeSet<Epoch>, now: NodeTime) {
         self.contacts.retain(|epoch, _| live.contains(epoch));
+        self.let_go.retain(|(epoch, _), since| live.contains(epoch) || now.since(*since) < LET_GO_KEPT);
     }
 }
 
@@ -634,8 +667,51 @@ mod tests {
         watch.meet(epoch, &robot, at(3000));
         assert!(!watch.is_over(epoch, &robot, at(6000)), "it may have been renewed just before the takeover");
         assert!(watch.is_over(epoch, &robot, at(6001)));
-        watch.contact(epoch, &robot, at(6000));
+        assert!(watch.renew(epoch, &robot, at(6000)));
         assert!(!watch.is_over(epoch, &robot, at(12_000)));
         assert!(watch.is_over(epoch, &robot, at(12_001)));
+    }
+
+    #[test]
+    fn an_award_that_is_let_go_of_is_renewed_no_more() {
+        let (epoch, robot) = (Epoch { term: 1, index: 5 }, RobotId::new("ada").unwrap());
+        let mut watch = Watch::new(LeaseTerms::default());
+        watch.meet(epoch, &robot, at(0));
+        assert!(watch.renew(epoch, &robot, at(1000)));
+        watch.let_go(epoch, &robot, at(1500));
+        assert!(!watch.renew(epoch, &robot, at(2000)));
+        assert!(!watch.is_over(epoch, &robot, at(7000)), "its last lease counts from before");
+        assert!(watch.is_over(epoch, &robot, at(7001)));
+        // A report that was read before the release was carried out is answered after it.
+        watch.retain(&BTreeSet::new(), at(8000));
+        assert!(!watch.renew(epoch, &robot, at(8000)));
+        watch.retain(&BTreeSet::new(), at(61_500));
+        assert!(watch.let_go.is_empty());
+    }
+
+    #[test]
+    fn an_award_that_nobody_confirmed_in_time_may_be_told_again_and_an_older_one_never() {
+        let mut ada = tenure();
+        ada.handle(Event::Heard(Box::new(award(5))), at(0));
+        ada.handle(Event::Tick, at(4000));
+        assert_eq!(ada.award(), None);
+        assert_eq!(ada.handle(Event::Heard(Box::new(award(5))), at(5000)), [Action::Report]);
+        assert_eq!(ada.handle(renewed(5, 5000), at(5010)).len(), 1);
+        assert!(matches!(ada.consider(&award(4)), Err(Declined::Stale { .. })));
+    }
+
+    #[test]
+    fn of_a_long_life_the_latest_awards_are_remembered() {
+        let mut ada = tenure();
+        for index in 0..2 * LATEST_KEPT as u64 {
+            let award = Award { mission: MissionId::new(format!("m{index}")).unwrap(), ..award(index) };
+            let epoch = award.epoch;
+            ada.handle(Event::Heard(Box::new(award)), at(index));
+            ada.handle(Event::Settled { epoch }, at(index));
+        }
+        assert_eq!(ada.latest.len(), LATEST_KEPT);
+        assert!(ada.latest.values().all(|epoch| epoch.index >= LATEST_KEPT as u64));
+        ada.forget_latest();
+        assert!(ada.latest.is_empty());
     }
 }

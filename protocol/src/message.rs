@@ -2,7 +2,7 @@
 //!
 //! | key | how | who → whom | says | answer |
 //! |---|---|---|---|---|
-//! | `wire/knowledge/{node}` | publish | node → all | [`Record`] | – |
+//! | `wire/knowledge/{node}` | publish | node → all | [`Statement`] | – |
 //! | `wire/gossip/{node}` | query | node → node | [`Exchange`] | [`Exchange`] |
 //! | `wire/beacon` | publish | coordinator → all | [`Beacon`] | – |
 //! | `wire/bid/*` | query | coordinator → robots | [`CallForBids`](crate::auction::CallForBids) | [`Tender`](crate::auction::Tender) |
@@ -16,7 +16,7 @@
 //! From `wire/beacon` on, what is published or asked is [`Within`] a cluster.
 
 use crate::ids::{ClusterId, MissionId, NodeId, PlaceId, RobotId, RoleId, TaskId};
-use crate::knowledge::{Digest, Record};
+use crate::knowledge::{Digest, Record, Scope, Stamp};
 use crate::lease::{Award, Declined, Ending, Epoch, Holding};
 use crate::ledger::Branch;
 use crate::plan::{Signal, StepIndex};
@@ -27,10 +27,29 @@ mod live;
 
 pub use live::{Live, LivePlan};
 
-/// One side of an anti-entropy round.
+/// What a node publishes of itself.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub enum Statement {
+    /// All of it.
+    Record(Record),
+    /// That it still says what it said: whoever has heard that need not hear it again.
+    Still {
+        /// Its latest version.
+        stamp: Stamp,
+        /// The version, of the same incarnation, with which it began to say this.
+        since: u64,
+    },
+}
+
+/// One side of an anti-entropy round. It begins with sums of what the one has, where both may well have the same; the other
+/// answers with its digest of where they differ. Else it begins with the digest.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Exchange {
-    /// What the sender has.
+    /// Sums of all that the sender has ([`KnowledgeBase::sums`](crate::knowledge::KnowledgeBase::sums)), to be compared; or none.
+    pub sums: Vec<u64>,
+    /// Of whom the digest tells.
+    pub scope: Scope,
+    /// What the sender has of them.
     pub digest: Digest,
     /// What the sender thinks the other lacks, as much as fits a message.
     pub records: Vec<Record>,
@@ -48,6 +67,21 @@ pub struct Beacon {
     pub voters: BTreeSet<NodeId>,
     /// How long it has coordinated, in milliseconds.
     pub since_ms: u64,
+    /// Its cluster; `None` while that is being founded.
+    pub cluster: Option<ClusterId>,
+}
+
+impl Beacon {
+    /// Whether whoever knows `known` should follow this one: it is no older, or of another cluster, to which the hearer has
+    /// gone over and where terms are counted anew.
+    pub fn follows(&self, known: Option<&Beacon>) -> bool {
+        known.is_none_or(|known| self.term >= known.term || self.is_abroad(known))
+    }
+
+    /// Whether this is certainly the coordinator of another cluster.
+    pub fn is_abroad(&self, known: &Beacon) -> bool {
+        self.cluster.is_some() && known.cluster.is_some() && self.cluster != known.cluster
+    }
 }
 
 /// What goes around every message that concerns missions, on the bus: two clusters of one fleet name may have missions
@@ -138,6 +172,8 @@ pub enum FailureKind {
     Leaving,
     /// The plan cannot be taken up.
     Plan,
+    /// Its notebook cannot be written: after a crash it would not know what it held.
+    Notebook,
 }
 
 /// What the coordinator says to a report. What was reported is in the ledger before anything but `NotCoordinator` is said.
@@ -188,4 +224,30 @@ pub struct Said {
     pub epoch: Epoch,
     /// What was said.
     pub signals: BTreeSet<Signal>,
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_coordinator_is_followed_forward_in_its_cluster_and_anyhow_into_another() {
+        let beacon = |term, cluster: u64| Beacon {
+            node: NodeId::new("ada").unwrap(),
+            term,
+            voters: BTreeSet::new(),
+            since_ms: 0,
+            cluster: (cluster > 0).then_some(ClusterId(cluster)),
+        };
+        for (known, heard, follows) in [
+            (None, beacon(1, 1), true),
+            (Some(beacon(5, 1)), beacon(5, 1), true),
+            (Some(beacon(5, 1)), beacon(4, 1), false),
+            (Some(beacon(5, 1)), beacon(1, 2), true),
+            (Some(beacon(5, 1)), beacon(4, 0), false),
+            (Some(beacon(5, 0)), beacon(4, 1), false),
+        ] {
+            assert_eq!(heard.follows(known.as_ref()), follows, "{known:?} {heard:?}");
+        }
+    }
 }

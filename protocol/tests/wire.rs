@@ -6,14 +6,14 @@ use consort_protocol::auction::{
 };
 use consort_protocol::codec::{LIMIT, decode, encode};
 use consort_protocol::ids::{ClusterId, MissionId, NodeId, PlaceId, RequestId, RobotId, RoleId, TaskId, TaskType};
-use consort_protocol::knowledge::{Availability, Digest, Knowledge, Record, Stamp, Worker};
+use consort_protocol::knowledge::{Availability, Digest, Knowledge, Record, Scope, Stamp, Worker};
 use consort_protocol::lease::{Award, Declined, Ending, Epoch, Holding};
 use consort_protocol::ledger::{
     Branch, Command, Ledger, MissionState, Outcome, Priority, Recovery, Refused, Stranded, Submission,
 };
 use consort_protocol::message::{
     AwardAnswer, AwardNotice, Beacon, Changed, Exchange, FailureKind, Live, LivePlan, Report, ReportAnswer, Said,
-    TaskFailure, Within,
+    Statement, TaskFailure, Within,
 };
 use consort_protocol::mission::{
     Body, Method, Mission, OnLoss, Order, OtherMethod, Role, RoleKind, TaskNode, TaskSpec,
@@ -397,7 +397,11 @@ proptest! {
     fn knowledge_survives(record in record(), digest in btree_map(name::<NodeId>(), stamp(), 0..5)) {
         let digest: Digest = digest;
         survives(&record)?;
-        survives(&Exchange { digest, records: vec![record] })?;
+        let sums = vec![record.stamp.incarnation; 3];
+        let scope = Scope::of_difference(&sums, &[record.stamp.version; 3]);
+        survives(&Statement::Still { stamp: record.stamp, since: record.stamp.version })?;
+        survives(&Statement::Record(record.clone()))?;
+        survives(&Exchange { sums, scope, digest, records: vec![record] })?;
     }
 
     #[test]
@@ -439,7 +443,7 @@ proptest! {
     ) {
         survives(&Within { cluster: Some(ClusterId(term)), said: vec![1, 2, 3] })?;
         survives(&Said { mission: mission.clone(), epoch, signals: signals.clone() })?;
-        survives(&Beacon { node: node.clone(), term, voters, since_ms: term })?;
+        survives(&Beacon { node: node.clone(), term, voters, since_ms: term, cluster: (term % 2 == 0).then_some(ClusterId(term)) })?;
         survives(&Changed { node, term })?;
         let live = LivePlan { mission, branch, plan, ended, holders, told: signals };
         survives(&Live { cluster: Some(ClusterId(term)), count: 1, plans: vec![live] })?;
@@ -454,6 +458,7 @@ proptest! {
         // What cannot be read is an error; what can be read is the same again.
         harmless::<Record>(&bytes);
         harmless::<Exchange>(&bytes);
+        harmless::<Statement>(&bytes);
         harmless::<CallForBids>(&bytes);
         harmless::<Tender>(&bytes);
         harmless::<AwardNotice>(&bytes);

@@ -66,6 +66,22 @@ pub enum Goal {
     },
 }
 
+impl Goal {
+    /// Whether it leaves the world as it is when it is done once more: a drawer that is open is opened, a place that was
+    /// reached is driven to. What moves a thing from hand to hand is done once, and fails the second time.
+    pub fn is_repeatable(&self) -> bool {
+        match self {
+            Goal::NavigateToPose { .. }
+            | Goal::ApproachPerson { .. }
+            | Goal::AuthenticatePerson { .. }
+            | Goal::OperateDrawer { .. }
+            | Goal::ApproachRobot { .. }
+            | Goal::Wait { .. } => true,
+            Goal::PickUp { .. } | Goal::Deposit { .. } => false,
+        }
+    }
+}
+
 /// How far a goal has come.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub enum GoalStatus {
@@ -172,6 +188,14 @@ pub trait RobotActions {
 
     /// The latest report of the body; `None` before the first.
     fn telemetry(&self) -> Option<&Telemetry>;
+
+    /// Whether an earlier attempt at the same task has brought this goal to its end: one that was broken off before it was
+    /// over, or whose robot crashed and never learned what its body went on to do. True once for each time that the goal was
+    /// done. Asked of goals that are not [repeatable](Goal::is_repeatable). A body that remembers nothing says no.
+    fn has_done(&mut self, goal: &Goal) -> bool {
+        let _ = goal;
+        false
+    }
 }
 
 /// What a person who plays an unmanaged role is asked to do, by the messages of the mission's plan.
@@ -245,6 +269,9 @@ pub trait BodyHost: Send + Sync {
     /// The goals of a robot that are under way or lately ended, in the order of their ids: for a host that is started anew
     /// while bodies are at work.
     fn goals(&self, robot: &RobotId) -> Vec<GoalId>;
+
+    /// What a goal of a robot, under way or lately ended, asks for; `None` if unknown.
+    fn goal(&self, robot: &RobotId, id: GoalId) -> Option<Goal>;
 
     /// What came of an ask; `None` for one that has not ended, was withdrawn, or ended long ago.
     fn answer(&self, id: GoalId) -> Option<Result<(), ActionError>>;

@@ -7,11 +7,13 @@
 //! A hospital with three stations and so many robots, the world among them, in which nothing is asked for. After they have
 //! met, one minute of virtual time is measured. Bytes are those of keys and payloads, once for each receiver; over Zenoh a
 //! publication crosses each link once, so that a node sends about what it receives, times its links. Prints a line of
-//! JSON for each size, and draws `tests/figures/growth.svg`.
+//! JSON for each size, with what the mean node received by kind of message (most of what a small message costs on a wire
+//! is its envelope, so that messages count as well as bytes), and draws `tests/figures/growth.svg`.
 
 use consort_tests::{Fleet, Member};
 use plotters::prelude::*;
 use serde_json::{Value, json};
+use std::collections::BTreeMap;
 use std::io::Write as _;
 use std::path::Path;
 use std::time::Duration;
@@ -31,6 +33,10 @@ const PLACES: [&str; 4] = ["Dock", "PC Room 4", "IC Room 5", "IC Room 6"];
 /// Bytes each second: what the mean node sends and receives, and what the coordinator does.
 struct Figures {
     robots: usize,
+    /// Messages that the mean node received each second.
+    messages: f64,
+    /// Bytes and messages that the mean node received each second, by what they were about.
+    by_kind: BTreeMap<&'static str, (f64, f64)>,
     sent: f64,
     received: f64,
     coordinator_sent: f64,
@@ -48,18 +54,30 @@ async fn measure(robots: usize) -> Figures {
     let before = traffic(&fleet);
     sleep(SPAN).await;
     let after = traffic(&fleet);
+    let rate = |from: u64, to: u64| (to - from) as f64 / SPAN.as_secs_f64();
     let rates: Vec<(f64, f64)> = before
         .iter()
         .zip(&after)
         .map(|(before, after)| {
-            let rate = |from: u64, to: u64| (to - from) as f64 / SPAN.as_secs_f64();
+            let (before, after) = (before.total(), after.total());
             (rate(before.sent, after.sent), rate(before.received, after.received))
         })
         .collect();
+    let mut by_kind: BTreeMap<&'static str, (f64, f64)> = BTreeMap::new();
+    for (traffic, sign) in after.iter().map(|after| (after, 1.0)).chain(before.iter().map(|before| (before, -1.0))) {
+        for (kind, part) in traffic.iter() {
+            let (bytes, messages) = by_kind.entry(kind.word()).or_default();
+            *bytes += sign * rate(0, part.received) / nodes.len() as f64;
+            *messages += sign * rate(0, part.messages_received) / nodes.len() as f64;
+        }
+    }
+    by_kind.retain(|_, (_, messages)| *messages > 0.0);
     let mean = |pick: fn(&(f64, f64)) -> f64| rates.iter().map(pick).sum::<f64>() / rates.len() as f64;
     let at = nodes.iter().position(|node| *node == coordinator).expect("the coordinator is a node");
     Figures {
         robots,
+        messages: by_kind.values().map(|(_, messages)| messages).sum(),
+        by_kind,
         sent: mean(|rate| rate.0),
         received: mean(|rate| rate.1),
         coordinator_sent: rates[at].0,
@@ -68,7 +86,10 @@ async fn measure(robots: usize) -> Figures {
 }
 
 fn line(figures: &Figures) -> Value {
-    let round = |bytes: f64| bytes.round();
+    let (round, tenth) = (|bytes: f64| bytes.round(), |number: f64| (number * 10.0).round() / 10.0);
+    let by_kind = figures.by_kind.iter().map(|(kind, (bytes, messages))| {
+        ((*kind).to_owned(), json!({ "bytes_per_s": round(*bytes), "messages_per_s": tenth(*messages) }))
+    });
     json!({
         "bench": "growth",
         "robots": figures.robots,
@@ -78,6 +99,8 @@ fn line(figures: &Figures) -> Value {
             "coordinator_sent": round(figures.coordinator_sent),
             "coordinator_received": round(figures.coordinator_received),
         },
+        "messages_per_s": tenth(figures.messages),
+        "received_by_kind": by_kind.collect::<serde_json::Map<_, _>>(),
     })
 }
 

@@ -70,3 +70,41 @@ fn the_role_of_a_robot_that_dies_before_it_has_told_anybody_is_carried_out_by_an
     assert!(!fleet.names().contains(&lost.as_str()));
     fleet.stop();
 }
+
+#[test]
+fn a_robot_that_dies_with_the_sample_leaves_a_mission_that_a_person_closes_with_a_command() {
+    let mut fleet = hospital();
+    let mut client = Client::open(&fleet.address("world"), "relay");
+    until("both carriers and the arm are members", LONG, || {
+        let members = client.view("fleet")["ensembles"][0]["nodes"].clone();
+        let members = members.as_array()?.iter().filter(|entry| entry["member"] == true).count();
+        (members == 3).then_some(())
+    });
+    let submit = ["submit", "lab-samples", "--request", "order-1", "--priority", "5", "--deadline", "3600"];
+    let said = fleet.run(&submit, "world").expect(0).stdout;
+    assert_eq!(said, "lab-samples-1\n");
+    // While it is under way it needs no rescue.
+    let refused = fleet.run(&["rescue", "lab-samples-1"], "world").expect(1).stderr;
+    assert!(refused.contains("only one that needs rescue can be closed"), "{refused}");
+
+    let is = |event: &Value, name: &str| event["event"] == name && event["mission"] == "lab-samples-1";
+    let is_on_its_way = |event: &Value| is(event, "task_began") && event["task"] == "navto_lab";
+    let lost = client.hears("r1 drives to the laboratory", LONG, is_on_its_way)["node"].clone();
+    let lost = lost.as_str().expect("a name");
+    fleet.kill(lost);
+    until("the mission needs rescue", LONG, || {
+        (client.view("mission/lab-samples-1")["state"] == "needs_rescue").then_some(())
+    });
+    let missions = fleet.run(&["missions"], "station-1").expect(0).stdout;
+    let what = format!("{lost} was lost as r1 and has the sample: {lost} silent for ");
+    let line = missions.lines().find(|line| line.starts_with("lab-samples-1  needs rescue")).expect("it is listed");
+    assert!(line.contains(&what), "{missions}");
+    assert!(line.contains(&format!("sample with {lost} (r1) at ")), "{missions}");
+
+    let said = fleet.run(&["rescue", "lab-samples-1", "--by", "ward 3, Nia"], "lab-arm").expect(0).stdout;
+    assert!(said.starts_with(&format!("lab-samples-1 closed: {lost} was lost as r1 and has the sample: ")), "{said}");
+    assert!(said.ends_with("; rescued by ward 3, Nia\n"), "{said}");
+    let again = fleet.run(&["rescue", "lab-samples-1"], "world").expect(1).stderr;
+    assert!(again.contains("lab-samples-1 is failed; only one that needs rescue can be closed"), "{again}");
+    fleet.stop();
+}

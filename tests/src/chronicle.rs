@@ -205,7 +205,7 @@ impl Chronicle {
                     }
                     _ => {}
                 },
-                Entry::Done { what: "killed", .. } => {
+                Entry::Done { what: "killed" | "stopped", .. } => {
                     for spell in spells.iter_mut().filter(|s| s.to.is_none() && s.robot.as_str() == node.as_str()) {
                         spell.to = Some(*at);
                     }

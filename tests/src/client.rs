@@ -72,6 +72,14 @@ impl Fleet {
         views
     }
 
+    /// Asks a node to leave for good. What it answers once it has.
+    pub(crate) async fn asked_to_leave(&self, name: &str) -> Value {
+        let (key, limit) = (self.keys.write(&Key::Leave(slug(name))), Duration::from_secs(60));
+        let mut replies = self.client.query(&key, vec![].into(), limit).await.expect("a virtual bus");
+        let said = replies.recv().await.unwrap_or_else(|| panic!("seed {}: {name} does not answer", self.seed));
+        serde_json::from_slice(&said.payload.expect("an answer")).expect("JSON")
+    }
+
     /// Asks for lab samples from a room until somebody acknowledges it.
     pub async fn submit(&self, request: &str, room: &str) -> MissionId {
         slug(self.submit_and_read(request, room).await["mission"].as_str().expect("an acknowledgement names it"))

@@ -21,6 +21,7 @@ use consort_sim::world::{JournalEntry, Person, SharedWorld, World, WorldSetup};
 use consort_skills::descriptor::DescriptorRegistry;
 use consort_skills::environment::{Edge, Environment, Routes, TopologicalMap};
 use consort_skills::library::SkillLibrary;
+use serde_json::Value;
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 use std::time::Duration;
@@ -257,12 +258,33 @@ impl Fleet {
 
     /// Ends a node as SIGKILL would.
     pub async fn kill(&mut self, name: &str) {
-        self.chronicle.add(Entry::Done { node: slug(name), what: "killed" });
+        self.gone(name, "killed");
+        self.nodes.remove(name).expect("a node that runs").kill().await;
+    }
+
+    /// Ends a node as SIGTERM would: for a while.
+    pub async fn stop(&mut self, name: &str) {
+        let node = self.nodes.remove(name).expect("a node that runs");
+        node.stop().await;
+        self.gone(name, "stopped");
+    }
+
+    /// Has a node leave for good, as `consort leave` does, and ends it once it has. What it said of it.
+    pub async fn leave(&mut self, name: &str) -> Value {
+        let said = self.asked_to_leave(name).await;
+        let mut node = self.nodes.remove(name).expect("a node that runs");
+        node.ended_or_left().await.unwrap_or_else(|problem| panic!("seed {}: {problem}; {said}", self.seed));
+        node.end().await;
+        self.gone(name, "left");
+        said
+    }
+
+    fn gone(&mut self, name: &str, what: &'static str) {
+        self.chronicle.add(Entry::Done { node: slug(name), what });
         if let Some(follower) = self.followers.remove(name) {
             follower.abort();
         }
         self.network.crash(&slug(name));
-        self.nodes.remove(name).expect("a node that runs").kill().await;
     }
 
     /// Kills whoever coordinates, and says who it was.

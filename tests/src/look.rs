@@ -6,7 +6,7 @@ use consort_protocol::event::Happening;
 use consort_protocol::ids::{MissionId, NodeId, RobotId};
 use consort_protocol::knowledge::Worker;
 use consort_protocol::ledger::{Ledger, MissionState};
-use consort_sim::world::{JournalEntry, Keeper};
+use consort_sim::world::{Happening as InWorld, JournalEntry, Keeper};
 use consort_skills::actions::BodyHost;
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
@@ -133,6 +133,22 @@ impl Fleet {
     pub fn position(&self, robot: &str) -> (f64, f64) {
         let telemetry = self.world.telemetry(&slug(robot)).expect("a body of this world");
         (telemetry.pose.x, telemetry.pose.y)
+    }
+
+    /// How many goals a robot's body has begun and ended, as the world's own journal says.
+    pub fn goals_of(&self, robot: &str) -> (usize, usize) {
+        self.journal().iter().fold((0, 0), |(began, ended), entry| match &entry.what {
+            InWorld::GoalBegan { robot: body, .. } if body.as_str() == robot => (began + 1, ended),
+            InWorld::GoalEnded { robot: body, .. } if body.as_str() == robot => (began, ended + 1),
+            _ => (began, ended),
+        })
+    }
+
+    /// Waits until a robot's body has ended all that it has begun: a goal that was canceled ends within a crossing of the
+    /// network.
+    pub async fn comes_to_rest(&mut self, robot: &str) {
+        let at_rest = |fleet: &Fleet| fleet.goals_of(robot).0 == fleet.goals_of(robot).1;
+        self.until(&format!("the body of {robot} to be at rest"), Duration::from_secs(1), at_rest).await;
     }
 
     /// Who has the sample of a room.

@@ -29,7 +29,7 @@ fn halted(mission: &MissionId) -> impl Fn(&Happening) -> bool {
 
 /// Nothing moves any more.
 async fn stands_still(fleet: &mut Fleet) {
-    tokio::time::sleep(Duration::from_millis(50)).await;
+    fleet.comes_to_rest("gorse").await;
     let place = fleet.position("gorse");
     fleet.never("a drive", Duration::from_secs(3), |fleet| fleet.position("gorse") != place).await;
 }

@@ -88,7 +88,7 @@ fn past_its_deadline_a_mission_fails_with_what_it_had_waited_for_or_how_far_it_h
         assert!(fleet.elapsed() - at > Duration::from_secs(7), "seed {seed}: too early\n{}", fleet.tale());
         let halted = |what: &Happening| matches!(what, Happening::Halted { .. });
         fleet.until("both robots to stop", SOON, |fleet| fleet.chronicle.count(halted) == 2).await;
-        tokio::time::sleep(Duration::from_millis(50)).await;
+        fleet.comes_to_rest("amber").await;
         let place = fleet.position("amber");
         fleet.never("a drive", Duration::from_secs(5), |fleet| fleet.position("amber") != place).await;
     });

@@ -4,6 +4,7 @@ use consort_protocol::event::Happening;
 use consort_tests::{Stations, tell};
 use std::collections::BTreeSet;
 use std::time::Duration;
+use tokio::time::Instant;
 
 const SEVEN: [&str; 7] = ["aster", "basil", "clove", "daisy", "elder", "fennel", "gorse"];
 const SEEDS: std::ops::Range<u64> = 1..4;
@@ -145,6 +146,33 @@ fn a_station_takes_the_place_of_a_node_that_moves_once_it_has_settled() {
         fleet.pass(Duration::from_secs(60)).await;
         assert_eq!(fleet.voters(), set(&["aster", "basil", "daisy"]), "seed {seed}: it did not rest");
         assert_eq!(fleet.changes().len(), 2, "seed {seed}: {:?}", fleet.changes());
+    });
+}
+
+#[test]
+fn a_leader_that_moves_hands_over_to_a_station_that_has_settled_and_takes_the_lead_from_nobody() {
+    tell(SEEDS, async |seed| {
+        let mut fleet = Stations::none(seed, 1);
+        fleet.aim_at(3);
+        fleet.start_mobile("cart").await;
+        assert_eq!(fleet.coordinator().await, "cart", "seed {seed}");
+        fleet.start("aster").await;
+        fleet.start("basil").await;
+        fleet.until("three voters", |fleet| fleet.voters().len() == 3).await;
+        fleet.submit("aster", "before").await;
+        fleet.pass(Duration::from_secs(20)).await;
+        assert_eq!(fleet.leaders(), ["cart"], "seed {seed}: it was hasty");
+        let began = Instant::now();
+        fleet.until("a station to lead", |fleet| fleet.leaders().iter().any(|name| name != "cart")).await;
+        assert!(began.elapsed() < Duration::from_secs(30), "seed {seed}: {:?}", began.elapsed());
+        let elected = || fleet.happenings().iter().filter(|what| matches!(what, Happening::Elected { .. })).count();
+        let (leader, so_far) = (fleet.coordinator().await, elected());
+        fleet.submit("aster", "after").await;
+        for _ in 0..10 {
+            fleet.pass(Duration::from_secs(60)).await;
+        }
+        assert_eq!((fleet.leaders(), elected()), (vec![leader], so_far), "seed {seed}: it did not rest");
+        assert_eq!(fleet.voters(), set(&["aster", "basil", "cart"]), "seed {seed}");
     });
 }
 

@@ -86,15 +86,6 @@ fn leave_its_body_alone(fleet: &Fleet, robot: &str) {
     }
 }
 
-/// How many goals the body of a robot has begun and ended, as the world's own journal says.
-fn goals_of(fleet: &Fleet, body: &str) -> (usize, usize) {
-    fleet.journal().iter().fold((0, 0), |(began, ended), entry| match &entry.what {
-        InWorld::GoalBegan { robot, .. } if robot.as_str() == body => (began + 1, ended),
-        InWorld::GoalEnded { robot, .. } if robot.as_str() == body => (began, ended + 1),
-        _ => (began, ended),
-    })
-}
-
 /// The holder suspends in time, the role goes to the other only afterwards, and only one ends the mission.
 async fn replaced_in_time(fleet: &mut Fleet, mission: &MissionId, latest: Duration) {
     let seed = fleet.seed;
@@ -103,8 +94,7 @@ async fn replaced_in_time(fleet: &mut Fleet, mission: &MissionId, latest: Durati
     fleet.until("the suspension", SOON, |fleet| fleet.happened(suspended)).await;
     let stopped = fleet.elapsed() - cut;
     assert!(stopped <= latest + BEAT, "seed {seed}: suspended only after {stopped:?}\n{}", fleet.tale());
-    // A canceled goal has ended within a crossing of the network, if it did not end before.
-    tokio::time::sleep(Duration::from_millis(20)).await;
+    fleet.comes_to_rest(&old).await;
     let place = fleet.position(&old);
     fleet.until("the release", SOON, |fleet| fleet.happened(released)).await;
     assert!(fleet.chronicle.times(suspended) < fleet.chronicle.times(released), "seed {seed}\n{}", fleet.tale());
@@ -189,7 +179,7 @@ fn an_isolated_robots_body_is_at_rest_within_the_bound_on_drift_and_never_moves_
             let (old, new) = holder(&fleet, &mission);
             leave_its_body_alone(&fleet, &old);
             let cut = fleet.elapsed();
-            let at_rest = |fleet: &Fleet| goals_of(fleet, &old).0 == goals_of(fleet, &old).1;
+            let at_rest = |fleet: &Fleet| fleet.goals_of(&old).0 == fleet.goals_of(&old).1;
             // Between two legs of its way it is at rest, too.
             fleet.until("the suspension", SOON, |fleet| fleet.happened(suspended)).await;
             fleet.until("its body to be at rest", SOON, at_rest).await;
@@ -197,14 +187,14 @@ fn an_isolated_robots_body_is_at_rest_within_the_bound_on_drift_and_never_moves_
             let latest = terms.lease.mul_f64(1.0 + drift) + REACTION;
             assert!(rested <= latest, "seed {seed}: at rest only after {rested:?}\n{}", fleet.tale());
             assert!(!fleet.happened(released), "seed {seed}: given away before\n{}", fleet.tale());
-            let goals = goals_of(&fleet, &old);
+            let goals = fleet.goals_of(&old);
             fleet
                 .until("the other to be done with the room", SOON, |fleet| {
                     let done = &fleet.chronicle.doers(&mission)["navto_room"].1;
                     *done == [new.clone()]
                 })
                 .await;
-            assert_eq!(goals_of(&fleet, &old), goals, "seed {seed}: it never moved again\n{}", fleet.tale());
+            assert_eq!(fleet.goals_of(&old), goals, "seed {seed}: it never moved again\n{}", fleet.tale());
             assert_eq!(two_drove(&fleet), None, "seed {seed}\n{}", fleet.tale());
             fleet.heal();
             fleet.completes(&mission).await;

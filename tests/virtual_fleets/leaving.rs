@@ -1,6 +1,8 @@
 //! Nodes that leave: for a while or for good, as coordinator, as voter, or as neither.
 
+use consort_actors::bus::Bus;
 use consort_tests::{Stations, tell};
+use std::cell::Cell;
 use std::collections::BTreeSet;
 use std::time::Duration;
 use tokio::time::Instant;
@@ -64,6 +66,47 @@ fn whoever_leaves_for_good_loses_its_vote_to_another_before_it_goes() {
         }
         fleet.submit(&fleet.coordinator().await, "after").await;
     });
+}
+
+#[test]
+fn a_leaver_that_is_elected_once_more_hands_over_again() {
+    let led_again = Cell::new(0);
+    for seed in 101..121 {
+        tell([seed], async |seed| {
+            let mut fleet = Stations::founded(seed, &FIVE).await;
+            let leaver = fleet.coordinator().await;
+            // It hands over to the one of the lowest number.
+            let others = fleet.believed(&leaver).voters.into_values().map(|name| name.to_string());
+            let successor = others.into_iter().find(|name| *name != leaver).expect("several");
+            let asker = FIVE.into_iter().find(|name| *name != leaver && *name != successor).expect("five");
+            let bus = fleet.network.bus(asker.parse().expect("a name"));
+            let key = format!("consort/ward/api/leave/{leaver}");
+            let asked = tokio::spawn(async move {
+                let mut replies = bus.query(&key, vec![].into(), Duration::from_secs(20)).await.expect("a virtual bus");
+                let said = replies.recv().await.expect("an answer").payload.expect("no refusal");
+                serde_json::from_slice::<serde_json::Value>(&said).expect("JSON")
+            });
+            // Who is to take over dies before it can, and the others elect anew: perhaps the leaver.
+            fleet.until("it to hand over", |fleet| !fleet.believed(&leaver).is_me).await;
+            fleet.kill(&successor).await;
+            fleet.until("it to have left", |_| asked.is_finished()).await;
+            let farewell = asked.await.expect("no panic");
+            assert_eq!(farewell["released"], true, "seed {seed}: {farewell}");
+            let again = farewell["successor"].as_str().is_some_and(|last| last != successor);
+            led_again.set(led_again.get() + usize::from(again));
+            let node = fleet.nodes.remove(&leaver).expect("it runs");
+            node.end().await;
+            fleet.network.crash(&leaver.parse().expect("a name"));
+            fleet
+                .until("voters without it", |fleet| {
+                    let voters = fleet.voters();
+                    !voters.is_empty() && !voters.contains(&leaver)
+                })
+                .await;
+            fleet.submit(asker, "after").await;
+        });
+    }
+    assert!(led_again.get() >= 3, "of 20 it was elected once more {} times", led_again.get());
 }
 
 #[test]

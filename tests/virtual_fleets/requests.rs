@@ -126,8 +126,7 @@ fn a_mission_canceled_under_way_stops_its_robots_and_frees_them() {
         fleet.answer(ApiCall::Cancel, &json!({ "mission": mission })).await;
         let halted = |what: &Happening| matches!(what, Happening::Halted { reason: Ending::Canceled, .. });
         fleet.until("both to halt", Duration::from_secs(2), |fleet| fleet.chronicle.count(halted) == 2).await;
-        // The order to stop is one crossing of the network away.
-        tokio::time::sleep(Duration::from_millis(20)).await;
+        fleet.comes_to_rest(&robot).await;
         let place = fleet.position(&robot);
         for who in [robot.as_str(), "lab-arm"] {
             let mut free = false;

@@ -2,6 +2,7 @@
 
 use consort_protocol::event::Happening;
 use consort_protocol::ids::MissionId;
+use consort_sim::world::{Happening as InWorld, JournalEntry, Keeper};
 use consort_tests::{Fleet, Member, slug, tell};
 use std::cell::Cell;
 use std::collections::BTreeMap;
@@ -106,7 +107,7 @@ fn a_robot_that_is_back_too_late_learns_that_the_role_is_gone_and_is_free_for_th
 
 #[test]
 fn a_page_that_cannot_be_read_is_torn_out_and_the_robot_treated_as_one_that_forgot() {
-    let pages: [&[u8]; 3] = [&[], &[99, 1, 2, 3], &[1, 1, 255, 255, 255]];
+    let pages: [&[u8]; 3] = [&[], &[99, 1, 2, 3], &[2, 1, 255, 255, 255]];
     for (page, seed) in pages.into_iter().zip(321..) {
         tell([seed], async |seed| {
             let (mut fleet, mission) = under_way(seed, &[], "navto_room").await;
@@ -189,6 +190,46 @@ fn a_carrier_may_crash_at_any_step() {
         kills += 1;
     }
     assert!(kills > 10, "the mission was over after {kills} kills");
+}
+
+#[test]
+fn an_arm_may_crash_at_any_step() {
+    let went_on = Cell::new(true);
+    let mut kills = 0;
+    for nth in (0..).step_by(2) {
+        tell([350 + nth as u64 % 7], async |seed| {
+            let away = Duration::from_millis(40 + (nth as u64 * 379) % 3000);
+            went_on.set(interrupted(seed, nth, "lab-arm", away).await);
+        });
+        if !went_on.get() {
+            break;
+        }
+        kills += 1;
+    }
+    assert!(kills > 15, "the mission was over after {kills} kills");
+}
+
+#[test]
+fn what_the_body_did_while_its_robot_was_dead_is_not_done_again() {
+    // From the moment at which the arm reaches into the drawer until the lease is all but over.
+    for (seed, away_ms) in [(371, 0), (372, 150), (373, 700), (374, 3200)] {
+        tell([seed], async |seed| {
+            let (mut fleet, mission) = under_way(seed, &["fern"], "pick_up_sample").await;
+            let reaches = |entry: &JournalEntry| matches!(&entry.what, InWorld::GoalBegan { robot, .. } if *robot == slug("lab-arm"));
+            fleet.until("the arm to reach into the drawer", SOON, |fleet| fleet.journal().iter().any(reaches)).await;
+            fleet.kill("lab-arm").await;
+            if away_ms > 0 {
+                let taken = |fleet: &Fleet| fleet.keeper(ROOM) == Keeper::Arm(slug("lab-arm"));
+                fleet.until("the arm to have the sample", SOON, taken).await;
+                tokio::time::sleep(Duration::from_millis(away_ms)).await;
+            }
+            fleet.restart("lab-arm").await;
+            fleet.completes(&mission).await;
+            done_once(&fleet, &mission, &["pick_up_sample"]);
+            let failed = |what: &Happening| matches!(what, Happening::TaskRetried { .. });
+            assert!(!fleet.happened(failed), "seed {seed}\n{}", fleet.tale());
+        });
+    }
 }
 
 /// Kills the node that hosts bodies and people after the `nth` happening since the request and brings it back; false when the

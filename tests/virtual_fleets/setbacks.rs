@@ -14,6 +14,8 @@ const SOON: Duration = Duration::from_secs(60);
 /// What goes wrong at one attempt.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) enum Mishap {
+    /// None at all.
+    Passes,
     Fails,
     Crashes,
     Stalls,
@@ -35,7 +37,7 @@ impl Leaf for Stumble {
             return Ok(Status::Running);
         }
         match MISHAPS.with(|mishaps| mishaps.borrow_mut().pop()) {
-            None => Ok(Status::Success),
+            None | Some(Mishap::Passes) => Ok(Status::Success),
             Some(Mishap::Fails) => Err(Cause::new("nobody stands there")),
             Some(Mishap::Crashes) => panic!("tripped over a cable"),
             Some(Mishap::Stalls) => {
@@ -57,19 +59,33 @@ pub(super) fn mishaps(list: &[Mishap]) {
 
 /// Drives go wrong at their end.
 pub(super) fn stumbles(library: &mut SkillLibrary) {
+    let leaves = r#"<PlanRoute to="{to}" legs="{legs}"/>
+        <LoopString queue="{legs}" value="{leg}" if_empty="SUCCESS"><NavigateToPose place="{leg}"/></LoopString>"#;
+    stumbles_after(library, &[("navigation", leaves)]);
+}
+
+/// Approaching a person or a robot goes wrong at its end.
+pub(super) fn stumbles_in_company(library: &mut SkillLibrary) {
+    let person = r#"<FindPerson person_role="{person_role}" role="{role}"/><ApproachPerson role="{role}"/>"#;
+    let robot = r#"<FindHolder role="{robot_role}" robot="{robot}"/><ApproachRobot robot="{robot}"/>"#;
+    stumbles_after(library, &[("approach_person", person), ("approach_robot", robot)]);
+}
+
+/// Skills of these names, each after these leaves.
+fn stumbles_after(library: &mut SkillLibrary, skills: &[(&str, &str)]) {
     library
         .extend(|registry| {
             let manifest = Manifest::new("Stumble", NodeKind::Action, []);
             registry.register(manifest, |_: &TaskContext| Box::new(Stumble { stalled: false }))
         })
         .expect("a name of its own");
-    let tree = r#"<root BTCPP_format="4" main_tree_to_execute="navigation">
-        <BehaviorTree ID="navigation"><Sequence>
-            <PlanRoute to="{to}" legs="{legs}"/>
-            <LoopString queue="{legs}" value="{leg}" if_empty="SUCCESS"><NavigateToPose place="{leg}"/></LoopString>
-            <Stumble/>
-        </Sequence></BehaviorTree></root>"#;
-    library.register_xml("navigation".parse().expect("a slug"), "stumbling.xml", tree).expect("a sound tree");
+    for (skill, leaves) in skills {
+        let tree = format!(
+            r#"<root BTCPP_format="4" main_tree_to_execute="{skill}">
+            <BehaviorTree ID="{skill}"><Sequence>{leaves}<Stumble/></Sequence></BehaviorTree></root>"#
+        );
+        library.register_xml(skill.parse().expect("a slug"), "stumbling.xml", &tree).expect("a sound tree");
+    }
 }
 
 fn retried(what: &Happening) -> Option<(String, u8, String)> {

@@ -199,11 +199,10 @@ impl AttendantState {
 
     fn follow_coordinator(&mut self, myself: &ActorRef<AttendantMessage>, sample: &Sample) {
         let Ok(beacon) = codec::decode::<Beacon>(&sample.payload) else { return };
-        let known = self.coordinator.as_ref().map(|known| (known.term, known.node.clone()));
-        if known.as_ref().is_some_and(|(term, _)| beacon.term < *term) {
+        if !beacon.follows(self.coordinator.as_ref()) {
             return;
         }
-        let new = known != Some((beacon.term, beacon.node.clone()));
+        let new = self.coordinator.as_ref().map(|known| (known.term, &known.node)) != Some((beacon.term, &beacon.node));
         self.coordinator = Some(beacon);
         if new {
             self.look(myself);

@@ -12,6 +12,10 @@ use std::time::Duration;
 /// An observer this far behind, in entries, may vote: it catches up within a round trip. A guess.
 const LAG_MAX: u64 = 50;
 
+/// A leader that is better placed elsewhere hands over at most this often, so that a voter that comes and goes does not make
+/// the lead go to and fro. A guess.
+const YIELD_AGAIN: Duration = Duration::from_secs(300);
+
 /// Whether a member is there.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Health {
@@ -85,6 +89,8 @@ pub struct View {
     pub settle: Duration,
     /// How long nothing has been changed.
     pub quiet: Duration,
+    /// How long ago this node handed the lead over because another was better placed; `None` if it never did.
+    pub yielded: Option<Duration>,
     /// Who votes; while voters are being changed, the former ones too.
     pub voters: BTreeMap<RaftId, Member>,
     /// While voters are being changed: who votes in the end.
@@ -121,13 +127,23 @@ pub enum Change {
         /// Why.
         reason: String,
     },
+    /// Hand the lead over to one of these voters.
+    HandOver {
+        /// To whom.
+        to: BTreeSet<NodeId>,
+        /// Why.
+        reason: String,
+    },
 }
 
 impl Change {
     /// Why.
     pub fn reason(&self) -> &str {
         match self {
-            Change::Observe { reason, .. } | Change::Vote { reason, .. } | Change::Forget { reason, .. } => reason,
+            Change::Observe { reason, .. }
+            | Change::Vote { reason, .. }
+            | Change::Forget { reason, .. }
+            | Change::HandOver { reason, .. } => reason,
         }
     }
 }
@@ -145,7 +161,8 @@ pub fn decide(view: &View) -> Option<Change> {
         .or_else(|| view.grow())
         .or_else(|| view.shrink())
         .or_else(|| view.prefer_the_fixed())
-        .or_else(|| view.tidy());
+        .or_else(|| view.tidy())
+        .or_else(|| view.yield_to_the_fixed());
     change.filter(|change| view.survives(change))
 }
 
@@ -159,7 +176,7 @@ impl View {
         let majority = |voters: &BTreeSet<RaftId>| voters.iter().filter(|id| well(id)).count() * 2 > voters.len();
         let now: BTreeSet<RaftId> = self.voters.keys().copied().collect();
         match change {
-            Change::Observe { .. } | Change::Forget { .. } => majority(&now),
+            Change::Observe { .. } | Change::Forget { .. } | Change::HandOver { .. } => majority(&now),
             Change::Vote { voters, .. } => majority(&now) && majority(voters),
         }
     }
@@ -290,6 +307,21 @@ impl View {
         let (id, member) = View::best(self.fit_candidates().filter(better))?;
         let reason = format!("{} is to take the place of {}: it stays where it is", member.node, former.node);
         Some(Change::Observe { id, node: member.node.clone(), reason })
+    }
+
+    /// A leader that moves or runs on a battery hands over to voters that do not, once they have been there for a while.
+    fn yield_to_the_fixed(&self) -> Option<Change> {
+        let me = self.voters.get(&self.me).filter(|me| !me.fixed && !me.leaving)?;
+        if self.quiet < self.settle || self.yielded.is_some_and(|ago| ago < YIELD_AGAIN) {
+            return None;
+        }
+        let up_to_date = |member: &Member| member.lag.is_some_and(|lag| lag <= LAG_MAX);
+        let better = |member: &&Member| member.fixed && member.stable(self.settle) && up_to_date(member);
+        let to: BTreeSet<NodeId> = self.voters.values().filter(better).map(|member| member.node.clone()).collect();
+        let names = to.iter().map(NodeId::as_str).collect::<Vec<_>>().join(", ");
+        let reason =
+            format!("{} moves or runs on a battery, and {names} does neither: the lead is handed over", me.node);
+        (!to.is_empty()).then_some(Change::HandOver { to, reason })
     }
 
     /// Drops an observer that is gone, or that nothing is planned with.

@@ -2,7 +2,7 @@
 
 use super::decide::{Change, Health, Member, View, decide};
 use crate::gossip::SharedKnowledge;
-use crate::replica::{MemberError, RaftId, Replica};
+use crate::replica::{HandOverError, MemberError, RaftId, Replica};
 use consort_protocol::ids::{ClusterId, NodeId};
 use consort_protocol::knowledge::Knowledge;
 use consort_protocol::ledger::Ledger;
@@ -13,6 +13,9 @@ use tokio::time::Instant;
 
 /// How long a change may take to be committed.
 const LIMIT: Duration = Duration::from_secs(2);
+
+/// How long one of those that should lead may take to have the whole log. Meanwhile nobody takes requests.
+const HAND_OVER: Duration = Duration::from_millis(200);
 
 /// How long to wait after a change that failed.
 const AGAIN: Duration = Duration::from_secs(1);
@@ -33,17 +36,31 @@ pub(crate) struct Autopilot {
     not_before: Instant,
     busy: bool,
     well_since: BTreeMap<RaftId, Instant>,
+    /// When this node last gave the lead away because another was better placed.
+    yielded: Option<Instant>,
     latest: Option<(Instant, String)>,
 }
 
 /// A change that was carried out, or was not.
 pub struct Done {
     change: Change,
-    outcome: Result<(), MemberError>,
+    outcome: Result<(), Undone>,
+}
+
+/// Why a change was not made.
+#[derive(Debug, thiserror::Error)]
+pub(crate) enum Undone {
+    /// The ledger's keepers are as they were, or the next leader completes what was begun.
+    #[error(transparent)]
+    Members(#[from] MemberError),
+    /// This node leads as before, or somebody else is elected.
+    #[error(transparent)]
+    Lead(#[from] HandOverError),
 }
 
 impl Autopilot {
-    pub(crate) fn new(target: usize, dead_after: Duration, near: Duration) -> Autopilot {
+    /// `yielded` is what [`yielded`](Self::yielded) said at the end of this node's former reign.
+    pub(crate) fn new(target: usize, dead_after: Duration, near: Duration, yielded: Option<Instant>) -> Autopilot {
         let now = Instant::now();
         Autopilot {
             target,
@@ -54,6 +71,7 @@ impl Autopilot {
             not_before: now,
             busy: false,
             well_since: BTreeMap::new(),
+            yielded,
             latest: None,
         }
     }
@@ -66,11 +84,19 @@ impl Autopilot {
         }
         let change = decide(&self.view(replica, knowledge, cluster))?;
         self.busy = true;
+        if let Change::HandOver { .. } = change {
+            self.yielded = Some(Instant::now());
+        }
         Some(change)
     }
 
+    /// When this node last gave the lead away because another was better placed.
+    pub(crate) fn yielded(&self) -> Option<Instant> {
+        self.yielded
+    }
+
     /// Takes note of what became of a change; gives the reason of one that was made.
-    pub(crate) fn done(&mut self, done: Done) -> Result<String, (String, MemberError)> {
+    pub(crate) fn done(&mut self, done: Done) -> Result<String, (String, Undone)> {
         self.busy = false;
         let reason = done.change.reason().to_owned();
         match done.outcome {
@@ -158,6 +184,7 @@ impl Autopilot {
             dead_after: self.dead_after,
             settle: self.dead_after * 3,
             quiet: self.changed.elapsed(),
+            yielded: self.yielded.map(|at| at.elapsed()),
             voters,
             changing_to: leadership.changing_to,
             observers,
@@ -169,9 +196,10 @@ impl Autopilot {
 /// Carries a change out.
 pub(crate) async fn perform(replica: Replica<Ledger>, change: Change) -> Done {
     let outcome = match &change {
-        Change::Observe { id, node, .. } => replica.add_observer(*id, node.clone(), LIMIT).await,
-        Change::Vote { voters, .. } => replica.set_voters(voters.clone(), LIMIT).await,
-        Change::Forget { id, .. } => replica.remove_observer(*id, LIMIT).await,
+        Change::Observe { id, node, .. } => replica.add_observer(*id, node.clone(), LIMIT).await.map_err(Undone::from),
+        Change::Vote { voters, .. } => replica.set_voters(voters.clone(), LIMIT).await.map_err(Undone::from),
+        Change::Forget { id, .. } => replica.remove_observer(*id, LIMIT).await.map_err(Undone::from),
+        Change::HandOver { to, .. } => replica.hand_over_to(to, HAND_OVER).await.map(drop).map_err(Undone::from),
     };
     Done { change, outcome }
 }

@@ -284,9 +284,12 @@ impl HostState {
             let lost = || ActionError { code: ErrorCode::Unknown, message: format!("goal {} is not known here", id.0) };
             (*id, self.world.status(robot, *id).unwrap_or_else(|| GoalStatus::Aborted(lost())))
         };
-        let goals = entry.goals.iter().map(status).collect();
+        let goals: Vec<(GoalId, GoalStatus)> = entry.goals.iter().map(status).collect();
+        let succeeded = goals.iter().filter(|(_, status)| *status == GoalStatus::Succeeded);
+        let done = succeeded.filter_map(|(id, _)| Some((*id, self.world.goal(robot, *id)?)));
+        let done = done.filter(|(_, goal)| !goal.is_repeatable()).collect();
         self.number += 1;
-        Some(BodyState { robot: robot.clone(), number: self.number, telemetry, goals })
+        Some(BodyState { robot: robot.clone(), number: self.number, telemetry, goals, done })
     }
 }
 

@@ -14,10 +14,14 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 use tokio::sync::watch;
 use tokio::time::Instant;
-use tracing::{debug, warn};
+use tracing::{debug, info, warn};
 
 /// Final states of goals that are remembered.
 const REMEMBERED: usize = 32;
+
+/// How long an answer will do for a body at rest. A guess: well below the three seconds after which a host takes a driver for
+/// silent, which matters only to a body with something under way.
+const REST: Duration = Duration::from_millis(800);
 
 /// How a body is driven.
 #[derive(Clone)]
@@ -30,7 +34,8 @@ pub struct BodyLinkSettings {
     pub bus: SharedBus,
     /// Ids of goals begin here: different for each life of the node, so that no id is used twice.
     pub first_goal: u64,
-    /// How often the host is told that the driver is there. Raised: a lost command is repeated later. Default 300 ms.
+    /// How often the host is told that the driver is there, while the body has something to do or the host does not answer;
+    /// a body at rest is looked after once a second. Raised: a lost command is repeated later. Default 300 ms.
     pub beat: Duration,
 }
 
@@ -52,9 +57,21 @@ struct Mirror {
     since: Instant,
     number: u64,
     goals: BTreeMap<GoalId, GoalStatus>,
+    /// Goals that were done and must not be done again, those of former lives of this node included.
+    done: BTreeMap<GoalId, Goal>,
+    attempt: Attempt,
     /// Orders that the host has not answered, in the order given.
     unanswered: Vec<Order>,
     changed: watch::Sender<u64>,
+}
+
+/// An attempt at a task: what earlier attempts at it have done is not done again.
+#[derive(Default)]
+struct Attempt {
+    /// The goals of earlier attempts, and of none but them, lie in between.
+    earlier: std::ops::Range<u64>,
+    /// Those of them that this attempt has come upon.
+    claimed: BTreeSet<GoalId>,
 }
 
 /// To the actor that keeps a mirror true.
@@ -76,6 +93,8 @@ pub struct BodyLink;
 pub struct BodyLinkState {
     settings: BodyLinkSettings,
     body: Body,
+    /// When a command was last answered.
+    answered_at: Option<Instant>,
     tasks: Tasks,
 }
 
@@ -130,6 +149,17 @@ impl Body {
         self.send_orders();
     }
 
+    /// The goal that will be sent next.
+    pub fn next_goal(&self) -> GoalId {
+        GoalId(self.lock().next)
+    }
+
+    /// An attempt begins at a task whose first goal was this one, perhaps in a former life of this node.
+    pub fn begin_attempt(&self, first: GoalId) {
+        let mut mirror = self.lock();
+        mirror.attempt = Attempt { earlier: first.0..mirror.next, claimed: BTreeSet::new() };
+    }
+
     fn lock(&self) -> MutexGuard<'_, Mirror> {
         // A skill that panicked while it looked at the mirror has not left it half written: writes are single steps.
         self.mirror.lock().unwrap_or_else(PoisonError::into_inner)
@@ -173,6 +203,10 @@ impl RobotActions for Body {
     fn telemetry(&self) -> Option<&Telemetry> {
         self.seen.as_ref()
     }
+
+    fn has_done(&mut self, goal: &Goal) -> bool {
+        self.lock().claim(goal)
+    }
 }
 
 impl Mirror {
@@ -186,6 +220,18 @@ impl Mirror {
         }
     }
 
+    /// Whether an earlier attempt has done this goal and the present one has not come upon that yet.
+    fn claim(&mut self, goal: &Goal) -> bool {
+        let Attempt { earlier, claimed } = &mut self.attempt;
+        let mut done = self.done.iter().filter(|(id, done)| earlier.contains(&id.0) && *done == goal);
+        let found = done.find(|(id, _)| !claimed.contains(id)).map(|(id, _)| *id);
+        if let Some(id) = found {
+            info!(?goal, "was done already by an earlier attempt");
+            claimed.insert(id);
+        }
+        found.is_some()
+    }
+
     /// Takes in what the host reports. True if there is something to order at once.
     fn take(&mut self, state: BodyState) -> bool {
         if state.number <= self.number && self.number - state.number < 1 << 32 {
@@ -194,6 +240,10 @@ impl Mirror {
         self.number = state.number;
         self.telemetry = Some(state.telemetry);
         self.heard_at = Some(Instant::now());
+        self.done.extend(state.done);
+        while self.done.len() > REMEMBERED {
+            self.done.pop_first();
+        }
         let told: BTreeSet<GoalId> = state.goals.iter().map(|(id, _)| *id).collect();
         let mut strangers = false;
         for (id, status) in state.goals {
@@ -239,6 +289,8 @@ impl Actor for BodyLink {
             since: Instant::now(),
             number: 0,
             goals: BTreeMap::new(),
+            done: BTreeMap::new(),
+            attempt: Attempt::default(),
             unanswered: vec![],
             changed: watch::channel(0).0,
         };
@@ -249,7 +301,7 @@ impl Actor for BodyLink {
         tasks.beat(settings.beat, &myself, || BodyLinkMessage::Beat);
         myself.cast(BodyLinkMessage::Beat)?;
         hand_out.send(body.clone())?;
-        Ok(BodyLinkState { settings, body, tasks })
+        Ok(BodyLinkState { settings, body, answered_at: None, tasks })
     }
 
     async fn handle(
@@ -272,7 +324,8 @@ impl BodyLinkState {
     /// Sends the orders that were not answered; on a beat also without any.
     fn send(&mut self, myself: &ActorRef<BodyLinkMessage>, beat: bool) {
         let orders = self.body.lock().unanswered.clone();
-        if orders.is_empty() && !beat {
+        let answered_lately = self.answered_at.is_some_and(|at| at.elapsed() < REST);
+        if orders.is_empty() && (!beat || answered_lately && self.body.is_at_rest()) {
             return;
         }
         let commands: Vec<Option<Order>> =
@@ -295,6 +348,7 @@ impl BodyLinkState {
     fn answered(&mut self, order: Option<Order>, reply: Reply) {
         match reply.payload {
             Ok(payload) => {
+                self.answered_at = Some(Instant::now());
                 if let Some(order) = order {
                     self.body.lock().unanswered.retain(|waiting| *waiting != order);
                 }
@@ -332,6 +386,8 @@ mod tests {
             since: Instant::now(),
             number: 0,
             goals: BTreeMap::new(),
+            done: BTreeMap::new(),
+            attempt: Attempt::default(),
             unanswered: vec![],
             changed: watch::Sender::new(0),
         }
@@ -351,7 +407,25 @@ mod tests {
             able: true,
         };
         let goals = goals.iter().map(|(id, status)| (GoalId(*id), status.clone())).collect();
-        BodyState { robot: "ada".parse().unwrap(), number, telemetry, goals }
+        BodyState { robot: "ada".parse().unwrap(), number, telemetry, goals, done: vec![] }
+    }
+
+    #[test]
+    fn what_an_earlier_attempt_at_the_task_has_done_is_done_once_for_each_time() {
+        let mut mirror = mirror();
+        let pick_up = |from: &str| Goal::PickUp { from: from.parse().unwrap() };
+        // Goal 5 is of a task that has ended; 6 and 7 are of a former life, and 101 of this one.
+        let done = [(5, "amber"), (6, "birch"), (7, "amber"), (101, "amber")];
+        let done = done.map(|(id, from)| (GoalId(id), pick_up(from)));
+        mirror.take(BodyState { done: done.to_vec(), ..state(1, &[]) });
+        assert!(!mirror.claim(&pick_up("amber")), "nothing was begun");
+        let attempt = |next: u64| Attempt { earlier: 6..next, claimed: BTreeSet::new() };
+        mirror.attempt = attempt(100);
+        assert!(!mirror.claim(&pick_up("clove")));
+        assert_eq!([(); 2].map(|()| mirror.claim(&pick_up("amber"))), [true, false]);
+        assert_eq!([(); 2].map(|()| mirror.claim(&pick_up("birch"))), [true, false]);
+        mirror.attempt = attempt(102);
+        assert_eq!([(); 3].map(|()| mirror.claim(&pick_up("amber"))), [true, true, false], "the third attempt");
     }
 
     #[test]

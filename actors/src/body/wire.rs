@@ -48,6 +48,8 @@ pub struct BodyState {
     pub telemetry: Telemetry,
     /// The latest goals, in the order of their ids.
     pub goals: Vec<(GoalId, GoalStatus)>,
+    /// Those of them that were done and must not be done again, and what they asked for.
+    pub done: Vec<(GoalId, Goal)>,
 }
 
 /// Someone who acts for an unmanaged role is asked, told again, or dismissed.

@@ -14,7 +14,7 @@ mod keys;
 pub mod virtual_bus;
 pub mod zenoh_bus;
 
-pub use virtual_bus::{LinkModel, Traffic, VirtualBus, VirtualNetwork};
+pub use virtual_bus::{LinkModel, Traffic, TrafficByKind, VirtualBus, VirtualNetwork};
 pub use zenoh_bus::{ZenohBus, ZenohSettings};
 
 use async_trait::async_trait;

@@ -25,6 +25,7 @@ use ractor::{Actor, ActorProcessingErr, ActorRef};
 use std::collections::BTreeSet;
 use std::sync::Arc;
 use std::time::Duration;
+use tokio::time::Instant;
 use tracing::info;
 
 /// How a coordinator works. Fleet-wide but for the first few.
@@ -98,13 +99,6 @@ pub enum CoordinatorMessage {
         /// What it said.
         outcome: Result<Outcome, ProposeError>,
     },
-    /// A report was answered with a renewal.
-    Contact {
-        /// Of which award.
-        epoch: Epoch,
-        /// By whom.
-        robot: RobotId,
-    },
     /// A robot answered a notice.
     Noticed {
         /// The mission.
@@ -143,6 +137,8 @@ pub struct CoordinatorState {
     reign: Option<Reign>,
     /// Who was last heard to coordinate, and when.
     heard: Option<(NodeId, NodeTime)>,
+    /// When this node last gave the lead away because another was better placed.
+    yielded: Option<Instant>,
     tasks: Tasks,
 }
 
@@ -171,7 +167,7 @@ impl Actor for Coordinator {
         let beacons = settings.bus.subscribe(&settings.keys.write(&Key::Beacon)).await?;
         tasks.forward(beacons, &myself, CoordinatorMessage::Beacon);
         tasks.beat(settings.beat, &myself, || CoordinatorMessage::Beat);
-        Ok(CoordinatorState { settings, reign: None, heard: None, tasks })
+        Ok(CoordinatorState { settings, reign: None, heard: None, yielded: None, tasks })
     }
 
     async fn handle(
@@ -231,14 +227,13 @@ impl Actor for Coordinator {
                 reign.decided(settings, &auction, outcome);
                 reign.attend(settings, &myself);
             }
-            CoordinatorMessage::Contact { epoch, robot } => reign.contact(settings, epoch, &robot),
             CoordinatorMessage::Noticed { mission, role, robot, epoch, answer } => {
                 if let AwardAnswer::Declined(why) = answer {
                     let cause = format!("{robot} declined: {why}");
                     reign.give_up(settings, mission, role, &robot, epoch, cause, false);
                 }
             }
-            CoordinatorMessage::Report(query) => reign.report(settings, &myself, query).await,
+            CoordinatorMessage::Report(query) => reign.report(settings, query).await,
             CoordinatorMessage::Live(query) => reign.live(settings, query).await,
             CoordinatorMessage::Api(query) => reign.api(settings, query),
             CoordinatorMessage::Unanswered(query) => {
@@ -272,11 +267,12 @@ impl CoordinatorState {
             return Ok(());
         }
         if let Some(reign) = self.reign.take() {
+            self.yielded = reign.yielded();
             info!(node = %self.settings.node, term = reign.term, "no longer coordinates");
             self.settings.events.tell(Happening::SteppedDown { term: reign.term });
         }
         if let Some(term) = term {
-            let mut reign = Reign::begin(&self.settings, &leadership, term, myself).await?;
+            let mut reign = Reign::begin(&self.settings, &leadership, term, self.yielded, myself).await?;
             reign.say_so(&self.settings).await;
             reign.follow_members(&self.settings);
             reign.attend(&self.settings, myself);

@@ -22,7 +22,7 @@ use crate::replica::{ProposeError, Replica};
 use consort_protocol::codec;
 use consort_protocol::ids::{MissionId, RequestId};
 use consort_protocol::keys::ApiCall;
-use consort_protocol::ledger::{Command, Ledger, Outcome, Priority, Recovery, Submission};
+use consort_protocol::ledger::{Command, Ledger, Outcome, Priority, Recovery, Submission, time_until_deadline};
 use consort_protocol::mission::{Domain, Format, MissionTemplate, shipped};
 use consort_protocol::plan::divide_and_check;
 use serde::Deserialize;
@@ -60,9 +60,6 @@ struct Submit {
     priority: i64,
     deadline_s: Option<f64>,
 }
-
-/// Longest time until a deadline: ten years of seconds.
-const DEADLINE_MAX_S: f64 = 315_360_000.0;
 
 /// Why there is no other answer.
 struct Problem {
@@ -140,14 +137,9 @@ impl Desk {
         let priority = Priority::new(asked.priority).map_err(|e| e.to_string())?;
         let deadline_ms = match asked.deadline_s {
             None => None,
-            Some(seconds) if seconds > 0.0 && seconds <= DEADLINE_MAX_S => {
-                let in_ms = Duration::from_secs_f64(seconds).as_millis();
-                Some(self.at_ms.saturating_add(u64::try_from(in_ms).unwrap_or(u64::MAX)))
-            }
             Some(seconds) => {
-                return Err(format!(
-                    "deadline_s is {seconds}; allowed are more than 0 and at most {DEADLINE_MAX_S} seconds"
-                ));
+                let time = time_until_deadline(seconds).map_err(|e| format!("deadline_s is {seconds}; {e}"))?;
+                Some(self.at_ms.saturating_add(u64::try_from(time.as_millis()).unwrap_or(u64::MAX)))
             }
         };
         let request = match asked.request {
@@ -204,5 +196,8 @@ fn read<T: serde::de::DeserializeOwned>(payload: &[u8], example: &str) -> Result
 }
 
 fn not_committed(problem: &ProposeError) -> Problem {
-    Problem { text: format!("{problem}; the same request may be sent again"), may_pass: true }
+    match problem {
+        ProposeError::TooLarge { .. } | ProposeError::Unencodable { .. } => problem.to_string().into(),
+        _ => Problem { text: format!("{problem}; the same request may be sent again"), may_pass: true },
+    }
 }

@@ -132,7 +132,7 @@ impl Reign {
             let entry = ledger.mission(&call.auction.mission);
             let excluded = |role: &RoleId| entry.map(|entry| entry.excluded(role)).unwrap_or_default();
             let excluded = call.roles.keys().map(|role| (role.clone(), excluded(role))).collect();
-            (taken(ledger, &self.rounds), excluded)
+            (taken(ledger, &self.rounds, &call.auction.mission), excluded)
         });
         let circumstances = Circumstances {
             expected,

@@ -92,7 +92,9 @@ pub(super) fn duties(ledger: &Ledger, memory: &Memory<'_>, now: NodeTime, wall_m
             Some(Phase::Waiting { until, .. }) => *until <= now,
             Some(Phase::Calling | Phase::Closed(_) | Phase::Proposing(_)) => false,
         };
-        if due && !entry.open_roles().is_empty() {
+        // Those who were at work when the recovery branch was taken may be so until their leases have run out.
+        let left = entry.former.iter().all(|held| watch.is_over(held.epoch, &held.robot, now));
+        if due && left && !entry.open_roles().is_empty() {
             duties.push(Duty::Call(entry.id.clone()));
         }
         for (role, held) in &entry.roles {
@@ -123,13 +125,18 @@ fn past_deadline(entry: &MissionEntry) -> String {
     }
 }
 
-/// Robots that are given no role, and why: they hold one or are about to, or carry something of another mission.
-pub(super) fn taken(ledger: &Ledger, rounds: &BTreeMap<MissionId, Round>) -> BTreeMap<RobotId, RefusalReason> {
+/// Robots that are given no role of a mission, and why: they hold one or are about to, or carry something of another
+/// mission.
+pub(super) fn taken(
+    ledger: &Ledger,
+    rounds: &BTreeMap<MissionId, Round>,
+    of: &MissionId,
+) -> BTreeMap<RobotId, RefusalReason> {
     let busy =
         |mission: &MissionId, role: &RoleId| RefusalReason::Busy { mission: mission.clone(), role: role.clone() };
-    let full = ledger.stranded().map(|(entry, kept)| {
-        let (item, mission) = (kept.item.clone(), entry.id.clone());
-        (kept.robot.clone(), RefusalReason::HandsFull { item, mission })
+    let full = ledger.stranded().filter(|(entry, _)| entry.id != *of).map(|(entry, kept)| {
+        let (item, mission) = (kept.item, entry.id.clone());
+        (kept.robot, RefusalReason::HandsFull { item, mission })
     });
     let held = ledger.live().into_iter().flat_map(|entry| {
         let holding =
@@ -145,8 +152,12 @@ pub(super) fn taken(ledger: &Ledger, rounds: &BTreeMap<MissionId, Round>) -> BTr
     full.chain(held).chain(about_to).collect()
 }
 
-/// The awards that are in force, and whose they are.
+/// The awards that are in force, or were and may still be acted on, and whose they are.
 pub(super) fn awards(ledger: &Ledger) -> BTreeSet<(Epoch, RobotId)> {
-    let live = ledger.live().into_iter().flat_map(|entry| entry.roles.values());
-    live.filter_map(|role| role.holder.as_ref().map(|holder| (holder.epoch, holder.robot.clone()))).collect()
+    let mut awards = BTreeSet::new();
+    for entry in ledger.live() {
+        awards.extend(entry.holdings().into_values().map(|held| (held.epoch, held.robot)));
+        awards.extend(entry.former.iter().map(|held| (held.epoch, held.robot.clone())));
+    }
+    awards
 }

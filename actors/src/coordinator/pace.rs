@@ -1,6 +1,6 @@
 //! Whether held roles get on: a holder that answers and renews, but ends no step for long, is not at work.
 
-use consort_protocol::ids::{MissionId, RobotId, RoleId};
+use consort_protocol::ids::{RobotId, RoleId};
 use consort_protocol::lease::Epoch;
 use consort_protocol::ledger::{Ledger, MissionEntry, MissionState, RolePhase};
 use consort_protocol::plan::PlanProgress;
@@ -18,7 +18,6 @@ pub(super) struct Pace {
 /// A role that does not get on.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(super) struct Stalled {
-    pub(super) mission: MissionId,
     pub(super) role: RoleId,
     pub(super) robot: RobotId,
     pub(super) epoch: Epoch,
@@ -56,8 +55,8 @@ impl Pace {
                     continue;
                 }
                 let cause = format!("{} as {role} ended no step for {:.0} s", holder.robot, idle.as_secs_f64());
-                let (mission, role, robot) = (entry.id.clone(), role.clone(), holder.robot.clone());
-                stalled.push(Stalled { mission, role, robot, epoch: holder.epoch, cause });
+                let (role, robot) = (role.clone(), holder.robot.clone());
+                stalled.push(Stalled { role, robot, epoch: holder.epoch, cause });
             }
         }
         self.seen.retain(|key, _| live.contains(key));

@@ -23,9 +23,11 @@ use consort_protocol::message::{AwardAnswer, AwardNotice, Beacon, Changed, Live,
 use consort_protocol::mission::RoleKind;
 use consort_protocol::units::NodeTime;
 use ractor::ActorRef;
+use serde_json::json;
 use std::collections::{BTreeMap, BTreeSet};
-use std::sync::Arc;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
+use tokio::time::Instant;
 use tracing::{debug, error, info, warn};
 use zenoh_keyexpr::keyexpr;
 
@@ -42,9 +44,13 @@ const FAIL_AGAIN: Duration = Duration::from_secs(2);
 pub(super) struct Reign {
     pub(super) term: u64,
     since: NodeTime,
-    watch: Watch,
+    /// When this node began to coordinate, by its wall clock in milliseconds: no other reign of its term did then.
+    since_wall_ms: u64,
+    watch: SharedWatch,
     pub(super) rounds: BTreeMap<MissionId, Round>,
     pace: Pace,
+    /// Roles to be taken from holders that answer and do not get on, once their leases have run out.
+    stalled: BTreeMap<(Epoch, RoleId), String>,
     /// Missions that are being given up, and since when.
     failing: BTreeMap<MissionId, NodeTime>,
     told: BTreeMap<(Epoch, RoleId), NodeTime>,
@@ -59,6 +65,14 @@ pub(super) struct Reign {
     foreign: BTreeMap<ClusterId, NodeId>,
     pub(super) tasks: Tasks,
     _token: Token,
+}
+
+/// Which leases run, for those who renew them and those who end them.
+pub(super) type SharedWatch = Arc<Mutex<Watch>>;
+
+pub(super) fn lock(watch: &SharedWatch) -> MutexGuard<'_, Watch> {
+    // A panic under the lock has not left it half written: writes are single steps.
+    watch.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 #[derive(Clone, PartialEq)]
@@ -78,6 +92,7 @@ impl Reign {
         settings: &CoordinatorSettings,
         leadership: &Leadership,
         term: u64,
+        yielded: Option<Instant>,
         myself: &ActorRef<CoordinatorMessage>,
     ) -> Result<Reign, BusError> {
         let CoordinatorSettings { node, keys, bus, .. } = settings;
@@ -108,32 +123,35 @@ impl Reign {
         Ok(Reign {
             term,
             since,
-            watch: Watch::new(settings.terms),
+            since_wall_ms: settings.clock.wall_ms(),
+            watch: Arc::new(Mutex::new(Watch::new(settings.terms))),
             rounds: BTreeMap::new(),
             pace: Pace::new(settings.stall_after),
+            stalled: BTreeMap::new(),
             failing: BTreeMap::new(),
             told: BTreeMap::new(),
             seen,
             members: BTreeSet::new(),
             free: BTreeSet::new(),
             requests: 0,
-            autopilot: Autopilot::new(settings.voters, settings.dead_after, settings.near),
+            autopilot: Autopilot::new(settings.voters, settings.dead_after, settings.near, yielded),
             foreign: BTreeMap::new(),
             tasks,
             _token: token,
         })
     }
 
-    /// A report was answered with a renewal.
-    pub(super) fn contact(&mut self, settings: &CoordinatorSettings, epoch: Epoch, robot: &RobotId) {
-        self.watch.contact(epoch, robot, settings.clock.now());
+    /// When this node last gave the lead away because another was better placed.
+    pub(super) fn yielded(&self) -> Option<Instant> {
+        self.autopilot.yielded()
     }
 
     /// Tells everybody who coordinates.
     pub(super) async fn say_so(&self, settings: &CoordinatorSettings) {
         let voters = settings.replica.leadership().borrow().voters.values().cloned().collect();
         let since_ms = u64::try_from(settings.clock.now().since(self.since).as_millis()).unwrap_or(u64::MAX);
-        let beacon = Beacon { node: settings.node.clone(), term: self.term, voters, since_ms };
+        let cluster = *settings.replica.cluster().borrow();
+        let beacon = Beacon { node: settings.node.clone(), term: self.term, voters, since_ms, cluster };
         publish(settings, &Key::Beacon, &beacon).await;
     }
 
@@ -212,22 +230,32 @@ impl Reign {
         let now = settings.clock.now();
         self.follow_missions(settings, now);
         let wall_ms = settings.clock.wall_ms();
-        let (todo, stalled) = settings.replica.read(|ledger| {
+        let todo = settings.replica.read(|ledger| {
+            let mut watch = lock(&self.watch);
             let awards = awards(ledger);
             for (epoch, robot) in &awards {
-                self.watch.meet(*epoch, robot, now);
+                watch.meet(*epoch, robot, now);
             }
             let epochs = awards.into_iter().map(|(epoch, _)| epoch).collect();
-            self.watch.retain(&epochs);
+            watch.retain(&epochs, now);
             self.told.retain(|(epoch, _), _| epochs.contains(epoch));
+            self.stalled.retain(|(epoch, _), _| epochs.contains(epoch));
+            self.seen.retain(|mission, _| ledger.mission(mission).is_some());
             self.rounds.retain(|mission, _| ledger.mission(mission).is_some_and(|entry| !entry.state.is_end()));
             self.failing.retain(|mission, _| ledger.mission(mission).is_some_and(|entry| !entry.state.is_end()));
-            let memory = Memory { watch: &self.watch, rounds: &self.rounds, told: &self.told };
-            (duties(ledger, &memory, now, wall_ms), self.pace.look(ledger, now))
+            for Stalled { role, robot, epoch, cause } in self.pace.look(ledger, now) {
+                watch.let_go(epoch, &robot, now);
+                self.stalled.entry((epoch, role)).or_insert(cause);
+            }
+            let memory = Memory { watch: &watch, rounds: &self.rounds, told: &self.told };
+            let todo = duties(ledger, &memory, now, wall_ms);
+            for duty in &todo {
+                if let Duty::GiveUp { epoch, robot, .. } = duty {
+                    watch.let_go(*epoch, robot, now);
+                }
+            }
+            todo
         });
-        for Stalled { mission, role, robot, epoch, cause } in stalled {
-            self.give_up(settings, mission, role, &robot, epoch, cause, true);
-        }
         for duty in todo {
             match duty {
                 Duty::Call(mission) => self.call(settings, myself, &mission, now),
@@ -235,7 +263,9 @@ impl Reign {
                     self.tell(settings, myself, mission, role, robot, epoch, now);
                 }
                 Duty::GiveUp { mission, role, robot, epoch, cause } => {
-                    self.give_up(settings, mission, role, &robot, epoch, cause, false);
+                    let stalled = self.stalled.get(&(epoch, role.clone())).cloned();
+                    let (blamed, cause) = (stalled.is_some(), stalled.unwrap_or(cause));
+                    self.give_up(settings, mission, role, &robot, epoch, cause, blamed);
                 }
                 Duty::Fail { mission, cause } => {
                     if self.failing.get(&mission).is_none_or(|at| now.since(*at) >= FAIL_AGAIN) {
@@ -366,18 +396,14 @@ impl Reign {
         self.seen.get(mission).map(|seen| now.since(seen.since))
     }
 
-    pub(super) async fn report(
-        &mut self,
-        settings: &CoordinatorSettings,
-        myself: &ActorRef<CoordinatorMessage>,
-        query: Query,
-    ) {
+    pub(super) async fn report(&mut self, settings: &CoordinatorSettings, query: Query) {
         let Some(report) = answer::read::<Report>(&query).await else { return };
         let desk = reports::Desk {
             replica: settings.replica.clone(),
             knowledge: settings.knowledge.clone(),
             leadership_age_max: settings.terms.leadership_age_max(),
-            coordinator: myself.clone(),
+            clock: settings.clock.clone(),
+            watch: self.watch.clone(),
         };
         self.tasks.spawn(async move {
             let said = desk.answer(report).await;
@@ -399,7 +425,9 @@ impl Reign {
 
     pub(super) fn api(&mut self, settings: &CoordinatorSettings, query: Query) {
         let Some(Key::Api(call)) = settings.keys.read(&query.key) else {
-            self.tasks.spawn(async move { answer::refuse(&query, "no such request").await });
+            let asked = query.key.rsplit('/').next().unwrap_or_default();
+            let error = format!("no such request: {asked}; there are submit, cancel, rescued, get and list");
+            self.tasks.spawn(async move { answer::json(&query, &query.key, &json!({ "error": error })).await });
             return;
         };
         self.requests += 1;
@@ -408,8 +436,9 @@ impl Reign {
             knowledge: settings.knowledge.clone(),
             domain: Arc::clone(&settings.domain),
             request_prefix: format!(
-                "unnamed-{}-{}",
+                "unnamed-{}-{:x}-{}",
                 self.term,
+                self.since_wall_ms,
                 settings.node.as_str().chars().take(20).collect::<String>()
             ),
             at_ms: settings.clock.wall_ms(),

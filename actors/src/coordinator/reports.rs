@@ -1,7 +1,8 @@
 //! What the coordinator does with a robot's report, and what it answers.
 
-use super::actor::CoordinatorMessage;
+use super::reign::{SharedWatch, lock};
 use super::whereabouts::places;
+use crate::clock::Clock;
 use crate::gossip::SharedKnowledge;
 use crate::replica::{ProposeError, Replica};
 use consort_protocol::ids::{MissionId, NodeId, PlaceId, RobotId};
@@ -10,7 +11,6 @@ use consort_protocol::ledger::{Branch, Command, Ledger, MissionEntry, MissionSta
 use consort_protocol::message::{FailureKind, Report, ReportAnswer};
 use consort_protocol::mission::RoleKind;
 use consort_protocol::mutants::{self, Mutant};
-use ractor::ActorRef;
 use std::cmp::Ordering;
 use std::collections::BTreeMap;
 use std::time::Duration;
@@ -33,7 +33,8 @@ pub(super) struct Desk {
     pub(super) replica: Replica<Ledger>,
     pub(super) knowledge: SharedKnowledge,
     pub(super) leadership_age_max: Duration,
-    pub(super) coordinator: ActorRef<CoordinatorMessage>,
+    pub(super) clock: Clock,
+    pub(super) watch: SharedWatch,
 }
 
 impl Desk {
@@ -76,11 +77,11 @@ impl Desk {
         if self.replica.quorum_age().is_none_or(|age| age > self.leadership_age_max) {
             return ReportAnswer::NotCoordinator { coordinator: None };
         }
-        if matches!(answer, ReportAnswer::Renewed { .. }) {
-            let contact = CoordinatorMessage::Contact { epoch: report.epoch, robot: report.robot.clone() };
-            if self.coordinator.cast(contact).is_err() {
-                return ReportAnswer::NotCoordinator { coordinator: None };
-            }
+        // Whoever is told that the lease goes on was in contact before anybody can find the lease to have ended.
+        let may_renew = || lock(&self.watch).renew(report.epoch, &report.robot, self.clock.now());
+        if matches!(answer, ReportAnswer::Renewed { .. }) && !may_renew() {
+            debug!(robot = %report.robot, mission = %report.mission, role = %report.role, "not renewed: about to be released");
+            return ReportAnswer::NotCoordinator { coordinator: None };
         }
         answer
     }
@@ -167,8 +168,11 @@ fn next(entry: Option<&MissionEntry>, report: &Report, places: impl FnOnce() -> 
         let what = failure.task.as_ref().map_or("go on".to_owned(), |task| format!("do {task}"));
         let cause = format!("{} as {} could not {what}: {}", report.robot, report.role, failure.cause);
         return Step::Commit(match role.kind {
-            // It leaves the role to another; a robot that merely leaves the fleet may come back and bid.
-            RoleKind::Managed => release(report, cause, failure.kind != FailureKind::Leaving),
+            // It leaves the role to another. One that merely leaves the fleet, or has begun nothing because it could not
+            // write that down, may come back and bid.
+            RoleKind::Managed => {
+                release(report, cause, !matches!(failure.kind, FailureKind::Leaving | FailureKind::Notebook))
+            }
             RoleKind::Unmanaged => {
                 Command::Fail { mission: report.mission.clone(), cause, branch: Some(report.branch), places: places() }
             }

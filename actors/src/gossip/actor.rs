@@ -18,8 +18,8 @@ use bytes::Bytes;
 use consort_protocol::codec;
 use consort_protocol::ids::NodeId;
 use consort_protocol::keys::{Key, Keys};
-use consort_protocol::knowledge::{Knowledge, Record};
-use consort_protocol::message::Exchange;
+use consort_protocol::knowledge::Knowledge;
+use consort_protocol::message::{Exchange, Statement};
 use consort_protocol::units::NodeTime;
 use ractor::concurrency::JoinHandle;
 use ractor::{Actor, ActorCell, ActorProcessingErr, ActorRef, SpawnErr, async_trait};
@@ -109,7 +109,7 @@ impl Gossip {
 pub enum Message {
     /// The node's own knowledge changes.
     Change(Change),
-    /// A record was published.
+    /// A node said something of itself.
     Knowledge(Sample),
     /// A packet of failure detection.
     Packet(Bytes),
@@ -192,7 +192,9 @@ impl Actor for Gossip {
         let mut asker = None;
         let event = match message {
             Message::Change(change) => Ok(Event::Changed(change)),
-            Message::Knowledge(sample) => state.read_record(&sample).map(Event::Published),
+            Message::Knowledge(sample) => {
+                state.read_statement(&sample).map(|(owner, statement)| Event::Published(owner, statement))
+            }
             Message::Packet(bytes) => Ok(Event::Packet(bytes)),
             Message::Presence(presence) => match state.keys.read(&presence.key) {
                 Some(Key::AliveNode(node)) => Ok(Event::Token(node, presence.alive)),
@@ -236,9 +238,9 @@ impl State {
     fn perform(&mut self, actions: Vec<Action>, mut asker: Option<Query>, myself: Option<&ActorRef<Message>>) {
         for action in actions {
             match action {
-                Action::Publish(record) => {
-                    let key = self.keys.write(&Key::Knowledge(record.owner.clone()));
-                    self.send(Outgoing::Publish(key, encode(&record)));
+                Action::Publish(statement) => {
+                    let key = self.keys.write(&Key::Knowledge(self.settings.node.clone()));
+                    self.send(Outgoing::Publish(key, encode(&statement)));
                 }
                 Action::Send(to, bytes) => {
                     let key = self.keys.write(&Key::Swim(to));
@@ -282,11 +284,15 @@ impl State {
         });
     }
 
-    fn read_record(&self, sample: &Sample) -> Result<Record, String> {
-        let record: Record = decode(&sample.payload)?;
-        match self.keys.read(&sample.key) {
-            Some(Key::Knowledge(node)) if node == record.owner => Ok(record),
-            _ => Err(format!("record of {} on key {:?}", record.owner, sample.key)),
+    /// Who published, and what.
+    fn read_statement(&self, sample: &Sample) -> Result<(NodeId, Statement), String> {
+        let statement: Statement = decode(&sample.payload)?;
+        match (self.keys.read(&sample.key), &statement) {
+            (Some(Key::Knowledge(node)), Statement::Record(record)) if node != record.owner => {
+                Err(format!("record of {} on key {:?}", record.owner, sample.key))
+            }
+            (Some(Key::Knowledge(node)), _) => Ok((node, statement)),
+            _ => Err(format!("knowledge on key {:?}", sample.key)),
         }
     }
 

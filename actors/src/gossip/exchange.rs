@@ -5,7 +5,7 @@
 
 use consort_protocol::codec;
 use consort_protocol::ids::NodeId;
-use consort_protocol::knowledge::{Digest, Record};
+use consort_protocol::knowledge::{Digest, Record, Scope};
 use consort_protocol::message::Exchange;
 use serde::Serialize;
 
@@ -31,13 +31,14 @@ pub(super) struct Turns {
 }
 
 impl Turns {
-    /// A message with as much of both as fits.
-    pub(super) fn compose(&mut self, digest: Digest, lacking: &[&Record]) -> Exchange {
+    /// A message with as much of both as fits. The digest is of those in the scope.
+    pub(super) fn compose(&mut self, scope: Scope, digest: Digest, lacking: &[&Record]) -> Exchange {
         let entries: Vec<_> = digest.into_iter().collect();
         let (entries, used) = fitting(entries, |(owner, _)| owner, DIGEST_MAX, &mut self.digest);
         let left = codec::LIMIT - FRAME - used;
         let (records, _) = fitting(lacking.to_vec(), |record| &record.owner, left, &mut self.records);
-        Exchange { digest: entries.into_iter().collect(), records: records.into_iter().cloned().collect() }
+        let sums = vec![];
+        Exchange { sums, scope, digest: entries.into_iter().collect(), records: records.into_iter().cloned().collect() }
     }
 }
 
@@ -100,7 +101,7 @@ mod tests {
             let (mut told, mut handed) = (BTreeSet::new(), BTreeSet::new());
             let mut turns = Turns::default();
             for _ in 0..=count / 150 {
-                let exchange = turns.compose(digest.clone(), &lacking);
+                let exchange = turns.compose(Scope::ALL, digest.clone(), &lacking);
                 assert!(codec::encode(&exchange).is_ok());
                 told.extend(exchange.digest.into_keys());
                 handed.extend(exchange.records.into_iter().map(|record| record.owner));
@@ -113,7 +114,7 @@ mod tests {
     fn what_fits_is_sent_whole_and_in_order() {
         let records = records(20, |n| format!("node{n:02}"));
         let mut turns = Turns { digest: None, records: Some(NodeId::new("node07").unwrap()) };
-        let exchange = turns.compose(Digest::new(), &records.iter().collect::<Vec<_>>());
+        let exchange = turns.compose(Scope::ALL, Digest::new(), &records.iter().collect::<Vec<_>>());
         assert_eq!(exchange.records.len(), 20);
         assert_eq!(exchange.records[0].owner.as_str(), "node08");
     }

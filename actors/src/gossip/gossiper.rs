@@ -7,8 +7,8 @@ use super::shared::{Known, Status};
 use super::swim::{Suspicion, Swim, SwimAction, Timer};
 use bytes::Bytes;
 use consort_protocol::ids::NodeId;
-use consort_protocol::knowledge::{Digest, Knowledge, Record, Stamp};
-use consort_protocol::message::Exchange;
+use consort_protocol::knowledge::{Digest, Knowledge, Record, Scope, Stamp};
+use consort_protocol::message::{Exchange, Statement};
 use consort_protocol::units::NodeTime;
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -22,8 +22,8 @@ pub(super) type Change = Box<dyn FnOnce(&mut Knowledge) + Send>;
 pub(super) enum Event {
     /// The node's own knowledge changes.
     Changed(Change),
-    /// An owner itself published its record.
-    Published(Record),
+    /// A node said something of itself.
+    Published(NodeId, Statement),
     /// A packet of failure detection came in.
     Packet(Bytes),
     /// A node's presence token appeared or vanished.
@@ -39,8 +39,8 @@ pub(super) enum Event {
 /// Something to carry out, in the order given.
 #[derive(Debug, PartialEq)]
 pub(super) enum Action {
-    /// Publish the own record.
-    Publish(Record),
+    /// Say something of the own node.
+    Publish(Statement),
     /// Hand a packet to a node.
     Send(NodeId, Bytes),
     /// Compare digests with a peer, and bring the answer back as [`Event::Answered`] with the same number.
@@ -66,6 +66,7 @@ enum Due {
 struct Round {
     number: u64,
     peer: NodeId,
+    /// Messages to the peer that told what this node has; the sums before them do not count.
     legs: u32,
     /// What the peer was handed in this round: it is not handed over twice, even if the peer will not have it.
     handed: BTreeSet<(NodeId, Stamp)>,
@@ -73,6 +74,15 @@ struct Round {
 
 /// Messages to one peer in one round at most: the rest waits for the next.
 const LEGS: u32 = 4;
+
+/// How long a node repeats the whole record after a change, or after somebody came. Then it says no more than that it still
+/// says so; whoever missed the record asks for it. Raised: more traffic, and fewer that have to ask. 10 s: as many
+/// repetitions as a link that loses half of everything needs.
+const LOUD: Duration = Duration::from_secs(10);
+
+/// Each further node lengthens the pause between beats by so much, once there are too many for the shortest pause. 50 ms: a
+/// node hears 20 beats a second at most, until the pause cannot grow any more.
+const PAUSE_FOR_EACH: Duration = Duration::from_millis(50);
 
 /// Greetings at once, and the pause before the next: when hundreds of nodes start together, the answers to the first
 /// few make most of the others known.
@@ -92,6 +102,12 @@ pub(super) struct Gossiper {
     questioned: BTreeMap<NodeId, u64>,
     round: Option<Round>,
     turns: Turns,
+    /// Whether the last round came to an end: then the next may well find nothing to tell, and begins with sums.
+    agreed: bool,
+    /// Who has said something that this node missed.
+    missed: BTreeSet<NodeId>,
+    /// Until when the whole record is repeated.
+    loud_until: NodeTime,
     changed: bool,
     /// When the own record was last published.
     spoke: NodeTime,
@@ -121,6 +137,9 @@ impl Gossiper {
             questioned: BTreeMap::new(),
             round: None,
             turns: Turns::default(),
+            agreed: false,
+            missed: BTreeSet::new(),
+            loud_until: now,
             changed: true,
             spoke: now,
             settings,
@@ -150,7 +169,7 @@ impl Gossiper {
         let mut actions = vec![];
         match event {
             Event::Changed(change) => self.change(change, known, now, &mut actions)?,
-            Event::Published(record) => self.published(record, known, now, &mut actions)?,
+            Event::Published(owner, said) => self.published(owner, said, known, now, &mut actions)?,
             Event::Packet(bytes) => {
                 let (from, what) = self.swim.hear(&bytes)?;
                 self.questioned.remove(&from);
@@ -160,7 +179,9 @@ impl Gossiper {
             Event::Asked(exchange) => self.asked(exchange, known, now, &mut actions)?,
             Event::Answered(number, Some(exchange)) => self.answered(number, exchange, known, now, &mut actions)?,
             Event::Answered(number, None) => {
-                self.round.take_if(|round| round.number == number);
+                if self.round.take_if(|round| round.number == number).is_some() {
+                    self.agreed = false;
+                }
             }
             Event::Woke => self.woke(known, now, &mut actions)?,
         }
@@ -202,14 +223,24 @@ impl Gossiper {
 
     fn published(
         &mut self,
-        record: Record,
+        owner: NodeId,
+        said: Statement,
         known: &mut Known,
         now: NodeTime,
         actions: &mut Vec<Action>,
     ) -> Result<(), String> {
-        let (owner, stamp) = (record.owner.clone(), record.stamp);
-        self.hear(record, known, now, actions)?;
-        known.base.confirm(&owner, stamp, now);
+        match said {
+            Statement::Record(record) => {
+                let stamp = record.stamp;
+                self.hear(record, known, now, actions)?;
+                known.base.confirm(&owner, stamp, now);
+            }
+            Statement::Still { stamp, since } => match self.memory.hear_still(&owner, stamp, since, known, now) {
+                Heard::Missed => drop(self.missed.insert(owner.clone())),
+                Heard::Mine(stamp) => self.overtake(stamp, known, now, actions)?,
+                Heard::Old | Heard::Again | Heard::News => {}
+            },
+        }
         // It speaks, so it is worth a greeting, but that we hear it is no proof that it hears us.
         self.meet(owner, known, now);
         Ok(())
@@ -225,13 +256,14 @@ impl Gossiper {
         let owner = record.owner.clone();
         match self.memory.hear(record, known, now) {
             Heard::Old => return Ok(false),
-            Heard::Again => {}
+            Heard::Again | Heard::Missed => {}
             Heard::News => self.changed = true,
             Heard::Mine(stamp) => {
                 self.overtake(stamp, known, now, actions)?;
                 return Ok(false);
             }
         }
+        self.missed.remove(&owner);
         self.meet(owner, known, now);
         Ok(true)
     }
@@ -310,8 +342,14 @@ impl Gossiper {
     ) -> Result<(), String> {
         self.take_in(exchange.records, &exchange.digest, known, now, actions)?;
         known.counters.answered += 1;
-        let digest = self.memory.digest_for(known, &exchange.digest);
-        let answer = self.turns.compose(digest, &self.memory.lacking(known, &exchange.digest));
+        let answer = if exchange.sums.is_empty() {
+            let digest = self.memory.digest_for(known, exchange.scope, &exchange.digest);
+            self.turns.compose(exchange.scope, digest, &self.memory.lacking(known, exchange.scope, &exchange.digest))
+        } else {
+            // Where the two differ. What the other lacks it will say then.
+            let scope = Scope::of_difference(&known.base.sums_like(&exchange.sums), &exchange.sums);
+            self.turns.compose(scope, known.base.digest(scope), &[])
+        };
         actions.push(Action::Answer(answer));
         Ok(())
     }
@@ -326,12 +364,14 @@ impl Gossiper {
     ) -> Result<(), String> {
         let news = self.take_in(exchange.records, &exchange.digest, known, now, actions)?;
         let Some(mut round) = self.round.take_if(|round| round.number == number) else { return Ok(()) };
-        let mut lacking = self.memory.lacking(known, &exchange.digest);
+        self.agreed = true;
+        let mut lacking = self.memory.lacking(known, exchange.scope, &exchange.digest);
         lacking.retain(|record| !round.handed.contains(&(record.owner.clone(), record.stamp)));
-        let more_to_hear = news && !known.base.behind(&exchange.digest).is_empty();
+        // Sums were answered without records. Later, a peer that says nothing new has said all that it will.
+        let more_to_hear = (news || round.legs == 0) && !known.base.behind(&exchange.digest).is_empty();
         if round.legs < LEGS && (!lacking.is_empty() || more_to_hear) {
             round.legs += 1;
-            let message = self.turns.compose(known.base.digest(), &lacking);
+            let message = self.turns.compose(exchange.scope, known.base.digest(exchange.scope), &lacking);
             round.handed.extend(message.records.iter().map(|record| (record.owner.clone(), record.stamp)));
             known.counters.asked += 1;
             actions.push(Action::Ask(number, round.peer.clone(), message));
@@ -344,12 +384,13 @@ impl Gossiper {
         while let Some(entry) = self.agenda.first_entry().filter(|entry| entry.key().0 <= now) {
             match entry.remove() {
                 Due::Beat => {
-                    self.memory.repeat(self.settings.renew, known, now);
+                    let beat = self.beat(known);
+                    self.memory.repeat(self.settings.renew, beat, known, now);
                     // A change that was told a moment ago said as much.
-                    if now.since(self.spoke) * 2 > self.settings.beat {
-                        actions.push(self.publish(known, now));
+                    if now.since(self.spoke) * 2 > beat {
+                        actions.push(self.repeat(known, now));
                     }
-                    let pause = self.about(self.settings.beat);
+                    let pause = self.about(beat);
                     self.at(now + pause, Due::Beat);
                 }
                 Due::Round => {
@@ -361,7 +402,7 @@ impl Gossiper {
                 }
                 Due::Greet => self.greet(known, now, actions)?,
                 Due::Swim(timer) => {
-                    let spoke = self.settings.beat * 3;
+                    let spoke = self.beat(known) * 3;
                     let speaks = |node: &NodeId| known.base.get(node).is_some_and(|heard| heard.age(now) < spoke);
                     let what = self.swim.wake(timer, speaks)?;
                     self.obey(what, known, now, actions);
@@ -408,8 +449,21 @@ impl Gossiper {
         Ok(())
     }
 
-    /// Compares digests with one peer that is alive, or whose token at least is there.
+    /// The pause between beats: in a large fleet each speaks less often, so that nobody has to hear too much.
+    fn beat(&self, known: &Known) -> Duration {
+        let alive = known.status.values().filter(|status| status.is_alive()).count();
+        let long = PAUSE_FOR_EACH.saturating_mul(u32::try_from(alive).unwrap_or(u32::MAX));
+        // Whatever the size, the age of what one hears stays within the pause in which versions are renewed.
+        long.min(self.settings.renew).max(self.settings.beat)
+    }
+
+    /// Compares what is known with one peer that is alive, or whose token at least is there; with one who has said what this
+    /// node missed, if there is one.
     fn begin_round(&mut self, known: &mut Known, actions: &mut Vec<Action>) {
+        self.missed.retain(|node| known.alive(node));
+        if let Some(peer) = self.missed.pop_first() {
+            return self.compare(peer, false, known, actions);
+        }
         let mut peers: Vec<&NodeId> = known.status.keys().filter(|node| known.alive(node)).collect();
         peers.retain(|node| **node != self.settings.node);
         if peers.is_empty() {
@@ -419,11 +473,21 @@ impl Gossiper {
             return;
         }
         let peer = peers[self.rng.random_range(0..peers.len())].clone();
+        self.compare(peer, self.agreed, known, actions);
+    }
+
+    /// Begins a round, by sums or at once by the digest.
+    fn compare(&mut self, peer: NodeId, by_sums: bool, known: &mut Known, actions: &mut Vec<Action>) {
         let number = self.number();
-        let message = self.turns.compose(known.base.digest(), &[]);
+        let message = if by_sums {
+            let sums = known.base.sums();
+            Exchange { sums, scope: Scope::NONE, digest: Digest::new(), records: vec![] }
+        } else {
+            self.turns.compose(Scope::ALL, known.base.digest(Scope::ALL), &[])
+        };
         known.counters.asked += 1;
         actions.push(Action::Ask(number, peer.clone(), message));
-        self.round = Some(Round { number, peer, legs: 1, handed: BTreeSet::new() });
+        self.round = Some(Round { number, peer, legs: u32::from(!by_sums), handed: BTreeSet::new() });
     }
 
     /// Remembers to greet a node, unless it is known to be alive.
@@ -479,6 +543,7 @@ impl Gossiper {
                     self.memory.up(&node);
                     known.status.insert(node, Status::Alive { since: now });
                     self.changed = true;
+                    self.loud_until = now + LOUD;
                 }
                 SwimAction::Down(node) => {
                     tracing::info!(node = %self.settings.node, other = %node, "is down");
@@ -504,10 +569,17 @@ impl Gossiper {
         }
     }
 
+    /// Tells all of the own record, and begins to repeat it.
     fn publish(&mut self, known: &mut Known, now: NodeTime) -> Action {
+        self.loud_until = now + LOUD;
+        self.repeat(known, now)
+    }
+
+    fn repeat(&mut self, known: &mut Known, now: NodeTime) -> Action {
         self.spoke = now;
         known.counters.published += 1;
-        Action::Publish(self.memory.own().clone())
+        let loud = now < self.loud_until;
+        Action::Publish(if loud { Statement::Record(self.memory.own().clone()) } else { self.memory.still() })
     }
 
     fn at(&mut self, due: NodeTime, what: Due) {
@@ -530,3 +602,6 @@ impl Gossiper {
         time.mul_f64(self.rng.random_range(0.9..1.1)).max(Duration::from_millis(1))
     }
 }
+
+#[cfg(test)]
+mod tests;

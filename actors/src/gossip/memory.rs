@@ -6,7 +6,8 @@
 use super::exchange::{RECORD_MAX, size};
 use super::shared::Known;
 use consort_protocol::ids::NodeId;
-use consort_protocol::knowledge::{Digest, Knowledge, Record, Stamp};
+use consort_protocol::knowledge::{Digest, Knowledge, Record, Scope, Stamp};
+use consort_protocol::message::Statement;
 use consort_protocol::mutants::{self, Mutant};
 use consort_protocol::units::NodeTime;
 use std::collections::BTreeMap;
@@ -25,6 +26,8 @@ pub(super) enum Heard {
     Again,
     /// It says something new.
     News,
+    /// That its owner said something which has not been heard.
+    Missed,
     /// It is of this node, and later than what this node itself says: an earlier life with a later incarnation, or another
     /// node with the same name.
     Mine(Stamp),
@@ -32,6 +35,8 @@ pub(super) enum Heard {
 
 pub(super) struct Memory {
     own: Record,
+    /// The version with which it began to say what it says.
+    since: u64,
     renewed: NodeTime,
     /// Since when the owner of a record has not been alive.
     absent: BTreeMap<NodeId, NodeTime>,
@@ -55,11 +60,16 @@ impl Memory {
         known.base.merge(own.clone(), now);
         let absent =
             known.base.iter().map(|(node, _)| (node.clone(), now)).filter(|(node, _)| *node != own.owner).collect();
-        Memory { own, renewed: now, absent, forgotten: BTreeMap::new() }
+        Memory { since: stamp.version, own, renewed: now, absent, forgotten: BTreeMap::new() }
     }
 
     pub(super) fn own(&self) -> &Record {
         &self.own
+    }
+
+    /// That the own record still says what it said.
+    pub(super) fn still(&self) -> Statement {
+        Statement::Still { stamp: self.own.stamp, since: self.since }
     }
 
     /// The owner's knowledge changes. True if it did, and there is a new version to tell of.
@@ -80,12 +90,14 @@ impl Memory {
         }
         self.own = record;
         self.renew(known, now);
+        self.since = self.own.stamp.version;
         Ok(true)
     }
 
-    /// The owner still says the same: a new version now and then, else a confirmation of the one there is.
-    pub(super) fn repeat(&mut self, every: Duration, known: &mut Known, now: NodeTime) {
-        if now.since(self.renewed) >= every {
+    /// The owner still says the same, as it does at every `beat`: a new version now and then, else a confirmation of the one
+    /// there is.
+    pub(super) fn repeat(&mut self, every: Duration, beat: Duration, known: &mut Known, now: NodeTime) {
+        if now.since(self.renewed) + beat / 2 >= every {
             self.renew(known, now);
         } else {
             known.base.confirm(&self.own.owner, self.own.stamp, now);
@@ -96,6 +108,8 @@ impl Memory {
     pub(super) fn overtake(&mut self, stamp: Stamp, known: &mut Known, now: NodeTime) {
         self.own.stamp = self.own.stamp.max(stamp);
         self.renew(known, now);
+        // What versions before this one said is the other's affair.
+        self.since = self.own.stamp.version;
     }
 
     fn renew(&mut self, known: &mut Known, now: NodeTime) {
@@ -111,19 +125,38 @@ impl Memory {
         if *owner == self.own.owner {
             return if *stamp > self.own.stamp { Heard::Mine(*stamp) } else { Heard::Old };
         }
-        if self.forgotten.get(owner).is_some_and(|(last, _)| last >= stamp) || size(&record) > RECORD_MAX {
+        let before = known.base.get(owner);
+        let late = before.is_some_and(|heard| heard.record.stamp >= *stamp)
+            || self.forgotten.get(owner).is_some_and(|(last, _)| last >= stamp);
+        if late || size(&record) > RECORD_MAX {
             return Heard::Old;
         }
+        let same = before.is_some_and(|heard| heard.record.knowledge == record.knowledge);
         let owner = owner.clone();
-        let same = known.base.get(&owner).is_some_and(|heard| heard.record.knowledge == record.knowledge);
-        if !known.base.merge(record, now) {
-            return Heard::Old;
-        }
+        known.base.merge(record, now);
         self.forgotten.remove(&owner);
         if !known.alive(&owner) {
             self.absent.entry(owner).or_insert(now);
         }
         if same { Heard::Again } else { Heard::News }
+    }
+
+    /// An owner says that it still says what it said since a version of its present incarnation.
+    pub(super) fn hear_still(
+        &mut self,
+        owner: &NodeId,
+        stamp: Stamp,
+        since: u64,
+        known: &mut Known,
+        now: NodeTime,
+    ) -> Heard {
+        if *owner == self.own.owner {
+            return if stamp > self.own.stamp { Heard::Mine(stamp) } else { Heard::Old };
+        }
+        if self.forgotten.get(owner).is_some_and(|(last, _)| *last >= stamp) {
+            return Heard::Old;
+        }
+        if known.base.renew(owner, stamp, since, now) { Heard::Again } else { Heard::Missed }
     }
 
     pub(super) fn up(&mut self, node: &NodeId) {
@@ -157,18 +190,18 @@ impl Memory {
 
     /// What this node has, and besides it the last stamps of forgotten nodes of which the other has an older one: a node
     /// that comes back with its clock set back learns from it how far it was.
-    pub(super) fn digest_for(&self, known: &Known, other: &Digest) -> Digest {
-        let mut digest = known.base.digest();
+    pub(super) fn digest_for(&self, known: &Known, scope: Scope, other: &Digest) -> Digest {
+        let mut digest = known.base.digest(scope);
         let last = self.forgotten.iter().map(|(node, (stamp, _))| (node, *stamp));
         let later = last.filter(|(node, stamp)| other.get(*node).is_some_and(|theirs| theirs < stamp));
         digest.extend(later.map(|(node, stamp)| (node.clone(), stamp)));
         digest
     }
 
-    /// What to hand to a node with this digest. Records of nodes that are not alive are not handed on: so the dead are
+    /// What to hand to a node with this digest of some. Records of nodes that are not alive are not handed on: so the dead are
     /// forgotten everywhere, whoever asks meanwhile.
-    pub(super) fn lacking<'a>(&self, known: &'a Known, digest: &Digest) -> Vec<&'a Record> {
-        let mut records = known.base.missing_for(digest);
+    pub(super) fn lacking<'a>(&self, known: &'a Known, scope: Scope, digest: &Digest) -> Vec<&'a Record> {
+        let mut records = known.base.missing_for(scope, digest);
         let relayed = |record: &Record| record.owner == self.own.owner || !mutants::is(Mutant::LostRelay);
         records.retain(|record| known.alive(&record.owner) && relayed(record));
         records
@@ -265,10 +298,11 @@ mod tests {
         memory.hear(record("bob", 9, 1), &mut known, T0);
         assert!(memory.forget(Duration::ZERO, &mut known, T0));
         let last = Stamp { incarnation: 9, version: 1 };
-        let told = |has| memory.digest_for(&known, &Digest::from([(node("bob"), has)])).get(&node("bob")).copied();
+        let told =
+            |has| memory.digest_for(&known, Scope::ALL, &Digest::from([(node("bob"), has)])).get(&node("bob")).copied();
         assert_eq!(told(Stamp { incarnation: 3, version: 70 }), Some(last));
         assert_eq!(told(last), None);
-        assert_eq!(memory.digest_for(&known, &Digest::new()).get(&node("bob")), None);
+        assert_eq!(memory.digest_for(&known, Scope::ALL, &Digest::new()).get(&node("bob")), None);
     }
 
     #[test]
@@ -279,7 +313,7 @@ mod tests {
         known.status.insert(node("bob"), Status::Alive { since: T0 });
         known.status.insert(node("cyd"), Status::Down { since: T0 });
         let owners: Vec<_> =
-            memory.lacking(&known, &Digest::new()).iter().map(|record| record.owner.as_str()).collect();
+            memory.lacking(&known, Scope::ALL, &Digest::new()).iter().map(|record| record.owner.as_str()).collect();
         assert_eq!(owners, ["ada", "bob"]);
     }
 }

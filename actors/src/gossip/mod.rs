@@ -1,9 +1,9 @@
 //! Gossip: what a node says of itself reaches all others, and each judges for itself who is alive.
 //!
 //! ```text
-//!            publish wire/knowledge/{me}: at once on a change, and again at every beat
+//!            publish wire/knowledge/{me}: the record on a change, and that it still holds at every beat
 //!   Gossip ─────────────────────────────────────────────────────────────────────────────▶ all
-//!   Gossip ◀── query wire/gossip/{peer}: digests, and the records that the other lacks ──▶ one peer, each round
+//!   Gossip ◀── query wire/gossip/{peer}: sums, digests where they differ, and records ───▶ one peer, each round
 //!   Gossip ◀── publish wire/swim/{node}: probes, suspicions, verdicts (SWIM) ────────────▶ a few
 //!   Gossip ──▶ token alive/node/{me}; ◀── alive/node/*
 //! ```
@@ -19,6 +19,10 @@
 //!   tells it how far it was, and it goes on from there.
 //! - Records of nodes that have not been alive for `forget_after` are forgotten, and not handed on before that, so
 //!   that nobody brings the dead back. Later incarnations are welcome.
+//! - What does not change costs little. A record is repeated whole for ten seconds after a change, or after somebody
+//!   came; then its owner says in some twenty bytes that it still holds, and whoever missed it asks the owner in its next
+//!   round. Two nodes that compare begin with sums over classes of owners and speak of the classes that differ. In a large
+//!   fleet beats are rarer, so that a node hears some twenty a second at most until every owner is down to one in `renew`.
 //! - An age counts from when this node last heard the owner, or first heard this version from others. As the owner renews
 //!   the version every few seconds, either way tells whether it still speaks.
 //! - Who is gone: with a token that vanished down within 2 s, without within 6 s (fleets of 3 and of 10); from then on not

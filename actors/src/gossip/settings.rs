@@ -14,12 +14,13 @@ pub struct Settings {
     pub node: NodeId,
     /// Grows each time the node starts: what an earlier life said gives way to what this one says.
     pub incarnation: u64,
-    /// How often the node repeats its record, so that others know it is still current. Raised: less traffic (each beat
-    /// reaches all nodes), older knowledge. 1 s is a guess well below the 10 s after which knowledge is usually stale.
+    /// How often the node says that its record is still current; less often in a fleet of more than twenty nodes for each
+    /// second, down to once in `renew`. Raised: less traffic (each beat reaches all nodes), older knowledge. 1 s is a guess
+    /// well below the 10 s after which knowledge is usually stale.
     pub beat: Duration,
     /// How often the record gets a new version although nothing changed. Nodes that hear the owner only through others
-    /// cannot tell by an equal version that it still speaks; by a new one they can. Raised: less for anti-entropy to carry,
-    /// and such nodes believe their knowledge older than it is. 5 s: half of the usual bound on staleness.
+    /// cannot tell by an equal version that it still speaks; by a new one they can. Raised: less for anti-entropy to carry
+    /// to such nodes, and they believe their knowledge older than it is. 5 s: half of the usual bound on staleness.
     pub renew: Duration,
     /// How often the node compares digests with a peer chosen at random. Raised: less traffic, slower repair.
     pub round: Duration,

@@ -515,6 +515,30 @@ impl<S: StateMachine> Replica<S> {
     /// # Errors
     /// [`HandOverError`] says whether this node still leads.
     pub async fn hand_over(&self, shunned: &BTreeSet<NodeId>, limit: Duration) -> Result<NodeId, HandOverError> {
+        let asked_at = Instant::now();
+        let pick = |latest: &Metrics| {
+            let shunned = if asked_at.elapsed() < limit / 2 { shunned } else { &BTreeSet::new() };
+            let near = self.near();
+            let all_shunned = near.values().all(|name| shunned.contains(name));
+            self.best_successor(latest, near, |name| all_shunned || !shunned.contains(name))
+        };
+        self.hand_over_by(pick, limit).await
+    }
+
+    /// Gives up the lead to one of these voters, or else keeps it.
+    ///
+    /// # Errors
+    /// As for [`hand_over`](Self::hand_over).
+    pub async fn hand_over_to(&self, to: &BTreeSet<NodeId>, limit: Duration) -> Result<NodeId, HandOverError> {
+        let pick = |latest: &Metrics| self.best_successor(latest, self.near(), |name| to.contains(name));
+        self.hand_over_by(pick, limit).await
+    }
+
+    async fn hand_over_by(
+        &self,
+        pick: impl Fn(&Metrics) -> Option<RaftId>,
+        limit: Duration,
+    ) -> Result<NodeId, HandOverError> {
         let inner = &*self.inner;
         let mut metrics = inner.raft.metrics();
         let (vote, leads) = {
@@ -535,15 +559,13 @@ impl<S: StateMachine> Replica<S> {
                 *now = now.clone().without_reign();
             }
         });
-        let asked_at = Instant::now();
         let found = async {
             loop {
                 let latest = metrics.borrow_and_update().clone();
                 if latest.vote != vote {
                     return Err(HandOverError::NotLeader);
                 }
-                let shunned = if asked_at.elapsed() < limit / 2 { shunned } else { &BTreeSet::new() };
-                if let Some(successor) = self.best_successor(&latest, shunned) {
+                if let Some(successor) = pick(&latest) {
                     return Ok((successor, latest));
                 }
                 metrics.changed().await.map_err(|_| HandOverError::Closed)?;
@@ -572,22 +594,30 @@ impl<S: StateMachine> Replica<S> {
         }
     }
 
-    /// Of the voters that have answered of late, without the shunned unless there is nobody else, one that has the whole
-    /// log: that of the lowest number.
-    fn best_successor(&self, latest: &Metrics, shunned: &BTreeSet<NodeId>) -> Option<RaftId> {
-        let replication = latest.replication.as_ref()?;
-        let leadership = self.inner.leadership.borrow().clone();
+    /// The other voters that have answered of late.
+    fn near(&self) -> BTreeMap<RaftId, NodeId> {
         let near = |id: &RaftId| {
             let heard = self.inner.board.heard.last(*id);
             *id != self.inner.id && heard.is_some_and(|at| at.elapsed() <= self.inner.settings.heartbeat * 2)
         };
-        let near: Vec<_> = leadership.voters.iter().filter(|(id, _)| near(id)).collect();
-        let all_shunned = near.iter().all(|(_, name)| shunned.contains(*name));
-        let ready = near.into_iter().filter(|(id, name)| {
-            let matched = replication.get(*id).copied().flatten().map(|at| at.index);
-            (all_shunned || !shunned.contains(*name)) && matched >= latest.last_log_index
+        let mut voters = self.inner.leadership.borrow().voters.clone();
+        voters.retain(|id, _| near(id));
+        voters
+    }
+
+    /// Of these voters one that may be it and has the whole log: that of the lowest number.
+    fn best_successor(
+        &self,
+        latest: &Metrics,
+        among: BTreeMap<RaftId, NodeId>,
+        may: impl Fn(&NodeId) -> bool,
+    ) -> Option<RaftId> {
+        let replication = latest.replication.as_ref()?;
+        let mut ready = among.into_iter().filter(|(id, name)| {
+            let matched = replication.get(id).copied().flatten().map(|at| at.index);
+            may(name) && matched >= latest.last_log_index
         });
-        ready.map(|(id, _)| *id).min()
+        ready.next().map(|(id, _)| id)
     }
 
     /// Waits until this replica has given up for good, and says why: its journal could not be read or written. After an

@@ -78,6 +78,8 @@ pub struct RobotState {
     pub(super) settings: RobotSettings,
     bidder: Bidder,
     pub(super) worker: Worker,
+    /// The worker as this life of the actor last told others of it.
+    told: Option<Worker>,
     sensed_at: NodeTime,
     pub(super) tenure: Tenure,
     /// What a former life had written down, until the coordinator has spoken.
@@ -101,6 +103,10 @@ pub struct RobotState {
     pub(super) writing: bool,
     /// Whether there is, or may be, a page in the notebook.
     pub(super) page_written: bool,
+    /// Why the notebook could not be written the last time, if it could not.
+    pub(super) notebook_problem: Option<String>,
+    /// When it was tried.
+    pub(super) notebook_tried_at: NodeTime,
     /// Those who wait for the robot to have left; `Some` from when it was told to.
     pub(super) leaving: Option<Vec<RpcReplyPort<bool>>>,
     pub(super) tasks: Tasks,
@@ -141,6 +147,7 @@ impl Actor for Robot {
         let mut state = RobotState {
             bidder: Bidder::new(robot.clone(), Arc::clone(&settings.estimator)),
             worker: settings.worker.clone(),
+            told: None,
             sensed_at: now,
             tenure,
             resumes: recalled.as_ref().map(|page| page.award.epoch),
@@ -159,6 +166,8 @@ impl Actor for Robot {
             writing: false,
             // Whatever stands there and is not taken up is torn out.
             page_written: true,
+            notebook_problem: None,
+            notebook_tried_at: now,
             leaving: None,
             tasks,
             settings,
@@ -240,6 +249,17 @@ async fn recall(settings: &RobotSettings) -> Option<Page> {
     }
 }
 
+/// Others hear of charge in steps of this size: a guess. Bids and the robot itself count with the exact one.
+const CHARGE_TOLD: f64 = 0.02;
+
+/// Whether others need to hear what a robot has become: an idle one loses a little charge every second, which changes
+/// nobody's mind.
+fn is_news(told: &Worker, now: &Worker) -> bool {
+    let lost = (told.battery.get() - now.battery.get()).abs() >= CHARGE_TOLD;
+    let useful = |worker: &Worker| worker.battery >= worker.useful_charge;
+    lost || useful(told) != useful(now) || Worker { battery: told.battery, ..now.clone() } != *told
+}
+
 impl RobotState {
     async fn beat(&mut self, myself: &ActorRef<RobotMessage>) -> Result<(), ActorProcessingErr> {
         let now = self.settings.clock.now();
@@ -264,30 +284,38 @@ impl RobotState {
             suspended: self.tenure.is_suspended(),
         });
         let mut worker = self.worker.clone();
-        let mut problem = Some("its body does not answer");
+        let silent = || Some("its body does not answer".to_owned());
+        let mut problem = silent();
         if let Some(report) = self.settings.body.telemetry() {
             worker.place = report.place.clone();
             worker.pose = report.pose;
             worker.battery = report.battery;
             problem = match () {
-                () if !report.able => Some("its battery is too low to move"),
-                () if self.settings.body.silent_for() >= self.settings.patience.silence => problem,
+                () if !report.able => Some("its battery is too low to move".to_owned()),
+                () if self.settings.body.silent_for() >= self.settings.patience.silence => silent(),
                 () => None,
             };
         }
+        if let Some(why) = &self.notebook_problem {
+            // What it would hold it could not write down, and would have forgotten after a crash.
+            problem = Some(format!("its notebook cannot be written: {why}"));
+        }
         if self.leaving.is_some() {
-            problem = Some("it leaves the fleet");
+            problem = Some("it leaves the fleet".to_owned());
         }
         worker.availability = match (problem, holding) {
             (_, Some(holding)) => holding,
-            (Some(problem), None) => Availability::OutOfService { problem: problem.to_owned() },
+            (Some(problem), None) => Availability::OutOfService { problem },
             (None, None) => Availability::Free,
         };
-        let changed = worker.availability != self.worker.availability || worker.place != self.worker.place;
         self.worker = worker;
-        if changed || now.since(self.sensed_at) >= Duration::from_secs(1) {
+        let now_is = &self.worker;
+        let urgent = |told: &Worker| told.availability != now_is.availability || told.place != now_is.place;
+        let due = now.since(self.sensed_at) >= Duration::from_secs(1);
+        if self.told.as_ref().is_none_or(|told| urgent(told) || due && is_news(told, now_is)) {
             self.sensed_at = now;
             let worker = self.worker.clone();
+            self.told = Some(worker.clone());
             if self.settings.gossip.update_with(move |knowledge| knowledge.worker = Some(worker)).is_err() {
                 debug!(robot = %self.settings.robot, "gossip has stopped");
             }
@@ -297,11 +325,16 @@ impl RobotState {
     fn follow_coordinator(&mut self, myself: &ActorRef<RobotMessage>, sample: &Sample) {
         match codec::decode::<Beacon>(&sample.payload) {
             Ok(beacon) => {
-                let known = self.coordinator.as_ref().map(|known| (known.term, known.node.clone()));
-                if known.as_ref().is_some_and(|(term, _)| beacon.term < *term) {
+                if !beacon.follows(self.coordinator.as_ref()) {
                     return; // one that does not know that it no longer coordinates
                 }
-                let new = known != Some((beacon.term, beacon.node.clone()));
+                let abroad = self.coordinator.as_ref().is_some_and(|known| beacon.is_abroad(known));
+                let new = self.coordinator.as_ref().map(|known| (known.term, &known.node))
+                    != Some((beacon.term, &beacon.node));
+                if abroad {
+                    info!(robot = %self.settings.robot, node = %beacon.node, "follows the coordinator of another cluster");
+                    self.tenure.forget_latest();
+                }
                 self.coordinator = Some(beacon);
                 if new {
                     self.report(myself);

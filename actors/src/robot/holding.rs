@@ -136,6 +136,9 @@ impl RobotState {
             true => Happening::Resumed { mission: mission.clone(), role: role.clone() },
             false => Happening::Started { mission: mission.clone(), role: role.clone(), epoch },
         };
+        let up_to_date = recalled.as_ref().filter(|page| !page.lacks_a_task(ended));
+        let first_goal = up_to_date.map_or_else(|| self.settings.body.next_goal(), |page| page.first_goal);
+        let on_record = recalled.is_some();
         let (own, detours) = recalled.map(|page| (page.ended, page.detours)).unwrap_or_default();
         let taken_up = Sequencer::resume(plan.clone(), ended, &own, detours, holders.clone());
         let failure = taken_up.as_ref().err().map(|problem| TaskFailure {
@@ -160,7 +163,9 @@ impl RobotState {
             pen,
             attempt: None,
             rests_until: NodeTime::ZERO,
+            on_record,
             failure: None,
+            first_goal,
             told_of_charge: false,
             outdated: BTreeSet::new(),
             _hearing: hearing,

@@ -12,6 +12,7 @@ use consort_protocol::lease::{Award, Epoch};
 use consort_protocol::message::TaskFailure;
 use consort_protocol::plan::Signal;
 use consort_protocol::units::NodeTime;
+use consort_skills::actions::GoalId;
 use ractor::ActorRef;
 use std::collections::BTreeSet;
 
@@ -25,8 +26,12 @@ pub(super) struct Job {
     pub(super) attempt: Option<Attempt>,
     /// Nothing is begun before: the robot stands still between two attempts.
     pub(super) rests_until: NodeTime,
+    /// Whether the notebook has a page of this award: without one nothing is begun.
+    pub(super) on_record: bool,
     /// Why the role cannot be carried to its end; from then on the robot only waits to put it down.
     pub(super) failure: Option<TaskFailure>,
+    /// The first goal of the body that belongs to the task under way, or to the next.
+    pub(super) first_goal: GoalId,
     /// Whether it was told that the battery falls short.
     pub(super) told_of_charge: bool,
     /// What was said under awards no longer in force, so that each is told of once.
@@ -50,7 +55,7 @@ impl Job {
 
     pub(super) fn page(&self) -> Page {
         let (ended, detours) = (self.sequencer.ended().clone(), self.sequencer.detours().clone());
-        Page { award: self.award.clone(), ended, detours }
+        Page { award: self.award.clone(), ended, detours, first_goal: self.first_goal }
     }
 
     /// Stops the body safely, if it is at work.

@@ -4,13 +4,14 @@ use super::sequencer::Detours;
 use consort_protocol::codec::{self, CodecError};
 use consort_protocol::ids::RobotId;
 use consort_protocol::lease::Award;
-use consort_protocol::plan::StepIndex;
+use consort_protocol::plan::{StepAction, StepIndex};
+use consort_skills::actions::GoalId;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeSet;
 
 /// First byte of a page. Raised when a page is laid out anew: a robot that was brought to another release has then
 /// forgotten its role, and says so.
-const VERSION: u8 = 1;
+const VERSION: u8 = 2;
 
 /// How far a robot has come with an award. What it has said to others is in `ended`: messages are steps.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -21,6 +22,8 @@ pub struct Page {
     pub ended: BTreeSet<StepIndex>,
     /// Alternatives that were tried or are under way.
     pub detours: Detours,
+    /// This and later goals of the body belong to what has not ended.
+    pub first_goal: GoalId,
 }
 
 /// Why a page cannot be taken up. The robot has forgotten what it held.
@@ -47,6 +50,16 @@ pub enum PageError {
 }
 
 impl Page {
+    /// Whether one of these steps is a task that the page does not have as ended: then the body's latest goals may be of that
+    /// one. (That a signal was heard is written down only with what follows.)
+    pub fn lacks_a_task(&self, known: &BTreeSet<StepIndex>) -> bool {
+        let is_task = |step: &&StepIndex| {
+            let step = self.award.plan.steps.get(**step as usize);
+            step.is_some_and(|step| matches!(step.action, StepAction::Task { .. }))
+        };
+        known.difference(&self.ended).any(|step| is_task(&step))
+    }
+
     /// The page as bytes.
     pub fn write(&self) -> Vec<u8> {
         let mut bytes = vec![VERSION];
@@ -90,7 +103,7 @@ mod tests {
             plan,
             holders: std::collections::BTreeMap::new(),
         };
-        Page { award, ended: BTreeSet::from([0, 1]), detours: Detours::default() }
+        Page { award, ended: BTreeSet::from([0, 1]), detours: Detours::default(), first_goal: GoalId(3) }
     }
 
     #[test]
@@ -100,11 +113,24 @@ mod tests {
     }
 
     #[test]
+    fn a_page_that_lacks_a_task_is_told_from_one_that_lacks_a_signal_that_was_heard() {
+        let role = "r1";
+        let signal = serde_json::json!({ "kind": "done", "task": "lift", "from": "arm", "to": role });
+        let task = |id: &str| serde_json::json!({ "Task": { "id": id, "spec": { "type": id, "roles": [role] } } });
+        let step = |action: serde_json::Value| serde_json::json!({ "action": action, "after": [] });
+        let steps = [step(task("go")), step(serde_json::json!({ "Wait": signal })), step(task("take"))];
+        let plan = serde_json::from_value(serde_json::json!({ "role": role, "steps": steps })).unwrap();
+        let page = Page { award: Award { plan, ..page().award }, ended: BTreeSet::from([0]), ..page() };
+        let lacks = |known: &[StepIndex]| page.lacks_a_task(&known.iter().copied().collect());
+        assert_eq!([lacks(&[]), lacks(&[0]), lacks(&[0, 1]), lacks(&[0, 1, 2])], [false, false, false, true]);
+    }
+
+    #[test]
     fn what_is_no_page_of_this_robot_is_not_taken_up() {
         let read = |bytes: &[u8], robot: &str| Page::read(bytes, &robot.parse().unwrap()).unwrap_err().to_string();
         let bytes = page().write();
         assert_eq!(read(&[], "ada"), "an empty page");
-        assert_eq!(read(&[9, 1, 2], "ada"), "laid out as version 9, where this release reads 1");
+        assert_eq!(read(&[9, 1, 2], "ada"), "laid out as version 9, where this release reads 2");
         assert_eq!(read(&bytes, "bob"), "written by ada");
         for length in 1..bytes.len() {
             assert!(Page::read(&bytes[..length], &"ada".parse().unwrap()).is_err(), "the first {length} bytes");

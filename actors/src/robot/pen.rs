@@ -52,6 +52,11 @@ impl Pen {
         true
     }
 
+    /// Whether a page is being written.
+    pub fn is_writing(&self) -> bool {
+        self.writing.is_some()
+    }
+
     /// The page has been written.
     pub fn done(&mut self) {
         self.written.extend(self.writing.take().into_iter().flatten());

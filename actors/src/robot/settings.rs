@@ -57,7 +57,8 @@ pub struct RobotSettings {
     /// How long a robot stands still between two attempts at a task, in node time. Raised: what was in the way has more
     /// time to pass. Default 500 ms (a guess).
     pub pause: Duration,
-    /// How often properties are sensed and leases looked after. Default 250 ms; knowledge is told once a second at least.
+    /// How often properties are sensed and leases looked after. Default 250 ms; knowledge is told once a second at most while
+    /// only pose and charge change.
     pub beat: Duration,
     /// How often a running skill is ticked while nothing is heard from the body. Default 100 ms.
     pub tick: Duration,

@@ -25,6 +25,9 @@ use tracing::{debug, warn};
 /// How often the rest of the plan is priced while a task is under way.
 const PRICED_EVERY: Duration = Duration::from_secs(1);
 
+/// How often a robot without a role looks whether a notebook that could not be written can be again.
+const NOTEBOOK_TRIED_EVERY: Duration = Duration::from_secs(1);
+
 impl RobotState {
     /// The sequencing process: as many steps as can be taken now. What has ended is written down before anything new is
     /// begun or told.
@@ -102,6 +105,7 @@ impl RobotState {
         };
         match self.settings.library.load(spec, &skill_context) {
             Ok(skill) => {
+                self.settings.body.begin_attempt(job.first_goal);
                 let (body, period) = (self.settings.body.clone(), self.settings.tick);
                 let run_it = Run { skill, body, period, done: Box::new(ended) };
                 let (runner, _) = Actor::spawn_linked(None, SkillRunner, run_it, myself.get_cell()).await?;
@@ -132,6 +136,7 @@ impl RobotState {
                 let Some(task) = job.sequencer.at().cloned() else { return Ok(()) };
                 let (mission, role) = job.of();
                 job.sequencer.end(attempt.spot);
+                job.first_goal = self.settings.body.next_goal();
                 job.pen.note(Telling::Event(Happening::TaskEnded { mission, role, task }));
                 self.advance(myself).await
             }
@@ -281,14 +286,16 @@ impl RobotState {
         if self.writing {
             return;
         }
+        let may_try = self.may_try_notebook();
         let page = match &mut self.job {
             Some(job) => match job.pen.begin() {
                 true => Some(job.page().write()),
                 false => return,
             },
-            None if self.page_written && self.recalled.is_none() => None,
+            None if self.page_written && self.recalled.is_none() && may_try => None,
             None => return,
         };
+        self.notebook_tried_at = self.settings.clock.now();
         self.writing = true;
         self.page_written = page.is_some();
         let (notebook, to) = (self.settings.notebook.clone(), myself.clone());
@@ -305,14 +312,41 @@ impl RobotState {
         result: io::Result<()>,
     ) -> Result<(), ActorProcessingErr> {
         self.writing = false;
+        let ours = self.job.as_ref().is_some_and(|job| job.pen.is_writing());
         match result {
-            Ok(()) => debug!(robot = %self.settings.robot, "its notebook is up to date"),
-            // A role is carried out all the same: what the next life lacks, the ledger has, or else nobody acted on it.
-            Err(problem) => warn!(robot = %self.settings.robot, %problem, "its notebook was not written"),
+            Ok(()) => {
+                debug!(robot = %self.settings.robot, "its notebook is up to date");
+                self.notebook_problem = None;
+                if let Some(job) = self.job.as_mut().filter(|_| ours) {
+                    job.on_record = true;
+                }
+            }
+            Err(problem) => {
+                warn!(robot = %self.settings.robot, %problem, "its notebook was not written");
+                self.notebook_problem = Some(problem.to_string());
+                // The former page is still there.
+                self.page_written = true;
+            }
         }
         if let Some(job) = &mut self.job {
             job.pen.done();
         }
+        let unwritten = self.job.as_ref().is_some_and(|job| ours && !job.on_record && job.failure.is_none());
+        if let Some(why) = self.notebook_problem.as_ref().filter(|_| unwritten) {
+            // Nothing was begun: another robot can keep what this one could only promise. A role that was on record is
+            // carried out all the same: what the next life lacks, the ledger has, or else nobody acted on it.
+            let (kind, cause) = (FailureKind::Notebook, format!("its notebook cannot be written: {why}"));
+            self.fall_back(myself, Setback { kind, cause, lasting: true });
+            self.report(myself);
+        }
+        let now = self.settings.clock.now();
+        self.sense(now);
         self.advance(myself).await
+    }
+
+    /// Whether the notebook is in order, or it is time to see whether it is again.
+    fn may_try_notebook(&self) -> bool {
+        let since = self.settings.clock.now().since(self.notebook_tried_at);
+        self.notebook_problem.is_none() || since >= NOTEBOOK_TRIED_EVERY
     }
 }

@@ -125,6 +125,9 @@ pub struct FleetFlags {
     /// How long a neighbour that says nothing counts as linked
     #[arg(long, env = "CONSORT_LINK_LEASE_MS", value_name = "MS")]
     link_lease_ms: Option<u64>,
+    /// After how many seconds a role none of whose steps ends is taken from its robot; 0 for never
+    #[arg(long, env = "CONSORT_STALL_AFTER_S", value_name = "SECONDS")]
+    stall_after_s: Option<u64>,
     /// Longest time that a robot's part may take by its own estimate
     #[arg(long, env = "CONSORT_TIME_LIMIT_S", value_name = "SECONDS", value_parser = seconds)]
     time_limit_s: Option<Seconds>,
@@ -159,6 +162,7 @@ impl FleetFlags {
         set(&mut fleet.voters, self.voters);
         fleet.dead_after_ms = self.dead_after_ms.or(fleet.dead_after_ms);
         fleet.link_lease_ms = self.link_lease_ms.or(fleet.link_lease_ms);
+        set(&mut fleet.stall_after_s, self.stall_after_s);
         fleet.limits.time_s = self.time_limit_s.or(fleet.limits.time_s);
         set(&mut fleet.limits.charge_min, self.charge_min);
         set(&mut fleet.lease.lease_ms, self.lease_ms);

@@ -6,6 +6,7 @@ use crate::exit::Failure;
 use crate::{output, running, source};
 use consort_protocol::ids::RequestId;
 use consort_protocol::keys::ApiCall;
+use consort_protocol::ledger::{Priority, time_until_deadline};
 use rand::TryRng;
 use rand::rngs::SysRng;
 use serde_json::{Value, json};
@@ -34,10 +35,10 @@ pub struct Args {
     #[arg(long, value_name = "ID")]
     request: Option<RequestId>,
     /// Which of several waiting missions is served first: -100 to 100, higher first
-    #[arg(long, value_name = "NUMBER", default_value_t = 0, allow_negative_numbers = true)]
-    priority: i64,
+    #[arg(long, value_name = "NUMBER", default_value = "0", allow_negative_numbers = true, value_parser = priority)]
+    priority: Priority,
     /// Give the mission up if it is not done after so many seconds, by the coordinators' wall clocks. Default: never
-    #[arg(long, value_name = "SECONDS")]
+    #[arg(long, value_name = "SECONDS", allow_negative_numbers = true, value_parser = deadline)]
     deadline: Option<f64>,
     /// Wait until the mission has ended, and fail if it does not complete
     #[arg(long)]
@@ -61,7 +62,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
     let parameters: BTreeMap<&str, &str> = args.parameters.iter().map(|(k, v)| (k.as_str(), v.as_str())).collect();
     let request = args.request.as_ref().map_or_else(by_chance, ToString::to_string);
     let mut request = json!({ "mission": mission, "parameters": parameters, "request": request });
-    request["priority"] = json!(args.priority);
+    request["priority"] = json!(args.priority.get());
     if let Some(deadline) = args.deadline {
         request["deadline_s"] = json!(deadline);
     }
@@ -81,6 +82,16 @@ pub fn run(args: Args) -> Result<(), Failure> {
         client.close().await;
         ended
     })
+}
+
+fn priority(text: &str) -> Result<Priority, String> {
+    let number = text.parse().map_err(|_| format!("{text:?} is no whole number; allowed are -100 to 100"))?;
+    Priority::new(number).map_err(|problem| problem.to_string())
+}
+
+fn deadline(text: &str) -> Result<f64, String> {
+    let number = text.parse().map_err(|_| format!("{text:?} is no number of seconds from now"))?;
+    time_until_deadline(number).map(|_| number).map_err(|problem| problem.to_string())
 }
 
 fn by_chance() -> String {

@@ -95,3 +95,35 @@ fn a_value_that_a_flag_gives_is_checked_like_one_of_a_file() {
     assert_eq!(ran.code, Some(2));
     assert!(ran.err.contains("lease.lease_ms is 1, allowed is 500 to 3600000"), "{}", ran.err);
 }
+
+/// The keys that a file may have there, as the message about an unknown one names them.
+fn allowed_keys(table: &str) -> Vec<String> {
+    let file = written("keys_wanted.toml", &format!("name = \"ward\"\n{table}\nnot_a_key = 1\n"));
+    let ran = run(&["check", "--kind", "fleet", &file]);
+    let (_, list) = ran.out.split_once("; allowed: ").unwrap_or_else(|| panic!("{table}: {}{}", ran.out, ran.err));
+    let list = list.split([';', '\n']).next().unwrap_or_default();
+    list.split(", ").map(str::to_owned).collect()
+}
+
+#[test]
+fn the_example_of_a_fleet_file_has_every_key_that_there_is() {
+    let text = std::fs::read_to_string(own("examples/fleet.toml")).expect("an example");
+    let example: toml::Table = text.parse().expect("TOML");
+    let part = |name: &str| match &example[name] {
+        toml::Value::Array(list) => list[0].as_table().expect("a table").clone(),
+        value => value.as_table().expect("a table").clone(),
+    };
+    let mut missing = vec![];
+    for (heading, table) in [
+        ("", example.clone()),
+        ("[limits]", part("limits")),
+        ("[lease]", part("lease")),
+        ("[auction]", part("auction")),
+        ("[[ensemble]]", part("ensemble")),
+    ] {
+        let keys = allowed_keys(heading);
+        assert!(!keys.is_empty(), "{heading}");
+        missing.extend(keys.into_iter().filter(|key| !table.contains_key(key)).map(|key| format!("{heading} {key}")));
+    }
+    assert_eq!(missing, [""; 0]);
+}

@@ -6,4 +6,5 @@ mod files;
 mod help;
 mod network;
 mod recover;
+mod requests;
 mod support;

@@ -301,14 +301,16 @@ impl Ledger {
         live
     }
 
-    /// What robots have of missions that wait for a person, with those missions. Such robots are given no role.
-    pub fn stranded(&self) -> impl Iterator<Item = (&MissionEntry, &Stranded)> {
+    /// What robots have of missions that wait for a person, or that recover from the loss of it, with those missions. Such
+    /// robots are given no role of another mission.
+    pub fn stranded(&self) -> impl Iterator<Item = (&MissionEntry, Stranded)> {
         self.missions.values().flat_map(|entry| {
-            let items: &[Stranded] = match &entry.state {
-                MissionState::NeedsRescue { items, .. } => items,
-                _ => &[],
+            let items = match &entry.state {
+                MissionState::NeedsRescue { items, .. } => items.clone(),
+                MissionState::Pending | MissionState::Running => entry.left_behind(),
+                MissionState::Completed | MissionState::Failed { .. } | MissionState::Canceled { .. } => vec![],
             };
-            items.iter().map(move |item| (entry, item))
+            items.into_iter().map(move |item| (entry, item))
         })
     }
 
@@ -352,6 +354,7 @@ impl Ledger {
             auction: None,
             branch: Branch::Main,
             inherited: vec![],
+            former: vec![],
             releases: vec![],
             released: 0,
         };
@@ -383,12 +386,14 @@ impl Ledger {
             if let Some(role) = taken.insert(robot, role) {
                 return Err(two(mission, role));
             }
-            if let Some((entry, kept)) = self.stranded().find(|(_, kept)| kept.robot == *robot) {
-                let (robot, item, mission) = (robot.clone(), kept.item.clone(), entry.id.clone());
+            let mut others = self.stranded().filter(|(entry, _)| entry.id != *mission);
+            if let Some((entry, kept)) = others.find(|(_, kept)| kept.robot == *robot) {
+                let (robot, item, mission) = (robot.clone(), kept.item, entry.id.clone());
                 return Err(Refused::HandsFull { robot, item, mission });
             }
         }
         let entry = self.live_mission(mission)?;
+        entry.former.clear();
         for (id, robot) in holders {
             if let Some(role) = entry.roles.get_mut(&id) {
                 role.holder = Some(Holder { robot, epoch: at, incarnation: None });

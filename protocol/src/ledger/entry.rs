@@ -9,6 +9,7 @@ use crate::plan::{Division, LocalPlan, Signal, StepAction, StepIndex};
 use serde::{Deserialize, Serialize};
 use std::cmp::Reverse;
 use std::collections::{BTreeMap, BTreeSet};
+use std::time::Duration;
 
 /// A mission as it was asked for: checked and divided.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -87,6 +88,25 @@ impl Priority {
     }
 }
 
+/// Longest time until a deadline: ten years of seconds.
+const ALLOWED_MAX_S: f64 = 315_360_000.0;
+
+/// A time in which no mission can be done, or be waited for. Nothing was asked for.
+#[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
+#[error("allowed are more than 0 and at most {ALLOWED_MAX_S} seconds")]
+pub struct DeadlineError;
+
+/// Reads the time, in seconds from now, in which a mission should be done.
+///
+/// # Errors
+/// [`DeadlineError`] if it is none, has passed, or is longer than ten years.
+pub fn time_until_deadline(seconds: f64) -> Result<Duration, DeadlineError> {
+    match Duration::try_from_secs_f64(seconds) {
+        Ok(time) if seconds > 0.0 && seconds <= ALLOWED_MAX_S => Ok(time),
+        _ => Err(DeadlineError),
+    }
+}
+
 impl TryFrom<i8> for Priority {
     type Error = PriorityError;
     fn try_from(number: i8) -> Result<Self, PriorityError> {
@@ -119,6 +139,9 @@ pub struct MissionEntry {
     pub branch: Branch,
     /// What was in robots' keeping when the recovery branch was taken.
     pub inherited: Vec<Stranded>,
+    /// The awards in force when the recovery branch was taken, until its roles are given out: their holders may act on them
+    /// for as long as their leases last.
+    pub former: Vec<Holding>,
     /// The robots that its roles were taken from, oldest first; of more than [`RELEASES_KEPT`] not all.
     pub releases: Vec<Released>,
     /// How many there were.
@@ -339,12 +362,19 @@ impl MissionEntry {
     /// Goes over to the recovery branch for what was lost, if there is one that has not been taken and that asks for
     /// nothing that is not known. All its roles are open.
     pub(super) fn recover(&mut self, lost: &Stranded, kept: Vec<Stranded>) -> bool {
+        let from = lost.role.clone();
         let lost = Lost { item: lost.item.clone(), robot: lost.robot.clone(), place: lost.place.clone() };
         let filled = match self.branch {
             Branch::Main => self.submission.recovery.as_ref().and_then(|recovery| recovery.filled(&lost)),
             Branch::Recovery => None,
         };
         let Some(filled) = filled else { return false };
+        let in_force = |(_, role): &(&RoleId, &RoleEntry)| matches!(role.phase, RolePhase::Awarded | RolePhase::Active);
+        let others = self.roles.iter().filter(|(id, _)| **id != from).filter(in_force);
+        self.former = others
+            .filter_map(|(_, role)| role.holder.as_ref())
+            .map(|holder| Holding { robot: holder.robot.clone(), epoch: holder.epoch })
+            .collect();
         self.roles = RoleEntry::all_open(&filled.mission);
         self.submission.recovery = Some(filled);
         self.branch = Branch::Recovery;

@@ -6,6 +6,8 @@
 //!   has only cleaning up left ──────▶ the role has ended
 //!   told nobody of its work ────────▶ the role is open again       (also: `on_loss: restart`)
 //!   told others ────────────────────▶ failed
+//! the same within the recovery branch, of which there is one: with what it moves in hand ──▶ needs rescue; else as above,
+//!   and what was lost at first is still where it was
 //! given up or withdrawn while somebody has, or may have, an item ──▶ needs rescue ── a person ──▶ failed
 //! ```
 
@@ -112,15 +114,17 @@ impl Ledger {
         Ok(Outcome::Done)
     }
 
-    /// A mission that waits for a person is closed by being canceled.
+    /// Withdraws a mission. One that waits for a person stays so, since only a person who has been there can close it; and
+    /// whoever asks again for want of an answer has been heard.
     pub(super) fn cancel(
         &mut self,
         mission: &MissionId,
         by: String,
         places: &BTreeMap<RobotId, PlaceId>,
     ) -> Result<Outcome, Refused> {
-        match self.missions.get(mission).map(|entry| entry.state.needs_rescue()) {
-            Some(true) => self.rescued(mission, &by),
+        match self.missions.get(mission).map(|entry| &entry.state) {
+            Some(MissionState::NeedsRescue { .. }) => Ok(Outcome::Done),
+            Some(MissionState::Canceled { by: known }) if *known == by => Ok(Outcome::Done),
             _ => self.end(mission, MissionState::Canceled { by }, places),
         }
     }
@@ -129,11 +133,17 @@ impl Ledger {
         let Some(entry) = self.missions.get_mut(mission) else {
             return Err(Refused::NoMission { mission: mission.clone() });
         };
-        let MissionState::NeedsRescue { cause, .. } = &entry.state else {
-            let state = entry.state.word().to_owned();
-            return Err(Refused::NoRescue { mission: mission.clone(), state });
+        let closing = format!("; rescued by {by}");
+        let cause = match &entry.state {
+            MissionState::NeedsRescue { cause, .. } => cause,
+            // Asked once more for want of an answer.
+            MissionState::Failed { cause } if cause.ends_with(&closing) => return Ok(Outcome::Done),
+            state => {
+                let state = state.word().to_owned();
+                return Err(Refused::NoRescue { mission: mission.clone(), state });
+            }
         };
-        entry.state = MissionState::Failed { cause: format!("{cause}; rescued by {by}") };
+        entry.state = MissionState::Failed { cause: format!("{cause}{closing}") };
         // The oldest are forgotten when the next mission ends: this one may be among them, and is still to be looked at.
         Ok(Outcome::Done)
     }
@@ -146,7 +156,7 @@ impl Ledger {
         if !managed.all(|role| role.phase == RolePhase::Ended) {
             return Ok(Outcome::Done);
         }
-        match left_behind(entry) {
+        match entry.left_behind() {
             items if items.is_empty() => entry.state = MissionState::Completed,
             items => {
                 let cause = format!("the recovery branch was carried out; {}", whereabouts(&items));
@@ -158,10 +168,14 @@ impl Ledger {
     }
 }
 
-/// What the recovery branch did not move: it is still where it was lost.
-fn left_behind(entry: &MissionEntry) -> Vec<Stranded> {
-    let kept = entry.custody();
-    kept.into_iter().filter(|kept| entry.inherited.contains(kept)).collect()
+impl MissionEntry {
+    /// What the recovery branch has not moved: it is still where it was lost.
+    pub(super) fn left_behind(&self) -> Vec<Stranded> {
+        if self.inherited.is_empty() {
+            return vec![];
+        }
+        self.custody().into_iter().filter(|kept| self.inherited.contains(kept)).collect()
+    }
 }
 
 fn in_places(mut kept: Vec<Stranded>, places: &BTreeMap<RobotId, PlaceId>) -> Vec<Stranded> {

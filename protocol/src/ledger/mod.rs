@@ -23,7 +23,7 @@ mod loss;
 pub use apply::{Command, HISTORY_MAX, Ledger, Outcome, Refused};
 pub use custody::Stranded;
 pub use entry::{
-    Branch, Holder, MissionEntry, MissionState, Priority, PriorityError, RELEASES_KEPT, Recovery, Released, RoleEntry,
-    RolePhase, Submission,
+    Branch, DeadlineError, Holder, MissionEntry, MissionState, Priority, PriorityError, RELEASES_KEPT, Recovery,
+    Released, RoleEntry, RolePhase, Submission, time_until_deadline,
 };
 pub use loss::RELEASES_MAX;

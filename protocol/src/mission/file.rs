@@ -29,7 +29,8 @@
 //! Beside `root` a file may have a `recovery`, of the same shape: what is done instead if a robot is lost that has, or may
 //! have, an item. Its roles are declared with the others, and robots are sought anew for all that take part in it. Its
 //! tasks have names of their own. In its `parameters` and `reaches`, `${lost.item}`, `${lost.robot}` and `${lost.place}`
-//! stand for what was lost, who had it, and where that robot was last known to be.
+//! stand for what was lost, who had it, and where that robot was last known to be. A robot that is lost in turn, with nothing in
+//! its hands, is replaced; with an item, or if the branch cannot be carried out, the mission needs a person.
 //!
 //! An abstract task may have `alternatives`: other methods, each `{ method: sequential, tasks: [ elementary tasks ] }`,
 //! tried in the order of the file when a task of its own method has failed for good. They are *local*: all tasks of the
@@ -46,12 +47,13 @@
 use super::domain::{Domain, ValueKind};
 use super::lost::{self, Lost};
 use super::model::{
-    ATTEMPTS, Body, Method, Mission, OnLoss, Order, OtherMethod, Role, RoleKind, TaskIndex, TaskNode, TaskSpec,
+    ATTEMPTS, ATTEMPTS_MAX, Body, Method, Mission, OnLoss, Order, OtherMethod, Role, RoleKind, TaskIndex, TaskNode,
+    TaskSpec,
 };
 use super::problem::{Allowed, Fault, MissionErrors, Problem};
 use super::validate::TASKS_MAX;
 use crate::ids::{ItemId, NameError, RoleId, TaskId, TaskType};
-use serde::de::{Deserializer, Error as _, MapAccess, Visitor};
+use serde::de::{Deserializer, Error as _, MapAccess, Unexpected, Visitor};
 use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
@@ -202,7 +204,7 @@ struct TaskFile {
     acquires: BTreeMap<String, String>,
     #[serde(default)]
     releases: Vec<String>,
-    #[serde(default)]
+    #[serde(default, deserialize_with = "attempts")]
     attempts: Option<u8>,
     #[serde(default)]
     alternatives: Vec<MethodFile>,
@@ -247,6 +249,29 @@ where
         }
     }
     reader.deserialize_map(OnceEach(PhantomData))
+}
+
+/// A number of attempts, or a word on what it should be. Whether it is one that is allowed is told later, with its task.
+fn attempts<'de, D: Deserializer<'de>>(reader: D) -> Result<Option<u8>, D::Error> {
+    struct Attempts;
+    impl Visitor<'_> for Attempts {
+        type Value = Option<u8>;
+        fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+            write!(f, "a whole number of attempts from 1 to {ATTEMPTS_MAX}")
+        }
+        fn visit_u64<E: serde::de::Error>(self, number: u64) -> Result<Self::Value, E> {
+            let number = u8::try_from(number).map_err(|_| E::invalid_value(Unexpected::Unsigned(number), &self))?;
+            Ok(Some(number))
+        }
+        fn visit_i64<E: serde::de::Error>(self, number: i64) -> Result<Self::Value, E> {
+            let positive = u64::try_from(number).map_err(|_| E::invalid_value(Unexpected::Signed(number), &self))?;
+            self.visit_u64(positive)
+        }
+        fn visit_unit<E: serde::de::Error>(self) -> Result<Self::Value, E> {
+            Ok(None)
+        }
+    }
+    reader.deserialize_any(Attempts)
 }
 
 fn yaml_options() -> serde_saphyr::Options {
@@ -575,5 +600,7 @@ impl<'a> Building<'a> {
     }
 }
 
+#[cfg(test)]
+mod more_tests;
 #[cfg(test)]
 mod tests;

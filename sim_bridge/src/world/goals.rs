@@ -16,7 +16,7 @@ use std::collections::VecDeque;
 #[derive(Default)]
 pub(super) struct GoalBook {
     current: Option<Current>,
-    ended: VecDeque<(GoalId, GoalStatus)>,
+    ended: VecDeque<Ended>,
     /// The largest id no longer remembered: what is not larger is taken for a repetition.
     forgotten: Option<GoalId>,
 }
@@ -27,6 +27,12 @@ struct Current {
     ends: Ticket,
 }
 
+struct Ended {
+    id: GoalId,
+    goal: Goal,
+    status: GoalStatus,
+}
+
 impl GoalBook {
     /// Whether a goal is under way.
     pub(super) fn is_busy(&self) -> bool {
@@ -35,14 +41,14 @@ impl GoalBook {
 
     fn knows(&self, id: GoalId) -> bool {
         self.current.as_ref().is_some_and(|current| current.id == id)
-            || self.ended.iter().any(|(ended, _)| *ended == id)
+            || self.ended.iter().any(|ended| ended.id == id)
             || self.forgotten.is_some_and(|forgotten| id <= forgotten)
     }
 
-    fn remember(&mut self, id: GoalId, status: GoalStatus, kept: usize) {
-        self.ended.push_back((id, status));
+    fn remember(&mut self, ended: Ended, kept: usize) {
+        self.ended.push_back(ended);
         if self.ended.len() > kept {
-            let gone = self.ended.pop_front().map(|(id, _)| id);
+            let gone = self.ended.pop_front().map(|ended| ended.id);
             self.forgotten = self.forgotten.max(gone);
         }
     }
@@ -62,7 +68,7 @@ impl World {
                 self.set_working(robot, true);
             }
             Err(error) => {
-                let event = self.record(robot, id, GoalStatus::Aborted(error));
+                let event = self.record(robot, id, goal, GoalStatus::Aborted(error));
                 self.say(event);
             }
         }
@@ -102,7 +108,7 @@ impl World {
             }
             Err(error) => GoalStatus::Aborted(error),
         };
-        Some(self.record(robot, current.id, status))
+        Some(self.record(robot, current.id, current.goal, status))
     }
 
     /// Ends a goal early, if it is the one under way.
@@ -130,7 +136,7 @@ impl World {
         let current = self.get_mut::<GoalBook>(robot).current.take()?;
         self.queue.take_back(current.ends);
         self.come_to_rest(robot);
-        Some(self.record(robot, current.id, status))
+        Some(self.record(robot, current.id, current.goal, status))
     }
 
     fn come_to_rest(&mut self, robot: Entity) {
@@ -138,9 +144,9 @@ impl World {
         self.set_working(robot, false);
     }
 
-    fn record(&mut self, robot: Entity, id: GoalId, status: GoalStatus) -> BodyEvent {
+    fn record(&mut self, robot: Entity, id: GoalId, goal: Goal, status: GoalStatus) -> BodyEvent {
         let kept = self.limits.ended_kept;
-        self.get_mut::<GoalBook>(robot).remember(id, status.clone(), kept);
+        self.get_mut::<GoalBook>(robot).remember(Ended { id, goal, status: status.clone() }, kept);
         let robot = self.name(robot);
         self.note(Happening::GoalEnded { robot: robot.clone(), id, status: status.clone() });
         BodyEvent::GoalEnded { robot, goal: id, status }
@@ -159,10 +165,17 @@ impl World {
 
     pub(super) fn goals_of(&self, robot: Entity) -> Vec<GoalId> {
         let book = self.get::<GoalBook>(robot);
-        let ended = book.ended.iter().map(|(id, _)| *id);
+        let ended = book.ended.iter().map(|ended| ended.id);
         let mut goals: Vec<GoalId> = ended.chain(book.current.as_ref().map(|current| current.id)).collect();
         goals.sort();
         goals
+    }
+
+    pub(super) fn goal_of(&self, robot: Entity, id: GoalId) -> Option<Goal> {
+        let book = self.get::<GoalBook>(robot);
+        let current = book.current.as_ref().filter(|current| current.id == id).map(|current| &current.goal);
+        let ended = || book.ended.iter().find(|ended| ended.id == id).map(|ended| &ended.goal);
+        current.or_else(ended).cloned()
     }
 
     pub(super) fn goal_status(&self, robot: Entity, id: GoalId) -> Option<GoalStatus> {
@@ -177,7 +190,7 @@ impl World {
                 let time_remaining = Seconds::new(left).unwrap_or(Seconds::ZERO);
                 Some(GoalStatus::Executing(Feedback { distance_remaining, time_remaining }))
             }
-            _ => book.ended.iter().find(|(ended, _)| *ended == id).map(|(_, status)| status.clone()),
+            _ => book.ended.iter().find(|ended| ended.id == id).map(|ended| ended.status.clone()),
         }
     }
 }

@@ -74,6 +74,10 @@ impl BodyHost for World {
         self.robots.get(robot).map_or(vec![], |robot| self.goals_of(*robot))
     }
 
+    fn goal(&self, robot: &RobotId, id: GoalId) -> Option<Goal> {
+        self.goal_of(*self.robots.get(robot)?, id)
+    }
+
     fn answer(&self, id: GoalId) -> Option<Result<(), ActionError>> {
         self.answer_to(id)
     }

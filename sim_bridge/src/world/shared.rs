@@ -64,6 +64,10 @@ impl BodyHost for SharedWorld {
         self.lock().goals(robot)
     }
 
+    fn goal(&self, robot: &RobotId, id: GoalId) -> Option<Goal> {
+        self.lock().goal(robot, id)
+    }
+
     fn answer(&self, id: GoalId) -> Option<Result<(), ActionError>> {
         self.lock().answer(id)
     }

@@ -6,7 +6,8 @@ use std::sync::Arc;
 
 type MakeGoal = dyn Fn(&mut LeafContext<'_, '_>) -> Result<Goal, Cause> + Send + Sync;
 
-/// Sends a goal made from its ports; runs until the goal ends. Before it sends, it waits until the body has let go of
+/// Sends a goal made from its ports; runs until the goal ends. One that must not be done twice, and which an earlier attempt
+/// at the task has done, counts as done. Before it sends, it waits until the body has let go of
 /// whatever the same tree canceled before, since a body at work refuses a second goal as busy.
 pub struct GoalLeaf {
     make: Arc<MakeGoal>,
@@ -38,6 +39,9 @@ impl GoalLeaf {
             return Ok(Status::Running);
         }
         let goal = (self.make)(context)?;
+        if !goal.is_repeatable() && context.actions().has_done(&goal) {
+            return Ok(Status::Success);
+        }
         let id = context.actions().send_goal(goal);
         self.goal = Some(id);
         match context.actions().status(id) {

@@ -12,6 +12,8 @@ pub(crate) struct ScriptedBody {
     script: VecDeque<Result<(), ActionError>>,
     goals: Vec<(Goal, GoalStatus)>,
     canceling: Option<GoalId>,
+    /// What an earlier attempt has done.
+    done: Vec<Goal>,
 }
 
 impl ScriptedBody {
@@ -28,12 +30,18 @@ impl ScriptedBody {
             battery: BatteryShare::FULL,
             able: true,
         };
-        ScriptedBody { telemetry, script: VecDeque::new(), goals: Vec::new(), canceling: None }
+        ScriptedBody { telemetry, script: VecDeque::new(), goals: Vec::new(), canceling: None, done: vec![] }
     }
 
     /// The same body, whose goals end like this.
     pub(crate) fn playing(mut self, script: impl IntoIterator<Item = Result<(), ActionError>>) -> ScriptedBody {
         self.script.extend(script);
+        self
+    }
+
+    /// The same body, which did this in an earlier attempt.
+    pub(crate) fn having_done(mut self, goal: Goal) -> ScriptedBody {
+        self.done.push(goal);
         self
     }
 
@@ -114,5 +122,10 @@ impl RobotActions for ScriptedBody {
 
     fn telemetry(&self) -> Option<&Telemetry> {
         Some(&self.telemetry)
+    }
+
+    fn has_done(&mut self, goal: &Goal) -> bool {
+        let done = self.done.iter().position(|done| done == goal);
+        done.map(|index| self.done.remove(index)).is_some()
     }
 }

@@ -9,7 +9,7 @@ use body::ScriptedBody;
 use consort_protocol::ids::{PlaceId, RobotId, RoleId, TaskType};
 use consort_protocol::mission::TaskSpec;
 use consort_protocol::pose::Pose;
-use consort_skills::actions::{ActionError, ErrorCode};
+use consort_skills::actions::{ActionError, ErrorCode, Goal};
 use consort_skills::environment::{Edge, Environment, Routes, TopologicalMap};
 use consort_skills::library::{ActiveSkill, SkillContext, SkillLibrary, SkillStatus};
 

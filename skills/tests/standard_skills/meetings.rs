@@ -98,3 +98,22 @@ fn a_halted_skill_sends_again_only_when_the_body_has_let_go() {
     assert_eq!(run(&mut skill, &mut body), SkillStatus::Succeeded);
     assert_eq!(body.sent(), ["drawer true", "drawer true"]);
 }
+
+#[test]
+fn what_an_earlier_attempt_has_done_is_not_done_twice() {
+    let pick_up = task("pick_up", &[("from_role", "r1")]);
+    let from = |robot: &str| Goal::PickUp { from: RobotId::new(robot).unwrap() };
+    let mut body = ScriptedBody::at("A").having_done(from("ada"));
+    assert_eq!(run(&mut skill(&pick_up), &mut body), SkillStatus::Succeeded);
+    assert_eq!(body.sent(), [""; 0]);
+    // Once for each time that it was done.
+    assert_eq!(run(&mut skill(&pick_up), &mut body), SkillStatus::Succeeded);
+    assert_eq!(body.sent(), ["pick up from ada"]);
+    let mut body = ScriptedBody::at("A").having_done(from("arm"));
+    assert_eq!(run(&mut skill(&pick_up), &mut body), SkillStatus::Succeeded);
+    assert_eq!(body.sent(), ["pick up from ada"], "from somebody else");
+    // What may be done again is.
+    let mut body = ScriptedBody::at("A").having_done(Goal::OperateDrawer { open: true });
+    assert_eq!(run(&mut skill(&task("operate_drawer", &[("action", "open")])), &mut body), SkillStatus::Succeeded);
+    assert_eq!(body.sent(), ["drawer true"]);
+}

@@ -32,6 +32,7 @@ fn fleet(voters: Vec<(u64, Member)>, observers: Vec<(u64, Member)>, candidates: 
         dead_after: DEAD,
         settle: DEAD,
         quiet: LONG,
+        yielded: None,
         voters: numbered(voters),
         changing_to: None,
         observers: numbered(observers),
@@ -51,6 +52,9 @@ fn gist(change: Option<Change>) -> String {
         Some(Change::Observe { id, .. }) => format!("observe {}", id.0),
         Some(Change::Vote { voters, .. }) => format!("vote {}", list(&voters)),
         Some(Change::Forget { id, .. }) => format!("forget {}", id.0),
+        Some(Change::HandOver { to, .. }) => {
+            format!("hand over to {}", to.iter().map(NodeId::as_str).collect::<Vec<_>>().join(" "))
+        }
     }
 }
 
@@ -228,6 +232,10 @@ fn after(view: &View, change: &Change) -> View {
             let member = next.observers.remove(id).expect("an observer");
             next.candidates.insert(*id, member);
         }
+        Change::HandOver { to, .. } => {
+            let successor = next.voters.iter().find(|(_, member)| to.contains(&member.node));
+            next.me = *successor.expect("a voter").0;
+        }
     }
     next
 }
@@ -277,4 +285,45 @@ proptest! {
         }
         prop_assert!(false, "it goes on and on: {seen:?}");
     }
+}
+
+#[test]
+fn a_leader_that_moves_hands_over_to_voters_that_stay_once_they_have_been_there_for_long() {
+    let recent = |number| Member { health: Health::Well { since: DEAD / 2 }, ..member(number) };
+    let behind = |number| Member { lag: Some(LAG_MAX + 1), ..member(number) };
+    let unheard = |number| Member { lag: None, ..member(number) };
+    let among = |voters: Vec<(u64, Member)>| fleet(voters, vec![], vec![]);
+    let view = among(vec![(1, mobile(1)), (2, member(2)), (3, mobile(3)), (4, member(4)), (5, recent(5))]);
+    let change = decide(&view).unwrap();
+    let reason = "n1 moves or runs on a battery, and n2, n4 does neither: the lead is handed over";
+    assert_eq!(change.reason(), reason);
+    assert_eq!(gist(Some(change)), "hand over to n2 n4");
+
+    for others in [
+        [mobile(2), mobile(3)],
+        [recent(2), mobile(3)],
+        [behind(2), mobile(3)],
+        [unheard(2), mobile(3)],
+        [leaving(2), leaving(3)],
+        [silent(2, 1), mobile(3)],
+    ] {
+        let [one, other] = others.clone();
+        let view = among(vec![(1, mobile(1)), (2, one), (3, other)]);
+        let gist = gist(decide(&view));
+        assert!(!gist.starts_with("hand over"), "{others:?}: {gist}");
+    }
+    assert_eq!(gist(decide(&among(well(1..=3)))), "nothing", "one that stays keeps the lead");
+}
+
+#[test]
+fn a_leader_that_moves_hands_over_at_most_every_five_minutes_and_only_when_all_is_quiet() {
+    let voters = vec![(1, mobile(1)), (2, member(2)), (3, member(3))];
+    let calm = fleet(voters, vec![], vec![]);
+    let after = |ago| View { yielded: Some(Duration::from_secs(ago)), ..calm.clone() };
+    assert_eq!(gist(decide(&after(299))), "nothing");
+    assert_eq!(gist(decide(&after(300))), "hand over to n2 n3");
+    assert_eq!(gist(decide(&View { quiet: DEAD / 2, ..calm.clone() })), "nothing");
+    // Whatever is due besides comes first.
+    let busy = View { voters: numbered(vec![(1, mobile(1)), (2, member(2)), (3, silent(3, 11))]), ..calm.clone() };
+    assert!(gist(decide(&busy)).starts_with("vote"), "{:?}", decide(&busy));
 }

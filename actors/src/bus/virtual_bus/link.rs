@@ -1,5 +1,6 @@
 //! What a link between two nodes does to messages, and what was counted.
 
+use consort_protocol::keys::KeyKind;
 use std::time::Duration;
 
 /// What links do to the messages that cross them. A node's messages to itself cross none.
@@ -72,11 +73,55 @@ pub struct Counters {
 }
 
 /// What one node has put on the wire and taken from it, in bytes of keys and payloads: publications (once for each other
-/// node that receives them, as if all were linked with all), questions and answers. What a transport adds is not counted.
+/// node that receives them, as if all were linked with all), questions and answers. What a transport adds to each message is
+/// not counted, but the messages are.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Traffic {
-    /// Sent, also what got lost on the way.
+    /// Bytes sent, also what got lost on the way.
     pub sent: u64,
-    /// Handed over.
+    /// Bytes handed over.
     pub received: u64,
+    /// Messages sent, each to one other node.
+    pub messages_sent: u64,
+    /// Messages handed over.
+    pub messages_received: u64,
+}
+
+/// A node's [`Traffic`] by what it was about.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct TrafficByKind(Vec<Traffic>);
+
+impl TrafficByKind {
+    /// What it was about, and how much of it there was; nothing of kinds that did not occur.
+    pub fn iter(&self) -> impl Iterator<Item = (KeyKind, Traffic)> {
+        KeyKind::ALL.iter().copied().zip(self.0.iter().copied()).filter(|(_, traffic)| *traffic != Traffic::default())
+    }
+
+    /// All of it together.
+    pub fn total(&self) -> Traffic {
+        self.0.iter().fold(Traffic::default(), |sum, part| Traffic {
+            sent: sum.sent + part.sent,
+            received: sum.received + part.received,
+            messages_sent: sum.messages_sent + part.messages_sent,
+            messages_received: sum.messages_received + part.messages_received,
+        })
+    }
+
+    pub(super) fn sent(&mut self, kind: KeyKind, bytes: usize) {
+        let traffic = self.of(kind);
+        traffic.sent += bytes as u64;
+        traffic.messages_sent += 1;
+    }
+
+    pub(super) fn received(&mut self, kind: KeyKind, bytes: usize) {
+        let traffic = self.of(kind);
+        traffic.received += bytes as u64;
+        traffic.messages_received += 1;
+    }
+
+    fn of(&mut self, kind: KeyKind) -> &mut Traffic {
+        // Declared in this order.
+        self.0.resize(KeyKind::ALL.len(), Traffic::default());
+        &mut self.0[kind as usize]
+    }
 }

@@ -24,7 +24,7 @@ mod responder;
 mod tests;
 mod trace;
 
-pub use link::{Counters, LinkModel, Traffic};
+pub use link::{Counters, LinkModel, Traffic, TrafficByKind};
 
 use super::{
     Bus, BusError, Delivery, Encoding, Link, MESSAGE_MAX, Presence, Query, Reply, Sample, Stream, Token, keys,
@@ -159,7 +159,7 @@ impl VirtualNetwork {
     }
 
     /// What a node has put on the wire and taken from it so far, in all its lives.
-    pub fn traffic(&self, node: &NodeId) -> Traffic {
+    pub fn traffic(&self, node: &NodeId) -> TrafficByKind {
         self.shared.with(|network| network.traffic(node))
     }
 

@@ -2,6 +2,7 @@ use super::super::entry::{Branch, Priority, Recovery, Submission};
 use super::*;
 use crate::auction::{AuctionId, AuctionRecord};
 use crate::ids::RequestId;
+use crate::lease::Holding;
 use crate::ledger::{Command, HISTORY_MAX};
 use crate::mission::{Domain, Format, MissionTemplate, shipped};
 use crate::plan::{StepIndex, divide_and_check};
@@ -203,7 +204,12 @@ fn a_carrier_lost_with_the_sample_needs_rescue_and_is_kept_until_somebody_closes
         assert_eq!(log.apply(Command::Rescued { mission: waiting.clone(), by: by.clone() }), Outcome::Done);
         let cause = format!("{said}; rescued by Nia");
         assert_eq!(log.0.mission(&waiting).map(|entry| &entry.state), Some(&MissionState::Failed { cause }));
-        let again = log.apply(Command::Rescued { mission: waiting, by });
+        assert_eq!(
+            log.apply(Command::Rescued { mission: waiting.clone(), by }),
+            Outcome::Done,
+            "heard, and asked again"
+        );
+        let again = log.apply(Command::Rescued { mission: waiting, by: "Tom".to_owned() });
         assert!(matches!(again, Outcome::Refused(Refused::NoRescue { .. })), "{again:?}");
         assert!(matches!(log.award(&[("r1", "amber"), ("lab_arm", "arm")]), Outcome::Awarded { .. }));
     }
@@ -226,12 +232,12 @@ fn a_mission_canceled_or_failed_with_the_sample_in_a_drawer_needs_rescue() {
         let cause = format!("{cause}; the sample is with amber at IC Room 6");
         assert_eq!(log.rescue(), (cause.as_str(), vec![("amber", Some(&place()), true)]));
     }
-    // To cancel it again is to close it.
+    // To cancel it again closes nothing: the one who asks may merely not have heard the answer.
     let mut log = Log::lab_samples();
     log.ended("r1", epoch(2), 0..8);
     log.apply(end(&log, true));
     log.apply(end(&log, true));
-    assert!(matches!(&log.entry().state, MissionState::Failed { cause } if cause.ends_with("; rescued by Nia")));
+    assert_eq!(log.rescue().0, "canceled by Nia; the sample is with amber at IC Room 6");
 }
 
 #[test]
@@ -265,6 +271,27 @@ fn an_arm_lost_earlier_is_replaced_while_the_carrier_keeps_the_sample() {
 }
 
 #[test]
+fn whoever_has_the_item_may_take_part_in_getting_it_back() {
+    let mut log = Log::of(&with_recovery());
+    log.hold(&[("r1", "amber"), ("lab_arm", "arm")]);
+    log.ended("r1", epoch(2), 0..8);
+    log.lose("r1", epoch(2), false);
+    assert!(matches!(log.award(&[("helper", "amber")]), Outcome::Awarded { .. }));
+}
+
+#[test]
+fn a_withdrawal_that_is_asked_for_again_has_been_heard() {
+    let mut log = Log::lab_samples();
+    let cancel =
+        |log: &Log, by: &str| Command::Cancel { mission: log.2.clone(), by: by.to_owned(), places: BTreeMap::new() };
+    for _ in 0..2 {
+        assert_eq!(log.apply(cancel(&log, "Nia")), Outcome::Done);
+    }
+    let other = log.apply(cancel(&log, "Tom"));
+    assert!(matches!(other, Outcome::Refused(Refused::Over { .. })), "{other:?}");
+}
+
+#[test]
 fn a_mission_with_a_recovery_branch_goes_on_with_it() {
     let mut log = Log::of(&with_recovery());
     log.hold(&[("r1", "amber"), ("lab_arm", "arm")]);
@@ -276,12 +303,60 @@ fn a_mission_with_a_recovery_branch_goes_on_with_it() {
     let (_, spec) = entry.plan(&role("helper")).unwrap().tasks().next().unwrap();
     assert_eq!(spec.parameters["to"], "IC Room 6");
     assert!(log.0.held_by(&robot("arm")).is_none(), "the others are free");
+    let arm = Holding { robot: robot("arm"), epoch: epoch(2) };
+    assert_eq!(entry.former, [arm], "and may still be at work");
+
+    // Whoever has the sample does nothing else meanwhile, should it come back.
+    let recovering = log.2.clone();
+    log.2 = log.submit("next", &shipped()["lab-samples"]);
+    let full = log.award(&[("r1", "amber"), ("lab_arm", "arm")]);
+    assert!(matches!(full, Outcome::Refused(Refused::HandsFull { .. })), "{full:?}");
+    log.2 = recovering;
 
     let then = log.hold(&[("helper", "birch")]);
+    assert_eq!(log.entry().former, []);
     log.ended("helper", then, 0..1);
     let (cause, items) = log.rescue();
     assert_eq!(cause, "the recovery branch was carried out; the sample is with amber at IC Room 6");
     assert_eq!(items, [("amber", Some(&place()), true)]);
+}
+
+#[test]
+fn who_is_lost_in_the_recovery_branch_is_replaced_while_it_has_nothing_in_hand() {
+    let mut log = Log::of(&with_recovery());
+    log.hold(&[("r1", "amber"), ("lab_arm", "arm")]);
+    log.ended("r1", epoch(2), 0..8);
+    log.lose("r1", epoch(2), false);
+    let then = log.hold(&[("helper", "birch")]);
+    log.lose("helper", then, false);
+    let entry = log.entry();
+    assert_eq!((entry.branch, &entry.state), (Branch::Recovery, &MissionState::Pending));
+    assert_eq!(entry.open_roles(), [role("helper")].into());
+    assert_eq!((log.keepers(), entry.released), (vec!["amber!".to_owned()], 2), "the sample is where it was");
+    // Who is lost last of all leaves the mission to a person, and the first loss is not forgotten.
+    for name in ["cedar", "dogwood", "elm"] {
+        let then = log.hold(&[("helper", name)]);
+        log.lose("helper", then, true);
+    }
+    let (cause, items) = log.rescue();
+    assert!(cause.starts_with("its roles were given up 5 times: silent for 7 s (r1); "), "{cause}");
+    assert!(cause.ends_with("; the sample is with amber at IC Room 6"), "{cause}");
+    assert_eq!(items, [("amber", Some(&place()), true)]);
+}
+
+#[test]
+fn who_is_lost_in_the_recovery_branch_with_the_item_in_hand_needs_rescue_there() {
+    let text = std::fs::read_to_string("missions/lab-samples.yaml").unwrap()
+        + "recovery: { task: hand_over, type: wait, roles: [lab_arm], parameters: { seconds: \"5\" }, acquires: { sample: lab_arm } }\n";
+    let mut log = Log::of(&MissionTemplate::parse(&text, Format::Yaml).unwrap());
+    log.hold(&[("r1", "amber"), ("lab_arm", "arm")]);
+    log.ended("r1", epoch(2), 0..8);
+    log.lose("r1", epoch(2), false);
+    let then = log.hold(&[("lab_arm", "arm")]);
+    log.lose("lab_arm", then, false);
+    let (cause, items) = log.rescue();
+    assert_eq!(cause, "arm was lost as lab_arm and may have the sample: silent for 7 s");
+    assert_eq!(items, [("amber", Some(&place()), false), ("arm", Some(&place()), false)]);
 }
 
 #[test]

@@ -1,6 +1,7 @@
 //! Which declarations match a key, found once for each key.
 
 use super::{Number, Place};
+use consort_protocol::keys::KeyKind;
 use std::collections::{BTreeMap, HashMap};
 use std::hash::{DefaultHasher, Hash, Hasher};
 use std::sync::Arc;
@@ -30,6 +31,7 @@ pub(super) struct Route {
     pub(super) key: OwnedKeyExpr,
     /// Stands for the key where a number is handier. Two keys with one hash would merely be ordered together.
     pub(super) hash: u64,
+    pub(super) kind: KeyKind,
     /// By place, in order.
     pub(super) targets: Vec<(Place, Vec<Number>)>,
 }
@@ -77,7 +79,12 @@ impl<T> Directory<T> {
         }
         let mut hasher = DefaultHasher::new();
         key.as_str().hash(&mut hasher);
-        let route = Arc::new(Route { key: key.clone(), hash: hasher.finish(), targets: targets.into_iter().collect() });
+        let route = Arc::new(Route {
+            key: key.clone(),
+            hash: hasher.finish(),
+            kind: KeyKind::of(key),
+            targets: targets.into_iter().collect(),
+        });
         if self.routes.len() >= ROUTES_MAX {
             self.routes.clear();
         }

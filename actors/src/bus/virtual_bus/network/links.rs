@@ -5,6 +5,7 @@ use super::{Network, Place};
 use crate::bus::virtual_bus::LinkModel;
 use crate::bus::virtual_bus::faults::Faults;
 use consort_protocol::ids::NodeId;
+use consort_protocol::keys::KeyKind;
 use rand::RngExt;
 use std::time::Duration;
 use tokio::time::Instant;
@@ -65,13 +66,15 @@ impl Network {
         }
     }
 
-    /// When a message of so many bytes that leaves now arrives, unless it is lost.
-    pub(super) fn cross(&mut self, from: Place, to: Place, bytes: usize) -> Option<Instant> {
+    /// When a message that leaves now arrives, unless it is lost. What has no size costs nothing.
+    pub(super) fn cross(&mut self, from: Place, to: Place, kind: KeyKind, bytes: Option<usize>) -> Option<Instant> {
         self.counters.sent += 1;
         if from == to {
             return Some(self.now);
         }
-        self.nodes[from].traffic.sent += bytes as u64;
+        if let Some(bytes) = bytes {
+            self.nodes[from].traffic.sent(kind, bytes);
+        }
         if self.nodes[to].peers[from].cut {
             self.counters.dropped += 1;
             return None;

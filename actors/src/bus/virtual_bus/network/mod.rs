@@ -18,11 +18,12 @@ pub(super) use queries::Question;
 
 use super::Shared;
 use super::faults::Faults;
-use super::link::{Counters, LinkModel, Traffic};
+use super::link::{Counters, LinkModel, TrafficByKind};
 use super::trace::Trace;
 use crate::bus::{Query, Sample};
 use agenda::{Entry, Event};
 use consort_protocol::ids::NodeId;
+use consort_protocol::keys::KeyKind;
 use directory::Directory;
 use presence::Watch;
 use publications::FLOORS_MIN;
@@ -60,7 +61,7 @@ struct Node {
     tokens: BTreeMap<Number, OwnedKeyExpr>,
     /// How this node sees each node, itself included, by place.
     peers: Vec<Peer>,
-    traffic: Traffic,
+    traffic: TrafficByKind,
 }
 
 /// How one node sees another.
@@ -196,7 +197,7 @@ impl Network {
             held: Vec::new(),
             tokens: BTreeMap::new(),
             peers: (0..=place).map(|_| Peer::default()).collect(),
-            traffic: Traffic::default(),
+            traffic: TrafficByKind::default(),
         });
         self.refresh_models();
         place
@@ -290,13 +291,13 @@ impl Network {
     }
 
     /// What a node has sent and received in all its lives.
-    pub(super) fn traffic(&self, id: &NodeId) -> Traffic {
-        self.places.get(id).map(|place| self.nodes[*place].traffic).unwrap_or_default()
+    pub(super) fn traffic(&self, id: &NodeId) -> TrafficByKind {
+        self.places.get(id).map(|place| self.nodes[*place].traffic.clone()).unwrap_or_default()
     }
 
-    fn take(&mut self, from: Place, to: Place, bytes: usize) {
+    fn take(&mut self, from: Place, to: Place, kind: KeyKind, bytes: usize) {
         if from != to {
-            self.nodes[to].traffic.received += bytes as u64;
+            self.nodes[to].traffic.received(kind, bytes);
         }
     }
 

@@ -63,7 +63,7 @@ impl Network {
 
     fn send_publication(&mut self, from: Place, to: Place, publication: &Arc<Publication>) {
         let bytes = publication.bytes();
-        let Some(arrival) = self.cross(from, to, bytes) else { return };
+        let Some(arrival) = self.cross(from, to, publication.route.kind, Some(bytes)) else { return };
         let to_life = self.life(to);
         let event = |publication: &Arc<Publication>| Event::Publication {
             from,
@@ -119,7 +119,7 @@ impl Network {
             }
         }
         if heard {
-            self.take(from, to.place, publication.bytes());
+            self.take(from, to.place, publication.route.kind, publication.bytes());
             self.trace.note(self.now, from, to.place, publication.route.hash, &publication.sample.payload);
         }
         self.count(heard);

@@ -6,6 +6,7 @@ use super::{Life, Network, Number, Place};
 use crate::bus::virtual_bus::responder::{Leg, Responder};
 use crate::bus::{Query, Reply};
 use bytes::Bytes;
+use consort_protocol::keys::KeyKind;
 use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::time::Duration;
@@ -18,6 +19,7 @@ pub(super) struct Pending {
     pub(super) asker: Place,
     replies: UnboundedSender<Reply>,
     question: Arc<Question>,
+    kind: KeyKind,
     /// By number of the service asked.
     legs: BTreeMap<Number, LegState>,
 }
@@ -81,7 +83,7 @@ impl Network {
                 continue; // given up: its services are known no more
             }
             for service in services {
-                let arrival = self.cross(asker, *place, question.bytes());
+                let arrival = self.cross(asker, *place, route.kind, Some(question.bytes()));
                 let state = LegState { service: self.life(*place), broken: false, floor: self.now };
                 if let Some(arrival) = arrival {
                     let leg = Leg { query, service: *service };
@@ -91,7 +93,8 @@ impl Network {
             }
         }
         if !legs.is_empty() {
-            self.queries.insert(query, Pending { asker, replies, question: Arc::new(question), legs });
+            self.queries
+                .insert(query, Pending { asker, replies, question: Arc::new(question), kind: route.kind, legs });
             if let Some(end) = self.now.checked_add(limit) {
                 self.at(end, Event::Limit { query });
             }
@@ -120,12 +123,12 @@ impl Network {
     fn send_answer(&mut self, leg: Leg, bytes: Option<usize>) -> Option<(Place, Place, Instant)> {
         let pending = self.queries.get(&leg.query)?;
         let state = pending.legs.get(&leg.service)?;
-        let (from, to) = (state.service.place, pending.asker);
+        let (from, to, kind) = (state.service.place, pending.asker, pending.kind);
         if state.broken || !self.lives(state.service) {
             return None;
         }
         let before = self.counters;
-        let arrival = self.cross(from, to, bytes.unwrap_or(0));
+        let arrival = self.cross(from, to, kind, bytes);
         if bytes.is_none() {
             self.counters = before;
         }
@@ -143,9 +146,9 @@ impl Network {
     }
 
     pub(super) fn deliver_question(&mut self, from: Place, to: Life, leg: Leg) {
-        let question = self.queries.get(&leg.query).map(|query| Arc::clone(&query.question));
+        let question = self.queries.get(&leg.query).map(|query| (Arc::clone(&query.question), query.kind));
         let service = self.services.declared.get(&leg.service).filter(|_| self.lives(to));
-        let (Some(question), Some(service)) = (question, service) else {
+        let (Some((question, kind)), Some(service)) = (question, service) else {
             self.count(false);
             return self.finish(leg); // nobody listens there any more
         };
@@ -156,7 +159,7 @@ impl Network {
             replier: Box::new(Responder::new(self.home.clone(), leg, to, Arc::clone(&question))),
         };
         let heard = service.mailbox.send(query).is_ok();
-        self.take(from, to.place, question.bytes());
+        self.take(from, to.place, kind, question.bytes());
         self.trace.note(self.now, from, to.place, leg.service, &question.payload);
         self.count(heard);
     }
@@ -168,8 +171,8 @@ impl Network {
             Err(reason) => Bytes::copy_from_slice(reason.as_bytes()),
         };
         let bytes = size(&reply);
-        let heard = query.replies.send(reply).is_ok();
-        self.take(from, to, bytes);
+        let (heard, kind) = (query.replies.send(reply).is_ok(), query.kind);
+        self.take(from, to, kind, bytes);
         self.trace.note(self.now, from, to, leg.service, &content);
         self.count(heard);
     }

@@ -1,0 +1,196 @@
+//! What a file may say beyond the main job: attempts, items, other methods, recovery.
+
+use super::*;
+
+/// A robot fetches a key and hands it to another; if it is lost with it, the other goes there.
+const FILE: &str = r#"
+mission: fetch-key
+roles:
+  r1: { kind: managed, on_loss: restart }
+  r2: { kind: managed }
+  nurse: { kind: unmanaged }
+root:
+  task: fetch
+  method: sequential
+  tasks:
+    - task: find
+      method: sequential
+      tasks:
+        - { task: go, type: navigation, roles: [r1], parameters: { to: Dock }, attempts: 5 }
+      alternatives:
+        - { method: sequential, tasks: [{ task: go_round, type: navigation, roles: [r1], parameters: { to: Laboratory } }, { task: go_then, type: navigation, roles: [r1], parameters: { to: Dock } }] }
+        - { method: sequential, tasks: [{ task: rest, type: wait, roles: [r1], parameters: { seconds: "60" }, attempts: 1 }] }
+    - { task: take, type: deposit, roles: [nurse], parameters: { into_role: r1 }, acquires: { key: r1 } }
+    - { task: pass_on, type: wait, roles: [r1, r2], parameters: { seconds: "5" }, acquires: { key: r2 } }
+    - { task: lay_down, type: deposit, roles: [r2], releases: [key] }
+recovery:
+  task: look_after
+  method: sequential
+  tasks:
+    - { task: go_there, type: navigation, roles: [r2], parameters: { to: "${lost.place}" } }
+    - { task: stay, type: wait, roles: [r2], parameters: { seconds: "9" }, reaches: { watched: "${lost.item} of ${lost.robot}" } }
+"#;
+
+fn problems(text: &str) -> Vec<String> {
+    let template = MissionTemplate::parse(text, Format::Yaml).unwrap();
+    match template.instantiate(&BTreeMap::new(), &Domain::hospital()) {
+        Ok(_) => vec![],
+        Err(errors) => errors.problems.iter().map(ToString::to_string).collect(),
+    }
+}
+
+/// What is said of the file when this stands in the place of that.
+fn said(from: &str, to: &str) -> Vec<String> {
+    assert!(FILE.contains(from), "{from}");
+    problems(&FILE.replace(from, to))
+}
+
+#[test]
+fn all_that_a_file_says_is_in_the_mission_and_in_its_recovery_branch() {
+    let template = MissionTemplate::parse(FILE, Format::Yaml).unwrap();
+    let (mission, recovery) = template.instantiate_both(&BTreeMap::new(), &Domain::hospital()).unwrap();
+    let on_loss = |role: &str| mission.roles[&RoleId::new(role).unwrap()].on_loss;
+    assert_eq!((on_loss("r1"), on_loss("r2")), (OnLoss::Restart, OnLoss::Fail));
+    let specs: BTreeMap<&str, &TaskSpec> =
+        mission.elementary().into_iter().map(|(id, spec)| (id.as_str(), spec)).collect();
+    assert_eq!((specs["go"].attempts, specs["take"].attempts), (5, ATTEMPTS));
+    let key = ItemId::new("key").unwrap();
+    let gets = |task: &str| specs[task].acquires.get(&key).map(RoleId::as_str);
+    assert_eq!((gets("take"), gets("pass_on"), gets("lay_down")), (Some("r1"), Some("r2"), None));
+    assert_eq!((specs["pass_on"].releases.len(), specs["lay_down"].releases.contains(&key)), (0, true));
+
+    let Body::Abstract(method) = &mission.tasks[1].body else { panic!("find is abstract") };
+    let ways = method.alternatives.iter().map(|other| {
+        let tasks = other.tasks.iter().map(|(id, spec)| (id.as_str(), spec.attempts));
+        tasks.collect::<Vec<_>>()
+    });
+    assert_eq!(ways.collect::<Vec<_>>(), [vec![("go_round", 2), ("go_then", 2)], vec![("rest", 1)]]);
+
+    let recovery = recovery.expect("it has one");
+    assert_eq!(recovery.roles.keys().map(RoleId::as_str).collect::<Vec<_>>(), ["r2"], "those who take part in it");
+    let lost = Lost { place: Some("Dock".parse().unwrap()), item: key, robot: "ada".parse().unwrap() };
+    let filled = lost.fill_mission(recovery).expect("all is known");
+    let specs = filled.elementary();
+    assert_eq!((specs[0].1.parameters["to"].as_str(), specs[1].1.reaches["watched"].as_str()), ("Dock", "key of ada"));
+    assert_eq!(problems(FILE), [""; 0]);
+}
+
+#[test]
+fn attempts_are_from_one_to_ten() {
+    for number in ["0", "11", "255"] {
+        let expected = format!("root/find/go: has {number} attempts; allowed are 1 to 10");
+        assert_eq!(said("attempts: 5", &format!("attempts: {number}")), [expected]);
+    }
+    for (text, found) in [("often", "often"), ("300", "300"), ("-1", "-1"), ("1.5", "1.5")] {
+        let template = MissionTemplate::parse(&FILE.replace("attempts: 5", &format!("attempts: {text}")), Format::Yaml);
+        let error = template.unwrap_err().to_string();
+        for part in ["not a mission file in YAML: ", "line 14", found, "a whole number of attempts from 1 to 10"] {
+            assert!(error.contains(part), "{part:?} is not in {error}");
+        }
+    }
+    assert_eq!(
+        said("    - task: find\n", "    - task: find\n      attempts: 3\n"),
+        [
+            "root/find: a task has either `method` and `tasks`, or `type` and `roles` (and `parameters`, `reaches`); this \
+          one is abstract and has `parameters`, `reaches`, `acquires`, `releases` or `attempts`"
+        ]
+    );
+}
+
+#[test]
+fn items_are_held_by_roles_of_the_mission_and_moved_in_a_definite_order() {
+    let unknown = said("acquires: { key: r1 }", "acquires: { key: r11 }");
+    let expected = "root/take: unknown role `r11`; allowed: nurse, r1, r2; did you mean `r1`?";
+    assert_eq!(unknown, [expected]);
+    assert_eq!(
+        said("releases: [key]", "releases: [key], acquires: { key: r2 }"),
+        ["root/lay_down: both acquires and releases the item `key`; it does one or the other"]
+    );
+    assert_eq!(
+        said("releases: [key]", "releases: [\"a key\"]"),
+        [
+            "root/lay_down: \"a key\" cannot name an item: it holds ' '; allowed are 1 to 64 characters of A-Z, a-z, 0-9, \
+          `_`, `.` and `-`"
+        ]
+    );
+    let unordered = said("task: fetch\n  method: sequential", "task: fetch\n  method: unordered");
+    let rule = "and neither must come first; put them in sequence";
+    assert_eq!(
+        unordered,
+        [
+            format!("pass_on: touches the item `key`, as does take, {rule}"),
+            format!("lay_down: touches the item `key`, as does pass_on, {rule}")
+        ]
+    );
+}
+
+#[test]
+fn alternatives_are_one_robots_own_sequence_of_elementary_tasks() {
+    let rule = "has alternatives, so its tasks and theirs are done by one managed role alone and touch no item; but ";
+    for (from, to, problem) in [
+        ("task: rest, type: wait, roles: [r1]", "task: rest, type: wait, roles: [r2]", "root/find"),
+        ("task: rest, type: wait, roles: [r1]", "task: rest, type: wait, roles: [nurse]", "root/find"),
+        ("task: rest, type: wait, roles: [r1]", "task: rest, type: wait, roles: [r1, r2]", "root/find"),
+        ("attempts: 1 }", "attempts: 1, releases: [key] }", "root/find"),
+        ("parameters: { to: Dock }, attempts: 5", "parameters: { to: Dock }, acquires: { key: r1 }", "root/find"),
+    ] {
+        let found = said(from, to);
+        let told = found.iter().any(|told| told.starts_with(problem) && told.contains(rule));
+        assert!(told, "{to}: {found:#?}");
+    }
+    let found = said("- { method: sequential, tasks: [{ task: rest", "- { method: unordered, tasks: [{ task: rest");
+    assert_eq!(
+        found,
+        ["root/find/alternative 2: a task has either `method` and `tasks`, or `type` and `roles` (and `parameters`, \
+          `reaches`); this one is an alternative, and the tasks of an alternative are `sequential`"]
+    );
+    let nested = "task: rest, method: sequential, tasks: []";
+    let found = said("task: rest, type: wait, roles: [r1], parameters: { seconds: \"60\" }, attempts: 1", nested);
+    let expected = "root/find/alternative 2/rest: a task has either `method` and `tasks`, or `type` and `roles` (and \
+                    `parameters`, `reaches`); this one stands in an alternative, where all tasks are elementary";
+    assert!(found.iter().any(|problem| problem == expected), "{found:#?}");
+    let found = said("parameters: { to: Laboratory }", "parameters: { two: Laboratory }");
+    assert!(
+        found.iter().any(|problem| problem.contains("`navigation` has no parameter `two`; allowed: to")),
+        "{found:#?}"
+    );
+    let found = said(
+        "- { task: take, type: deposit",
+        "- { task: take, alternatives: [{ method: sequential, tasks: [] }], type: deposit",
+    );
+    assert!(
+        found.iter().any(|problem| problem.ends_with("this one is elementary and has `alternatives`")),
+        "{found:#?}"
+    );
+    let found = said("task: go_round", "task: go");
+    assert!(found.iter().any(|problem| problem.contains("task names are unique in a mission")), "{found:#?}");
+}
+
+#[test]
+fn a_recovery_branch_is_checked_with_paths_of_its_own() {
+    let found = said("to: \"${lost.place}\"", "to: \"${lost.spot}\"");
+    let allowed = "`${lost.spot}` is no parameter of the mission; allowed: lost.item, lost.place, lost.robot";
+    assert!(found.len() == 1 && found[0].starts_with(&format!("recovery/go_there: {allowed}")), "{found:#?}");
+    let found = said("to: Dock }, attempts: 5", "to: \"${lost.place}\" }");
+    assert!(
+        found.iter().any(|problem| problem.starts_with("root/find/go: `${lost.place}` is no parameter of the mission")),
+        "nothing is lost in the main branch: {found:#?}"
+    );
+    let found = said("task: stay, type: wait, roles: [r2]", "task: stay, type: weight, roles: [r3]");
+    assert_eq!(found.len(), 2, "{found:#?}");
+    assert!(found[0].starts_with("recovery/stay: unknown role `r3`; allowed: "), "{found:#?}");
+    assert!(found[1].starts_with("recovery/stay: unknown task type `weight`; "), "{found:#?}");
+    let found = said("task: go_there", "task: take");
+    assert_eq!(found, ["recovery/…/take: has the name of root/…/take; task names are unique in a mission"]);
+    let without = FILE.replace(", acquires: { key: r1 }", "").replace(", acquires: { key: r2 }", "");
+    assert_eq!(problems(&without), ["recovery: is never taken: no task of the mission acquires an item"]);
+}
+
+#[test]
+fn what_a_role_says_about_its_loss_is_one_of_two_words() {
+    let template = MissionTemplate::parse(&FILE.replace("on_loss: restart", "on_loss: again"), Format::Yaml);
+    let error = template.unwrap_err().to_string();
+    for part in ["again", "fail", "restart", "line 4"] {
+        assert!(error.contains(part), "{part:?} is not in {error}");
+    }
+}

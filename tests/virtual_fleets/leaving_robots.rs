@@ -1,0 +1,128 @@
+//! Robots that leave while they hold a role: for good, or for a while.
+
+use consort_protocol::event::Happening;
+use consort_protocol::ids::MissionId;
+use consort_protocol::lease::LeaseTerms;
+use consort_protocol::ledger::MissionState;
+use consort_sim::world::Keeper;
+use consort_tests::{Fleet, Member, slug, tell};
+use serde_json::{Value, json};
+use std::time::Duration;
+
+const ROOM: &str = "IC Room 6";
+const SOON: Duration = Duration::from_secs(60);
+
+fn began(task: &'static str) -> impl Fn(&Happening) -> bool {
+    move |what| matches!(what, Happening::TaskBegan { task: of, .. } if of.as_str() == task)
+}
+
+fn released(what: &Happening) -> Option<String> {
+    match what {
+        Happening::Released { role, cause, .. } => Some(format!("{role}: {cause}")),
+        _ => None,
+    }
+}
+
+/// `gorse` holds the role and is at this task; `fern` could take over; the arm and the stations keep the ledger.
+async fn under_way(seed: u64, task: &'static str) -> (Fleet, MissionId) {
+    let robots = vec![Member::carrier("gorse", "IC Room 4"), Member::carrier("fern", "Dock")];
+    let mut fleet = Fleet::hospital(seed, robots, &["aster", "basil", "clove", "dill"], &[ROOM]).await;
+    fleet.coordinator().await;
+    let mission = fleet.submit("a", ROOM).await;
+    fleet.until(task, SOON, |fleet| fleet.happened(began(task))).await;
+    assert_eq!(fleet.holder(&mission, "r1").expect("held").as_str(), "gorse", "seed {seed}");
+    (fleet, mission)
+}
+
+/// Waits until the coordinator's view no longer has such a node.
+async fn no_more(fleet: &Fleet, what: &str, limit: Duration, is: impl Fn(&Value) -> bool) {
+    let deadline = fleet.elapsed() + limit;
+    while fleet.view("fleet").await["fleet"]["nodes"].as_array().expect("a list").iter().any(&is) {
+        assert!(fleet.elapsed() < deadline, "seed {}: {what} after {limit:?}", fleet.seed);
+        tokio::time::sleep(Duration::from_millis(100)).await;
+    }
+}
+
+#[test]
+fn a_robot_that_leaves_for_good_gives_its_role_back_and_is_forgotten() {
+    tell([1201, 1202, 1203], async |seed| {
+        let (mut fleet, mission) = under_way(seed, "navto_room").await;
+        let began_to_leave = fleet.elapsed();
+        let said = fleet.leave("gorse").await;
+        let left = fleet.elapsed();
+        assert_eq!((&said["role_given_back"], &said["successor"]), (&json!(true), &json!(null)), "seed {seed}: {said}");
+        // By its own word, and long before its silence would have been noticed.
+        let causes: Vec<_> = fleet.happenings().iter().filter_map(released).collect();
+        assert_eq!(
+            causes,
+            ["r1: gorse as r1 could not do navto_room: it leaves the fleet"],
+            "seed {seed}\n{}",
+            fleet.tale()
+        );
+        assert!(left - began_to_leave < Duration::from_secs(1), "seed {seed}: {:?}", left - began_to_leave);
+        fleet
+            .until("fern to begin", Duration::from_secs(2), |fleet| {
+                fleet.spells_of(&mission, "r1").last().is_some_and(|spell| spell.robot.as_str() == "fern")
+            })
+            .await;
+        let is_gorse = |node: &Value| node["node"] == "gorse";
+        no_more(&fleet, "gorse is alive", Duration::from_secs(3), |node| is_gorse(node) && node["alive"] == true).await;
+        let place = fleet.position("gorse");
+        fleet.completes(&mission).await;
+        assert_eq!(fleet.position("gorse"), place, "seed {seed}: it stands still");
+        fleet.sample_delivered(ROOM);
+        fleet.one_role_one_robot();
+        // It is in no view any more, once it is forgotten.
+        no_more(&fleet, "gorse is shown", SOON, is_gorse).await;
+        assert!(!fleet.present().await.iter().any(|token| token.contains("gorse")), "seed {seed}");
+    });
+}
+
+#[test]
+fn a_robot_that_leaves_for_good_with_the_sample_says_so_and_needs_rescue() {
+    tell([1211, 1212], async |seed| {
+        let (mut fleet, mission) = under_way(seed, "navto_lab").await;
+        let said = fleet.leave("gorse").await;
+        assert_eq!(said["role_given_back"], true, "seed {seed}: {said}");
+        let MissionState::NeedsRescue { cause, items } = fleet.end_of(&mission).await else {
+            panic!("seed {seed}: it ended otherwise\n{}", fleet.tale())
+        };
+        assert!(cause.starts_with("gorse was lost as r1 and has the sample: "), "seed {seed}: {cause}");
+        assert!(cause.ends_with("it leaves the fleet"), "seed {seed}: {cause}");
+        assert!(items[0].certain && items[0].place.is_some(), "seed {seed}: {items:?}");
+        assert_eq!(fleet.keeper(ROOM), Keeper::Drawer(slug("gorse")), "seed {seed}");
+        let tasks = fleet.tasks(&mission);
+        assert_eq!(tasks["navto_lab"], (1, 0), "seed {seed}: nobody else began it\n{}", fleet.tale());
+    });
+}
+
+#[test]
+fn a_robot_that_is_stopped_for_a_while_goes_on_if_it_is_back_in_time() {
+    tell([1221, 1222], async |seed| {
+        let (mut fleet, mission) = under_way(seed, "navto_lab").await;
+        fleet.stop("gorse").await;
+        tokio::time::sleep(LeaseTerms::default().lease / 2).await;
+        fleet.restart("gorse").await;
+        fleet.completes(&mission).await;
+        assert_eq!(fleet.holder(&mission, "r1").expect("held").as_str(), "gorse", "seed {seed}");
+        assert!(!fleet.happened(|what| released(what).is_some()), "seed {seed}\n{}", fleet.tale());
+        fleet.sample_delivered(ROOM);
+        fleet.one_role_one_robot();
+    });
+}
+
+#[test]
+fn a_robot_that_is_stopped_and_stays_away_is_replaced_after_its_lease() {
+    tell([1231, 1232], async |seed| {
+        let (mut fleet, mission) = under_way(seed, "navto_room").await;
+        let stopped = fleet.elapsed();
+        fleet.stop("gorse").await;
+        fleet.until("a release", SOON, |fleet| fleet.happened(|what| released(what).is_some())).await;
+        let (terms, waited) = (LeaseTerms::default(), fleet.elapsed() - stopped);
+        assert!(waited >= terms.grace + terms.lease / 2, "seed {seed}: after {waited:?}\n{}", fleet.tale());
+        fleet.completes(&mission).await;
+        assert_eq!(fleet.holder(&mission, "r1").expect("held").as_str(), "fern", "seed {seed}");
+        fleet.sample_delivered(ROOM);
+        fleet.one_role_one_robot();
+    });
+}
