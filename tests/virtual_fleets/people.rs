@@ -39,46 +39,6 @@ fn meeting(role: &str, room: &str, mark: &str) -> Vec<Value> {
     ]
 }
 
-/// The nurse is asked for her sample at once, and waits for `amber`, who is long on its way. Meanwhile `cedar`, which only
-/// drives somewhere, is lost and wins its role again.
-#[test]
-fn who_was_asked_again_while_a_robot_was_away_is_not_forgotten_when_it_is_back() {
-    tell([701, 702], async |seed| {
-        let amber = Member::carrier("amber", "Dock").at_speed(0.15);
-        let cedar = Member::carrier("cedar", "PC Room 8").at_speed(0.3).able(&["navigation", "operate_drawer"]);
-        let mut fleet = Fleet::hospital(seed, vec![amber, cedar], &["post-1", "post-2"], &[ROOM]).await;
-        fleet.coordinator().await;
-        let [navto_room, approach, open, deposit, close] = meeting("r1", ROOM, "").try_into().expect("five tasks");
-        let meet = json!({ "task": "meet", "method": "sequential", "tasks": [navto_room, approach, open] });
-        let escort = json!({ "task": "escort", "type": "navigation", "roles": ["r2"], "parameters": { "to": "Dock" } });
-        let both = json!({ "task": "both", "method": "unordered", "tasks": [deposit, meet, escort] });
-        let managed = json!({ "kind": "managed" });
-        let mission = json!({
-            "mission": "escorted", "roles": { "nurse": { "kind": "unmanaged" }, "r1": managed, "r2": managed },
-            "root": { "task": "fetch", "method": "sequential", "tasks": [both, close] },
-        });
-        let mission = submit(&mut fleet, mission).await;
-        fleet
-            .until("everybody at work", SOON, |fleet| {
-                ["deposit", "navto_room", "escort"].iter().all(|task| fleet.happened(began(task)))
-            })
-            .await;
-        fleet.kill("cedar").await;
-        fleet
-            .until("the nurse to be asked without cedar", SOON, |fleet| fleet.chronicle.count(began("deposit")) == 2)
-            .await;
-        fleet.restart("cedar").await;
-        fleet
-            .until("the nurse to be asked with cedar", SOON, |fleet| fleet.chronicle.count(began("deposit")) == 3)
-            .await;
-        let story = |fleet: &Fleet| format!("seed {seed}\n{}", fleet.tale());
-        assert!(!fleet.happened(began("approach")), "amber is there too early\n{}", story(&fleet));
-        fleet.completes(&mission).await;
-        assert_eq!(fleet.keeper(ROOM), Keeper::Drawer(slug("amber")), "{}", story(&fleet));
-        fleet.one_role_one_robot();
-    });
-}
-
 /// `amber` is lost with the sample; `birch` is to fetch another one, from the nurse of another room. What was done for the
 /// first is reported once more.
 #[test]

@@ -54,6 +54,9 @@ fn ledger(lost: bool) -> (Ledger, MissionId) {
         Outcome::Awarded { epoch: at(2) }
     );
     if lost {
+        let (incarnation, resumes) = (1, false);
+        let accept = Command::Accept { mission: mission.clone(), role: r1.clone(), epoch: at(2), incarnation, resumes };
+        assert_eq!(ledger.apply(at(3), accept), Outcome::Done);
         let said = |role, epoch, ended: &[u32]| Command::Progress {
             mission: mission.clone(),
             role,
@@ -61,7 +64,7 @@ fn ledger(lost: bool) -> (Ledger, MissionId) {
             branch: Branch::Main,
             ended: ended.iter().copied().collect(),
         };
-        assert_eq!(ledger.apply(at(3), said(r1.clone(), at(2), &[0, 1])), Outcome::Done);
+        assert_eq!(ledger.apply(at(3), said(r1.clone(), at(2), &[0, 1, 2])), Outcome::Done);
         let (cause, place) = ("silent".to_owned(), None);
         let release =
             Command::Release { mission: mission.clone(), role: r1, epoch: at(2), cause, blamed: false, place };
