@@ -8,7 +8,7 @@
 //! | `wire/bid/*` | query | coordinator → robots | [`CallForBids`](crate::auction::CallForBids) | [`Tender`](crate::auction::Tender) |
 //! | `wire/award/{robot}` | query | coordinator → robot | [`AwardNotice`] | [`AwardAnswer`] |
 //! | `wire/report/{node}` | query | robot → coordinator | [`Report`] | [`ReportAnswer`] |
-//! | `wire/live/{node}` | query | anyone → coordinator | nothing | [`LivePlan`] each |
+//! | `wire/live/{node}` | query | anyone → coordinator | nothing | [`Live`], in parts |
 //! | `wire/changed` | publish | coordinator → all | [`Changed`] | – |
 //! | `wire/signal/{mission}/{role}` | publish | role → role | [`Said`] | – |
 //! | `wire/said/{mission}/{role}` | query | late waiter → role | nothing | [`Said`] |
@@ -18,9 +18,14 @@
 use crate::ids::{ClusterId, MissionId, NodeId, PlaceId, RobotId, RoleId, TaskId};
 use crate::knowledge::{Digest, Record, Scope, Stamp};
 use crate::lease::{Award, Declined, Ending, Epoch, Holding};
-use crate::plan::{LocalPlan, Signal, StepIndex};
+use crate::ledger::Branch;
+use crate::plan::{Signal, StepIndex};
 use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, BTreeSet};
+
+mod live;
+
+pub use live::{Live, LivePlan};
 
 /// What a node publishes of itself.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -125,6 +130,8 @@ pub struct Report {
     pub role: RoleId,
     /// By which award; the default for an unmanaged role.
     pub epoch: Epoch,
+    /// For an unmanaged role, of which branch's plan; for a managed role, whose award tells it, the default.
+    pub branch: Branch,
     /// All steps that have ended so far.
     pub ended: BTreeSet<StepIndex>,
     /// What it is at, to show.
@@ -197,21 +204,6 @@ pub enum ReportAnswer {
         /// Who does, as far as it knows.
         coordinator: Option<NodeId>,
     },
-}
-
-/// A mission under way, for those who act in unmanaged roles.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-pub struct LivePlan {
-    /// The mission.
-    pub mission: MissionId,
-    /// The plan of one unmanaged role.
-    pub plan: LocalPlan,
-    /// Steps that the ledger knows as ended.
-    pub ended: BTreeSet<StepIndex>,
-    /// Who holds the managed roles.
-    pub holders: BTreeMap<RoleId, Holding>,
-    /// What other roles have told this one, as far as the ledger knows.
-    pub told: BTreeSet<Signal>,
 }
 
 /// Missions under way have changed: somebody who follows them should ask again.

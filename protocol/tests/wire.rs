@@ -9,11 +9,11 @@ use consort_protocol::ids::{ClusterId, MissionId, NodeId, PlaceId, RequestId, Ro
 use consort_protocol::knowledge::{Availability, Digest, Knowledge, Record, Scope, Stamp, Worker};
 use consort_protocol::lease::{Award, Declined, Ending, Epoch, Holding};
 use consort_protocol::ledger::{
-    Command, Ledger, MissionState, Outcome, Priority, Recovery, Refused, Stranded, Submission,
+    Branch, Command, Ledger, MissionState, Outcome, Priority, Recovery, Refused, Stranded, Submission,
 };
 use consort_protocol::message::{
-    AwardAnswer, AwardNotice, Beacon, Changed, Exchange, FailureKind, LivePlan, Report, ReportAnswer, Said, Statement,
-    TaskFailure, Within,
+    AwardAnswer, AwardNotice, Beacon, Changed, Exchange, FailureKind, Live, LivePlan, Report, ReportAnswer, Said,
+    Statement, TaskFailure, Within,
 };
 use consort_protocol::mission::{
     Body, Method, Mission, OnLoss, Order, OtherMethod, Role, RoleKind, TaskNode, TaskSpec,
@@ -245,11 +245,8 @@ fn command() -> impl Strategy<Value = Command> {
         (held(), any::<u64>(), any::<bool>()).prop_map(|((mission, role, epoch), incarnation, resumes)| {
             Command::Accept { mission, role, epoch, incarnation, resumes }
         }),
-        (held(), btree_set(any::<u32>(), 0..5)).prop_map(|((mission, role, epoch), ended)| Command::Progress {
-            mission,
-            role,
-            epoch,
-            ended
+        (held(), branch(), btree_set(any::<u32>(), 0..5)).prop_map(|((mission, role, epoch), branch, ended)| {
+            Command::Progress { mission, role, epoch, branch, ended }
         }),
         (held(), text(), any::<bool>(), option::of(place())).prop_map(
             |((mission, role, epoch), cause, blamed, place)| Command::Release {
@@ -261,10 +258,19 @@ fn command() -> impl Strategy<Value = Command> {
                 place
             }
         ),
-        (name(), text(), places()).prop_map(|(mission, cause, places)| Command::Fail { mission, cause, places }),
+        (name(), text(), option::of(branch()), places()).prop_map(|(mission, cause, branch, places)| Command::Fail {
+            mission,
+            cause,
+            branch,
+            places
+        }),
         (name(), text(), places()).prop_map(|(mission, by, places)| Command::Cancel { mission, by, places }),
         (name(), text()).prop_map(|(mission, by)| Command::Rescued { mission, by }),
     ]
+}
+
+fn branch() -> impl Strategy<Value = Branch> {
+    prop_oneof![Just(Branch::Main), Just(Branch::Recovery)]
 }
 
 fn places() -> impl Strategy<Value = BTreeMap<RobotId, PlaceId>> {
@@ -344,15 +350,16 @@ fn report() -> impl Strategy<Value = Report> {
         Just(FailureKind::Plan),
     ];
     let failure = (option::of(name()), text(), kind).prop_map(|(task, cause, kind)| TaskFailure { task, cause, kind });
-    let who = (name::<RobotId>(), any::<u64>(), name(), name(), epoch());
+    let who = (name::<RobotId>(), any::<u64>(), name(), name(), epoch(), branch());
     let how = (option::of(place()), any::<bool>(), option::of(failure));
     (who, btree_set(any::<u32>(), 0..5), option::of(name::<TaskId>()), how).prop_map(
-        |((robot, incarnation, mission, role, epoch), ended, at, (place, resumes, failure))| Report {
+        |((robot, incarnation, mission, role, epoch, branch), ended, at, (place, resumes, failure))| Report {
             robot,
             incarnation,
             mission,
             role,
             epoch,
+            branch,
             ended,
             at,
             place,
@@ -432,13 +439,14 @@ proptest! {
     fn what_roles_and_coordinators_say_survives(
         mission in name::<MissionId>(), epoch in epoch(), signals in btree_set(signal(), 0..4), node in name::<NodeId>(),
         term in any::<u64>(), voters in btree_set(name::<NodeId>(), 0..4), plan in plan(),
-        ended in btree_set(any::<u32>(), 0..4), holders in holders()
+        ended in btree_set(any::<u32>(), 0..4), holders in holders(), branch in branch()
     ) {
         survives(&Within { cluster: Some(ClusterId(term)), said: vec![1, 2, 3] })?;
         survives(&Said { mission: mission.clone(), epoch, signals: signals.clone() })?;
         survives(&Beacon { node: node.clone(), term, voters, since_ms: term, cluster: (term % 2 == 0).then_some(ClusterId(term)) })?;
         survives(&Changed { node, term })?;
-        survives(&vec![LivePlan { mission, plan, ended, holders, told: signals }])?;
+        let live = LivePlan { mission, branch, plan, ended, holders, told: signals };
+        survives(&Live { cluster: Some(ClusterId(term)), count: 1, plans: vec![live] })?;
     }
 
     #[test]
@@ -463,7 +471,7 @@ proptest! {
         harmless::<Said>(&bytes);
         harmless::<Beacon>(&bytes);
         harmless::<Changed>(&bytes);
-        harmless::<Vec<LivePlan>>(&bytes);
+        harmless::<Live>(&bytes);
     }
 
     #[test]

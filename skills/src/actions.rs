@@ -251,7 +251,7 @@ pub trait BodyHost: Send + Sync {
     /// beside them with an open drawer) may come much later. A repeated id changes nothing.
     fn ask_person(&mut self, id: GoalId, ask: PersonAsk);
 
-    /// Withdraws an ask.
+    /// Withdraws an ask. One that was never heard of is not served either when it comes late.
     fn dismiss_person(&mut self, id: GoalId);
 
     /// The world's clock.
@@ -275,6 +275,9 @@ pub trait BodyHost: Send + Sync {
 
     /// What came of an ask; `None` for one that has not ended, was withdrawn, or ended long ago.
     fn answer(&self, id: GoalId) -> Option<Result<(), ActionError>>;
+
+    /// Whether an ask was withdrawn lately, before it ended.
+    fn was_dismissed(&self, id: GoalId) -> bool;
 
     /// The body's report as of `now`; `None` for a robot that is not here.
     fn telemetry(&self, robot: &RobotId) -> Option<Telemetry>;

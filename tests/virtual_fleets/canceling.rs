@@ -103,7 +103,7 @@ fn while_nobody_coordinates() {
 }
 
 #[test]
-fn with_the_sample_in_a_drawer_it_needs_rescue_and_to_cancel_it_again_is_to_close_it() {
+fn with_the_sample_in_a_drawer_it_needs_rescue_which_no_further_cancellation_closes() {
     tell([711, 712], async |seed| {
         let mut fleet = fleet(seed).await;
         let mission = fleet.submit("a", ROOM).await;
@@ -117,7 +117,11 @@ fn with_the_sample_in_a_drawer_it_needs_rescue_and_to_cancel_it_again_is_to_clos
         let rescue = |what: &Happening| matches!(what, Happening::Halted { reason: Ending::Rescue, .. });
         fleet.until("both to halt", SOON, |fleet| fleet.chronicle.count(rescue) == 2).await;
         stands_still(&mut fleet).await;
-        let answer = fleet.answer(ApiCall::Cancel, &json!({ "mission": mission, "by": "Abe" })).await;
+        for by in ["Nia", "Abe"] {
+            let answer = fleet.answer(ApiCall::Cancel, &json!({ "mission": mission, "by": by })).await;
+            assert_eq!(answer["state"]["needs_rescue"]["cause"], json!(cause), "seed {seed}: {by}");
+        }
+        let answer = fleet.answer(ApiCall::Rescued, &json!({ "mission": mission, "by": "Abe" })).await;
         let cause = format!("{cause}; rescued by Abe");
         assert_eq!(answer["state"], json!({ "failed": { "cause": cause } }), "seed {seed}");
         assert_eq!(fleet.state_of(&slug(mission.as_str())).map(|state| state.is_end()), Some(true), "seed {seed}");

@@ -14,6 +14,7 @@ mod leases;
 mod leaving;
 mod leaving_robots;
 mod notebooks;
+mod people;
 mod queueing;
 mod recovery;
 mod refusals;

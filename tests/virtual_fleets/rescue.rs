@@ -92,7 +92,10 @@ fn only_a_person_closes_a_mission_that_needs_rescue() {
         let cause = format!("{cause}; rescued by Nia");
         assert_eq!(answer["state"], json!({ "failed": { "cause": cause } }), "seed {seed}");
         fleet.until("amber to be given work", SOON, |fleet| fleet.holder(&next, "r1").is_some()).await;
+        // Asked once more for want of an answer, it has been heard; by another it is too late.
         let answer = fleet.answer(ApiCall::Rescued, &json!({ "mission": mission, "by": "Nia" })).await;
+        assert_eq!(answer["state"], json!({ "failed": { "cause": cause } }), "seed {seed}");
+        let answer = fleet.answer(ApiCall::Rescued, &json!({ "mission": mission, "by": "Tom" })).await;
         let error = answer["error"].as_str().expect("an error");
         assert!(error.contains("is failed; only one that needs rescue can be closed"), "seed {seed}: {error}");
     });

@@ -20,6 +20,9 @@ use tracing::{info, warn};
 /// Latest goals of each body that its states tell of.
 const GOALS_TOLD: usize = 8;
 
+/// Longest time that a host rests while something is due; then it looks again.
+const REST_MAX: Duration = Duration::from_secs(3600);
+
 /// How bodies are hosted.
 pub struct HostSettings {
     /// The fleet's keys.
@@ -61,11 +64,19 @@ pub struct HostState {
     /// World time when the host started.
     origin: WorldTime,
     bodies: BTreeMap<RobotId, BodyEntry>,
-    people: BTreeMap<GoalId, Result<(), ActionError>>,
     number: u64,
     /// What the earliest wake-up under way is for.
     armed: Option<WorldTime>,
     tasks: Tasks,
+}
+
+/// How long to rest until something is due in so many seconds of node time: a little longer rather than shorter, since an
+/// early wake-up would find nothing due and ask again, and never longer than [`REST_MAX`], however far off it is.
+fn rest(seconds: f64) -> Duration {
+    match Duration::try_from_secs_f64(seconds.max(0.0)) {
+        Ok(ahead) if ahead < REST_MAX => ahead + Duration::from_micros(1),
+        Ok(_) | Err(_) => REST_MAX,
+    }
 }
 
 #[derive(Default)]
@@ -111,8 +122,7 @@ impl Actor for Host {
             bodies.insert(robot, entry);
         }
         let (started, origin, number) = (settings.clock.now(), world.now(), settings.clock.wall_ms() << 16);
-        let people = BTreeMap::new();
-        Ok(HostState { settings, world, started, origin, bodies, people, number, armed: None, tasks })
+        Ok(HostState { settings, world, started, origin, bodies, number, armed: None, tasks })
     }
 
     async fn handle(
@@ -159,9 +169,8 @@ impl HostState {
         if self.armed.is_some_and(|armed| armed <= due) {
             return;
         }
-        let ahead = (due.as_secs() - self.world_now().as_secs()).max(0.0) / self.settings.speed;
-        // A little late rather than early: an early wake-up would find nothing due and ask again.
-        self.tasks.after(Duration::from_secs_f64(ahead) + Duration::from_micros(1), myself, HostMessage::Due);
+        let ahead = (due.as_secs() - self.world_now().as_secs()) / self.settings.speed;
+        self.tasks.after(rest(ahead), myself, HostMessage::Due);
         self.armed = Some(due);
     }
 
@@ -202,10 +211,10 @@ impl HostState {
         }
         let events = self.advance();
         self.tell(events).await;
-        // Perhaps a former host asked them.
-        let ended = self.people.get(&ask.id).cloned().or_else(|| self.world.answer(ask.id));
-        let said = match ended {
+        // The world knows what a former host was answered, too.
+        let said = match self.world.answer(ask.id) {
             Some(result) => PersonState::Ended(result),
+            None if self.world.was_dismissed(ask.id) => PersonState::Dismissed,
             None => PersonState::Asked,
         };
         answer::wire(&query, &query.key, &said).await;
@@ -237,7 +246,6 @@ impl HostState {
                     moved.push(robot);
                 }
                 BodyEvent::PersonEnded { ask, result } => {
-                    self.people.insert(ask, result.clone());
                     let key = self.settings.keys.write(&Key::People(PeopleCall::Done));
                     self.publish(&key, &PersonDone { id: ask, result }).await;
                 }
@@ -282,5 +290,20 @@ impl HostState {
         let done = done.filter(|(_, goal)| !goal.is_repeatable()).collect();
         self.number += 1;
         Some(BodyState { robot: robot.clone(), number: self.number, telemetry, goals, done })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn however_far_off_something_is_the_host_only_rests() {
+        assert_eq!(rest(2.5), Duration::from_micros(2_500_001));
+        assert_eq!(rest(-1.0), Duration::from_micros(1), "what is overdue");
+        for far in [3600.0, 1e19, 1e20, f64::MAX, f64::INFINITY, f64::NAN] {
+            assert!(rest(far) <= REST_MAX, "{far} s");
+        }
+        assert_eq!(rest(1e300), REST_MAX);
     }
 }

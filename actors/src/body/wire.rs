@@ -68,6 +68,8 @@ pub enum PersonState {
     Asked,
     /// They have ended.
     Ended(Result<(), ActionError>),
+    /// They were told that it is no longer wanted: under this id it is not asked again.
+    Dismissed,
 }
 
 /// Published when a person has ended what they were asked to do.

@@ -173,7 +173,8 @@ impl Reign {
                 if given_up {
                     let places = settings.replica.read(|ledger| places(&settings.knowledge, ledger.mission(mission)));
                     let cause = nobody_is_left(&hopeless, &record.entries);
-                    propose(settings, &mut self.tasks, Command::Fail { mission: mission.clone(), cause, places });
+                    let mission = mission.clone();
+                    propose(settings, &mut self.tasks, Command::Fail { mission, cause, branch: None, places });
                 }
                 news.then(|| Command::Defer { mission: mission.clone(), auction: record })
             }

@@ -19,7 +19,7 @@ use consort_protocol::ids::{ClusterId, MissionId, NodeId, RobotId, RoleId};
 use consort_protocol::keys::Key;
 use consort_protocol::lease::{Award, Ending, Epoch, Holding, Watch};
 use consort_protocol::ledger::{Branch, Command, MissionEntry, MissionState, Outcome, Released, RoleEntry, RolePhase};
-use consort_protocol::message::{AwardAnswer, AwardNotice, Beacon, Changed, LivePlan, Report};
+use consort_protocol::message::{AwardAnswer, AwardNotice, Beacon, Changed, Live, LivePlan, Report};
 use consort_protocol::mission::RoleKind;
 use consort_protocol::units::NodeTime;
 use ractor::ActorRef;
@@ -272,7 +272,7 @@ impl Reign {
                         self.failing.insert(mission.clone(), now);
                         let places =
                             settings.replica.read(|ledger| places(&settings.knowledge, ledger.mission(&mission)));
-                        propose(settings, &mut self.tasks, Command::Fail { mission, cause, places });
+                        propose(settings, &mut self.tasks, Command::Fail { mission, cause, branch: None, places });
                     }
                 }
             }
@@ -412,12 +412,14 @@ impl Reign {
     }
 
     pub(super) async fn live(&mut self, settings: &CoordinatorSettings, query: Query) {
-        let plans: Vec<LivePlan> =
-            settings.replica.read(|ledger| ledger.live().into_iter().flat_map(unmanaged).collect());
-        // An empty answer is one too; many plans take several.
-        let chunks: Vec<&[LivePlan]> = if plans.is_empty() { vec![&[]] } else { plans.chunks(8).collect() };
-        for chunk in chunks {
-            answer::wire(&query, &query.key, &chunk.to_vec()).await;
+        let (parts, unfit) = settings
+            .replica
+            .read(|ledger| Live::parts(ledger.cluster(), ledger.live().into_iter().flat_map(unmanaged).collect()));
+        for LivePlan { mission, plan, .. } in unfit {
+            warn!(%mission, role = %plan.role, "a plan that fits no message: nobody can act in this role");
+        }
+        for part in parts {
+            answer::wire(&query, &query.key, &part).await;
         }
     }
 
@@ -524,8 +526,8 @@ fn unmanaged(entry: &MissionEntry) -> Vec<LivePlan> {
     roles
         .filter_map(|(id, role)| {
             let (mission, plan) = (entry.id.clone(), entry.plan(id)?.clone());
-            let (holders, told) = (entry.holdings(), entry.told(id));
-            Some(LivePlan { mission, plan, ended: role.ended.clone(), holders, told })
+            let (branch, holders, told) = (entry.branch, entry.holdings(), entry.told(id));
+            Some(LivePlan { mission, branch, plan, ended: role.ended.clone(), holders, told })
         })
         .collect()
 }

@@ -11,6 +11,7 @@ use consort_protocol::ledger::{Branch, Command, Ledger, MissionEntry, MissionSta
 use consort_protocol::message::{FailureKind, Report, ReportAnswer};
 use consort_protocol::mission::RoleKind;
 use consort_protocol::mutants::{self, Mutant};
+use std::cmp::Ordering;
 use std::collections::BTreeMap;
 use std::time::Duration;
 use tracing::{debug, info};
@@ -129,8 +130,8 @@ fn next(entry: Option<&MissionEntry>, report: &Report, places: impl FnOnce() -> 
         MissionState::NeedsRescue { .. } => return ended(Ending::Rescue),
     }
     let Some(role) = entry.roles.get(&report.role) else { return ended(Ending::Replaced) };
-    if role.kind == RoleKind::Managed {
-        match &role.holder {
+    match role.kind {
+        RoleKind::Managed => match &role.holder {
             Some(_) if mutants::is(Mutant::IgnoreEpoch) || mutants::is(Mutant::RefusedApplied) => {}
             Some(holder) if holder.epoch == report.epoch && holder.robot == report.robot => {
                 if role.phase == RolePhase::Ended {
@@ -152,7 +153,13 @@ fn next(entry: Option<&MissionEntry>, report: &Report, places: impl FnOnce() -> 
             Some(_) => return ended(Ending::Replaced),
             None if entry.branch == Branch::Recovery => return ended(Ending::Replaced),
             None => return ended(Ending::Released),
-        }
+        },
+        RoleKind::Unmanaged => match report.branch.cmp(&entry.branch) {
+            Ordering::Less => return ended(Ending::Replaced), // by its namesake in the recovery branch
+            Ordering::Equal => {}
+            // What the reporter has been told this node has yet to learn.
+            Ordering::Greater => return Step::Answer(ReportAnswer::NotCoordinator { coordinator: None }),
+        },
     }
     if !report.ended.is_subset(&role.ended) {
         return Step::Commit(progress(&report.mission, report));
@@ -166,7 +173,9 @@ fn next(entry: Option<&MissionEntry>, report: &Report, places: impl FnOnce() -> 
             RoleKind::Managed => {
                 release(report, cause, !matches!(failure.kind, FailureKind::Leaving | FailureKind::Notebook))
             }
-            RoleKind::Unmanaged => Command::Fail { mission: report.mission.clone(), cause, places: places() },
+            RoleKind::Unmanaged => {
+                Command::Fail { mission: report.mission.clone(), cause, branch: Some(report.branch), places: places() }
+            }
         });
     }
     Step::Answer(ReportAnswer::Renewed {
@@ -179,5 +188,8 @@ fn next(entry: Option<&MissionEntry>, report: &Report, places: impl FnOnce() -> 
 
 fn progress(mission: &MissionId, report: &Report) -> Command {
     let (role, epoch, ended) = (report.role.clone(), report.epoch, report.ended.clone());
-    Command::Progress { mission: mission.clone(), role, epoch, ended }
+    Command::Progress { mission: mission.clone(), role, epoch, branch: report.branch, ended }
 }
+
+#[cfg(test)]
+mod tests;

@@ -13,6 +13,7 @@ use consort_protocol::codec;
 use consort_protocol::event::Happening;
 use consort_protocol::keys::Key;
 use consort_protocol::lease::{Action, Award, Declined, Ending, Epoch, Event};
+use consort_protocol::ledger::Branch;
 use consort_protocol::message::{AwardAnswer, AwardNotice, FailureKind, Report, ReportAnswer, TaskFailure};
 use consort_protocol::plan::StepIndex;
 use consort_protocol::units::NodeTime;
@@ -197,6 +198,7 @@ impl RobotState {
     fn put_down(&mut self, epoch: Epoch, reason: Ending) {
         if let Some(mut job) = self.job.take_if(|job| job.award.epoch == epoch) {
             job.stop();
+            self.talk.put_down(&job.award.mission, &job.award.role);
             // What has happened has happened; what was not said yet is said by whoever takes over.
             let untold = job.pen.abandon();
             let happened = untold.into_iter().filter_map(|telling| match telling {
@@ -234,6 +236,7 @@ impl RobotState {
             mission: award.mission.clone(),
             role: award.role.clone(),
             epoch: award.epoch,
+            branch: Branch::default(),
             ended: ended.cloned().unwrap_or_default(),
             at: job.and_then(|job| job.sequencer.at().cloned()),
             place: self.settings.body.telemetry().map(|report| report.place.clone()),

@@ -18,14 +18,14 @@ use std::time::Duration;
 use tokio::sync::watch;
 use tracing::{debug, warn};
 
-/// Missions of which a node still answers what it said.
+/// Roles that were put down of which a node still answers what it said.
 const REMEMBERED: usize = 16;
 
 /// One node's part in the talk of its missions.
 pub(crate) struct Talk {
     bus: SharedBus,
     keys: Keys,
-    /// Latest last.
+    /// Those of roles that were put down in the order in which they were.
     tellers: VecDeque<Teller>,
 }
 
@@ -33,6 +33,8 @@ struct Teller {
     mission: MissionId,
     role: RoleId,
     said: watch::Sender<Said>,
+    /// The role was put down: it says no more, and is forgotten in its turn.
+    put_down: bool,
     _serving: Tasks,
 }
 
@@ -59,11 +61,22 @@ impl Talk {
                 answer::wire(&query, &query.key, &said).await;
             }
         });
-        self.tellers.push_back(Teller { mission: mission.clone(), role: role.clone(), said, _serving: serving });
-        while self.tellers.len() > REMEMBERED {
-            self.tellers.pop_front();
-        }
+        let (mission, role) = (mission.clone(), role.clone());
+        self.tellers.push_back(Teller { mission, role, said, put_down: false, _serving: serving });
         Ok(())
+    }
+
+    /// A role says no more. What it has said is still answered, until later ones have taken its place.
+    pub(crate) fn put_down(&mut self, mission: &MissionId, role: &RoleId) {
+        let Some(at) = self.tellers.iter().position(|t| t.mission == *mission && t.role == *role) else { return };
+        if let Some(teller) = self.tellers.remove(at) {
+            self.tellers.push_back(Teller { put_down: true, ..teller });
+        }
+        if self.tellers.iter().filter(|teller| teller.put_down).count() > REMEMBERED
+            && let Some(oldest) = self.tellers.iter().position(|teller| teller.put_down)
+        {
+            self.tellers.remove(oldest);
+        }
     }
 
     /// Says something in a role that was begun.
@@ -102,6 +115,54 @@ impl Talk {
                     }
                 }
             });
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::bus::{Bus, LinkModel, VirtualNetwork};
+    use consort_protocol::ids::{FleetId, NodeId, TaskId};
+    use consort_protocol::plan::SignalKind;
+    use std::sync::Arc;
+
+    /// What the nurse of a mission answers to have said; `None` if nobody answers for her.
+    async fn said(bus: &dyn Bus, keys: &Keys, mission: &MissionId) -> Option<usize> {
+        let key = keys.write(&Key::Said(mission.clone(), RoleId::new("nurse").unwrap()));
+        let mut replies = bus.query(&key, Bytes::new(), Duration::from_millis(500)).await.unwrap();
+        let bytes = replies.recv().await?.payload.unwrap();
+        Some(codec::decode::<Said>(&bytes).unwrap().signals.len())
+    }
+
+    #[tokio::test(flavor = "current_thread", start_paused = true)]
+    async fn only_roles_that_were_put_down_are_forgotten() {
+        let network = VirtualNetwork::new(1, LinkModel::steady(Duration::from_millis(1)));
+        let bus = network.bus(NodeId::new("ward").unwrap());
+        let other = network.bus(NodeId::new("amber").unwrap());
+        let keys = Keys::new(&FleetId::new("fleet").unwrap());
+        let mut talk = Talk::new(Arc::new(bus), keys.clone());
+        let nurse = RoleId::new("nurse").unwrap();
+        let missions: Vec<_> =
+            (0..2 * REMEMBERED + 3).map(|number| MissionId::new(format!("mission-{number:02}")).unwrap()).collect();
+        for mission in &missions {
+            talk.begin(mission, &nurse, Epoch::default(), BTreeSet::new()).await.unwrap();
+        }
+        for mission in &missions {
+            let (task, to) = (TaskId::new("deposit").unwrap(), RoleId::new("r1").unwrap());
+            talk.say(mission, &Signal { kind: SignalKind::Done, task, from: nurse.clone(), to }).await;
+            assert_eq!(said(&other, &keys, mission).await, Some(1), "{mission} is under way");
+        }
+        let (over, under_way) = missions.split_at(REMEMBERED + 2);
+        // Not in the order in which they began.
+        for mission in over.iter().rev() {
+            talk.put_down(mission, &nurse);
+        }
+        for mission in under_way.iter().chain(&over[..REMEMBERED]) {
+            assert_eq!(said(&other, &keys, mission).await, Some(1), "{mission} is under way, or was lately");
+        }
+        for mission in &over[REMEMBERED..] {
+            assert_eq!(said(&other, &keys, mission).await, None, "{mission} was put down first");
         }
     }
 }

@@ -71,6 +71,9 @@ pub enum Command {
         role: RoleId,
         /// By which award; for an unmanaged role, which is nobody's award, the default.
         epoch: Epoch,
+        /// For an unmanaged role, of which branch's plan: it has the same name in both. For a managed role, whose award tells
+        /// it, the default.
+        branch: Branch,
         /// All steps that have ended so far.
         ended: BTreeSet<StepIndex>,
     },
@@ -95,6 +98,8 @@ pub enum Command {
         mission: MissionId,
         /// Why, in words.
         cause: String,
+        /// In which branch that is so; `None` if whichever is taken.
+        branch: Option<Branch>,
         /// Where its robots were last known to be.
         places: BTreeMap<RobotId, PlaceId>,
     },
@@ -172,6 +177,14 @@ pub enum Refused {
         /// The award in force.
         held: Option<Epoch>,
     },
+    /// What was said concerns the branch that is not taken; ordinary for what was long on its way.
+    #[error("mission {mission} is in its {} branch, and this was said of the other", .taken.word())]
+    Branch {
+        /// The mission.
+        mission: MissionId,
+        /// Its branch now.
+        taken: Branch,
+    },
     /// The awarded roles are not the open ones.
     #[error("the open roles of {mission} are {}", .open.iter().map(RoleId::as_str).collect::<Vec<_>>().join(", "))]
     NotOpen {
@@ -242,11 +255,13 @@ impl Ledger {
             Command::Accept { mission, role, epoch, incarnation, resumes } => {
                 self.accept(&mission, &role, epoch, incarnation, resumes)
             }
-            Command::Progress { mission, role, epoch, ended } => self.progress(&mission, &role, epoch, &ended),
+            Command::Progress { mission, role, epoch, branch, ended } => {
+                self.progress(&mission, &role, epoch, branch, &ended)
+            }
             Command::Release { mission, role, epoch, cause, blamed, place } => {
                 self.release(&mission, &role, epoch, &Loss { cause, blamed, place })
             }
-            Command::Fail { mission, cause, places } => self.end(&mission, MissionState::Failed { cause }, &places),
+            Command::Fail { mission, cause, branch, places } => self.fail(&mission, cause, branch, &places),
             Command::Cancel { mission, by, places } => self.cancel(&mission, by, &places),
             Command::Rescued { mission, by } => self.rescued(&mission, &by),
         };
@@ -430,15 +445,34 @@ impl Ledger {
         mission: &MissionId,
         role_id: &RoleId,
         epoch: Epoch,
+        branch: Branch,
         ended: &BTreeSet<StepIndex>,
     ) -> Result<Outcome, Refused> {
-        let steps = self.live_mission(mission)?.plan(role_id).map_or(0, |plan| plan.steps.len());
+        let entry = self.live_mission(mission)?;
+        let (taken, steps) = (entry.branch, entry.plan(role_id).map_or(0, |plan| plan.steps.len()));
         let role = self.held_role(mission, role_id, epoch)?;
+        if role.kind == RoleKind::Unmanaged && branch != taken {
+            return Err(Refused::Branch { mission: mission.clone(), taken });
+        }
         role.ended.extend(ended.iter().filter(|step| (**step as usize) < steps));
         if role.ended.len() == steps {
             role.phase = RolePhase::Ended;
         }
         self.complete_if_done(mission)
+    }
+
+    fn fail(
+        &mut self,
+        mission: &MissionId,
+        cause: String,
+        branch: Option<Branch>,
+        places: &BTreeMap<RobotId, PlaceId>,
+    ) -> Result<Outcome, Refused> {
+        let taken = self.live_mission(mission)?.branch;
+        if branch.is_some_and(|branch| branch != taken) {
+            return Err(Refused::Branch { mission: mission.clone(), taken });
+        }
+        self.end(mission, MissionState::Failed { cause }, places)
     }
 
     pub(super) fn live_mission(&mut self, mission: &MissionId) -> Result<&mut MissionEntry, Refused> {

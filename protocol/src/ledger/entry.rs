@@ -152,14 +152,24 @@ pub struct MissionEntry {
 pub const RELEASES_KEPT: usize = 16;
 
 /// Which part of a mission is carried out.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Branch {
     /// What was asked for.
     #[default]
     Main,
-    /// What is done because something was lost.
+    /// What is done because something was lost. A mission that takes it never goes back.
     Recovery,
+}
+
+impl Branch {
+    /// One word for it.
+    pub fn word(self) -> &'static str {
+        match self {
+            Branch::Main => "main",
+            Branch::Recovery => "recovery",
+        }
+    }
 }
 
 /// A role that was taken from a robot.

@@ -5,7 +5,7 @@ use crate::support::{Event, Explored, Team, Tree, explore_from, mission, slow_or
 use consort_protocol::auction::{AuctionId, AuctionRecord};
 use consort_protocol::ids::{ItemId, RequestId, RobotId, RoleId};
 use consort_protocol::lease::Epoch;
-use consort_protocol::ledger::{Command, Ledger, Priority, RolePhase, Submission};
+use consort_protocol::ledger::{Branch, Command, Ledger, Priority, RolePhase, Submission};
 use consort_protocol::mission::{Body, Domain, Mission, RoleKind};
 use consort_protocol::plan::{Division, DivisionError, DivisionFault, check_division, divide_and_check, item_moves};
 use proptest::prelude::*;
@@ -115,7 +115,8 @@ proptest! {
                 let role = division.plans.keys().nth(robot).unwrap().clone();
                 let epoch = if mission.roles[&role].kind == RoleKind::Managed { AWARD } else { Epoch::default() };
                 let ended = team.known(robot).clone();
-                ledger.apply(AWARD, Command::Progress { mission: id.clone(), role, epoch, ended });
+                let (mission, branch) = (id.clone(), Branch::Main);
+                ledger.apply(AWARD, Command::Progress { mission, role, epoch, branch, ended });
             }
             let entry = ledger.mission(&id).unwrap();
             if entry.state.is_end() {

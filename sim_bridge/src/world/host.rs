@@ -82,6 +82,10 @@ impl BodyHost for World {
         self.answer_to(id)
     }
 
+    fn was_dismissed(&self, id: GoalId) -> bool {
+        self.was_withdrawn(id)
+    }
+
     fn telemetry(&self, robot: &RobotId) -> Option<Telemetry> {
         let robot = *self.robots.get(robot)?;
         let (whereabouts, battery) = (self.get::<Whereabouts>(robot), self.get::<Battery>(robot));

@@ -74,10 +74,14 @@ impl World {
         }
     }
 
-    /// Withdraws an ask: nobody waits any longer, and nothing is said.
+    /// Withdraws an ask: nobody waits any longer, and nothing is said. One that was withdrawn before it was heard of is not
+    /// served when it comes.
     pub(super) fn withdraw(&mut self, id: GoalId) {
-        let Some(number) = self.asks.ids.get(&id).copied() else { return };
-        if let Some(handing) = self.asks.open.get(&number).and_then(|ask| ask.under_way) {
+        if self.asks.ended.contains_key(&id) {
+            return;
+        }
+        let number = self.asks.ids.get(&id);
+        if let Some(handing) = number.and_then(|number| self.asks.open.get(number)?.under_way) {
             self.queue.take_back(handing.ends);
             self.get_mut::<HandsBusy>(handing.person).0 = false;
         }
@@ -189,6 +193,11 @@ impl World {
         {
             self.asks.ended.remove(&oldest);
         }
+    }
+
+    /// Whether an ask was lately withdrawn.
+    pub(super) fn was_withdrawn(&self, id: GoalId) -> bool {
+        self.asks.ended.get(&id).is_some_and(Option::is_none)
     }
 
     /// What came of an ask that lately ended.

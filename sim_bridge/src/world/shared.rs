@@ -72,6 +72,10 @@ impl BodyHost for SharedWorld {
         self.lock().answer(id)
     }
 
+    fn was_dismissed(&self, id: GoalId) -> bool {
+        self.lock().was_dismissed(id)
+    }
+
     fn status(&self, robot: &RobotId, id: GoalId) -> Option<GoalStatus> {
         self.lock().status(robot, id)
     }

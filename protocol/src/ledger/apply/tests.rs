@@ -80,7 +80,8 @@ impl Log {
 
     fn ended(&mut self, mission: &MissionId, who: &str, epoch: Epoch, ended: &[StepIndex]) -> Outcome {
         let ended = ended.iter().copied().collect();
-        self.apply(Command::Progress { mission: mission.clone(), role: role(who), epoch, ended })
+        let (mission, role, branch) = (mission.clone(), role(who), Branch::Main);
+        self.apply(Command::Progress { mission, role, epoch, branch, ended })
     }
 
     fn release(&mut self, mission: &MissionId, who: &str, epoch: Epoch) -> Outcome {
@@ -225,7 +226,8 @@ fn only_so_many_ended_missions_are_kept() {
     let mut log = Log::new();
     for number in 0..HISTORY_MAX + 3 {
         let mission = log.submit(&format!("request{number}"));
-        log.apply(Command::Fail { mission, cause: "test".to_owned(), places: BTreeMap::new() });
+        let places = BTreeMap::new();
+        log.apply(Command::Fail { mission, cause: "test".to_owned(), branch: None, places });
     }
     assert_eq!(log.0.missions().count(), HISTORY_MAX);
     assert!(log.0.requested(&RequestId::new("request0").unwrap()).is_none());

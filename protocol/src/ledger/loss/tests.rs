@@ -110,8 +110,13 @@ impl Log {
     }
 
     fn ended(&mut self, who: &str, epoch: Epoch, steps: std::ops::Range<StepIndex>) {
+        let branch = self.entry().branch;
+        assert_eq!(self.ended_in(branch, who, epoch, steps), Outcome::Done);
+    }
+
+    fn ended_in(&mut self, branch: Branch, who: &str, epoch: Epoch, steps: std::ops::Range<StepIndex>) -> Outcome {
         let (mission, role) = (self.2.clone(), role(who));
-        assert_eq!(self.apply(Command::Progress { mission, role, epoch, ended: steps.collect() }), Outcome::Done);
+        self.apply(Command::Progress { mission, role, epoch, branch, ended: steps.collect() })
     }
 
     fn lose(&mut self, who: &str, epoch: Epoch, blamed: bool) {
@@ -185,7 +190,8 @@ fn a_carrier_lost_with_the_sample_needs_rescue_and_is_kept_until_somebody_closes
         assert!(log.entry().state.is_end());
         for number in 0..HISTORY_MAX + 3 {
             let mission = log.submit(&format!("more{number}"), &shipped()["lab-samples"]);
-            log.apply(Command::Fail { mission, cause: "test".to_owned(), places: BTreeMap::new() });
+            let (cause, places) = ("test".to_owned(), BTreeMap::new());
+            log.apply(Command::Fail { mission, cause, branch: None, places });
         }
         assert!(log.0.mission(&log.2).is_some(), "what waits for a person is not forgotten");
 
@@ -215,7 +221,8 @@ fn a_mission_canceled_or_failed_with_the_sample_in_a_drawer_needs_rescue() {
     let end = |log: &Log, canceled| match canceled {
         true => Command::Cancel { mission: log.2.clone(), by: "Nia".to_owned(), places: places.clone() },
         false => {
-            Command::Fail { mission: log.2.clone(), cause: "past its deadline".to_owned(), places: places.clone() }
+            let (mission, cause, places) = (log.2.clone(), "past its deadline".to_owned(), places.clone());
+            Command::Fail { mission, cause, branch: None, places }
         }
     };
     for (canceled, cause) in [(true, "canceled by Nia"), (false, "past its deadline")] {
@@ -421,4 +428,26 @@ fn a_role_without_items_may_have_its_purpose_in_its_last_step() {
     log.ended("b", epoch(2), 0..2);
     log.lose("a", epoch(2), false);
     assert_eq!(log.entry().state.word(), "failed");
+}
+
+#[test]
+fn what_a_person_did_in_the_mission_is_not_counted_in_its_recovery_branch() {
+    // The nurse's part in the branch has as many steps as in the mission, and moves the same sample.
+    let text = std::fs::read_to_string("missions/lab-samples.yaml").unwrap()
+        + "recovery: { task: hand_over, type: wait, roles: [nurse, lab_arm], parameters: { seconds: \"5\" }, releases: [sample] }\n";
+    let mut log = Log::of(&MissionTemplate::parse(&text, Format::Yaml).unwrap());
+    log.hold(&[("r1", "amber"), ("lab_arm", "arm")]);
+    log.ended("r1", epoch(2), 0..8);
+    log.ended("nurse", Epoch::default(), 0..2);
+    log.lose("r1", epoch(2), false);
+    let before = log.0.clone();
+    let late = log.ended_in(Branch::Main, "nurse", Epoch::default(), 0..3);
+    let refused = Outcome::Refused(Refused::Branch { mission: log.2.clone(), taken: Branch::Recovery });
+    assert_eq!(late, refused);
+    let (mission, cause, places) = (log.2.clone(), "the nurse has none".to_owned(), BTreeMap::new());
+    let late = log.apply(Command::Fail { mission, cause, branch: Some(Branch::Main), places });
+    assert_eq!(late, refused);
+    assert_eq!(log.0, before, "and nothing has changed");
+    assert_eq!(log.ended_in(Branch::Recovery, "nurse", Epoch::default(), 0..1), Outcome::Done);
+    assert_eq!(log.entry().roles[&role("nurse")].ended, [0].into());
 }

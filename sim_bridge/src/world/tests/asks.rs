@@ -82,6 +82,21 @@ fn a_dismissed_nurse_keeps_her_sample() {
 }
 
 #[test]
+fn an_ask_that_was_withdrawn_is_not_served_when_it_comes_late() {
+    let mut world = ready();
+    world.dismiss_person(GoalId(7));
+    world.ask_person(GoalId(7), deposit("r1"));
+    assert_eq!(world.advance(at(99.0)), []);
+    assert!(world.was_dismissed(GoalId(7)));
+    assert_eq!(world.answer(GoalId(7)), None);
+    world.ask_person(GoalId(8), deposit("r1"));
+    assert_eq!(world.advance(at(199.0)), [answer(8, Ok(()))]);
+    world.dismiss_person(GoalId(8));
+    assert!(!world.was_dismissed(GoalId(8)), "it had ended");
+    assert_eq!(world.answer(GoalId(8)), Some(Ok(())));
+}
+
+#[test]
 fn what_cannot_be_is_answered_with_a_reason() {
     let error = |code, message: &str| Err(ActionError { code, message: message.to_owned() });
     let mut world = ready();

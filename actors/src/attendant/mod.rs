@@ -4,19 +4,22 @@
 //! host of people to do the tasks in it, and tells the others when they have been done. One attendant in a fleet is
 //! enough, two do no harm: asks and signals have names of their own and repeating them changes nothing.
 
+mod asks;
+
+use self::asks::{Asked, Dismissals, Matter};
 use crate::body::{PeopleAsk, PersonDone, PersonState};
 use crate::bus::{BusError, Sample, SharedBus};
 use crate::events::Events;
-use crate::robot::{Move, Outdated, Sequencer, Spot, Talk, ask as send_report};
+use crate::robot::{Move, Outdated, Sequencer, Talk, ask as send_report};
 use crate::tasks::Tasks;
 use bytes::Bytes;
 use consort_protocol::codec;
 use consort_protocol::event::Happening;
-use consort_protocol::ids::{MissionId, NodeId, RobotId, RoleId, TaskId};
+use consort_protocol::ids::{ClusterId, MissionId, NodeId, RobotId, RoleId};
 use consort_protocol::keys::{Key, Keys, PeopleCall};
 use consort_protocol::lease::Epoch;
-use consort_protocol::message::{Beacon, FailureKind, LivePlan, Report, ReportAnswer, Said, TaskFailure};
-use consort_protocol::mission::TaskSpec;
+use consort_protocol::ledger::Branch;
+use consort_protocol::message::{Beacon, FailureKind, Live, LivePlan, Report, ReportAnswer, Said, TaskFailure};
 use consort_protocol::plan::{LocalPlan, Signal};
 use consort_skills::actions::{ActionError, GoalId, PersonAsk};
 use ractor::{Actor, ActorProcessingErr, ActorRef};
@@ -46,8 +49,8 @@ pub enum AttendantMessage {
     Beacon(Sample),
     /// Missions under way have changed.
     Changed(Sample),
-    /// The missions under way, as a coordinator has them; `None` if it did not answer in full.
-    Live(Option<Vec<LivePlan>>),
+    /// The missions under way, as a coordinator has them, and which question that answers.
+    Live(u64, Live),
     /// A role of some mission said something.
     Signal(Sample),
     /// A role answered what it has said.
@@ -56,8 +59,8 @@ pub enum AttendantMessage {
     Done(Sample),
     /// The host of people answered to an ask.
     Asked(GoalId, PersonState),
-    /// A report was answered.
-    Reported(MissionId, RoleId, ReportAnswer),
+    /// A report of this branch's plan was answered.
+    Reported(MissionId, RoleId, Branch, ReportAnswer),
 }
 
 /// The actor.
@@ -68,6 +71,11 @@ pub struct AttendantState {
     settings: AttendantSettings,
     coordinator: Option<Beacon>,
     jobs: BTreeMap<(MissionId, RoleId), Job>,
+    /// How often the coordinator was asked which missions are under way, and which of these questions is the latest of which
+    /// the answer was taken: answers may overtake one another.
+    looks: u64,
+    seen: u64,
+    dismissals: Dismissals,
     talk: Talk,
     /// Signals under awards no longer in force, counted since the start.
     outdated: u64,
@@ -76,11 +84,12 @@ pub struct AttendantState {
 
 /// One unmanaged role of a mission under way.
 struct Job {
-    /// Another one under the same name is that of the mission's recovery branch.
+    cluster: Option<ClusterId>,
+    branch: Branch,
     plan: LocalPlan,
     sequencer: Sequencer,
     /// What the person is at.
-    ask: Option<(GoalId, Spot, PersonAsk)>,
+    ask: Option<Asked>,
     failure: Option<TaskFailure>,
     /// What was said under awards no longer in force, so that each is told of once.
     outdated: BTreeSet<(Signal, Epoch)>,
@@ -110,6 +119,9 @@ impl Actor for Attendant {
             settings,
             coordinator: None,
             jobs: BTreeMap::new(),
+            looks: 0,
+            seen: 0,
+            dismissals: Dismissals::default(),
             talk: Talk::new(bus, keys),
             outdated: 0,
             tasks,
@@ -126,9 +138,10 @@ impl Actor for Attendant {
             AttendantMessage::Beat => state.beat(&myself).await,
             AttendantMessage::Beacon(sample) => state.follow_coordinator(&myself, &sample),
             AttendantMessage::Changed(_) => state.look(&myself),
-            AttendantMessage::Live(plans) => {
-                if let Some(plans) = plans {
-                    state.follow_missions(&myself, plans).await?;
+            AttendantMessage::Live(look, live) => {
+                if look > state.seen {
+                    state.seen = look;
+                    state.follow_missions(&myself, live).await?;
                 }
             }
             AttendantMessage::Signal(sample) => match codec::decode::<Said>(&sample.payload) {
@@ -141,17 +154,23 @@ impl Actor for Attendant {
                 Err(problem) => warn!(%problem, "a person's word that cannot be read"),
             },
             AttendantMessage::Asked(_, PersonState::Asked) => {}
-            AttendantMessage::Asked(id, PersonState::Ended(result)) => state.person_ended(&myself, id, result).await,
-            AttendantMessage::Reported(mission, role, answer) => {
+            AttendantMessage::Asked(id, PersonState::Ended(result)) => {
+                state.dismissals.answered(id);
+                state.person_ended(&myself, id, result).await;
+            }
+            AttendantMessage::Asked(id, PersonState::Dismissed) => {
+                state.dismissals.answered(id);
+                state.ask_again(&myself, id);
+            }
+            AttendantMessage::Reported(mission, role, branch, answer) => {
                 let key = (mission, role);
+                let Some(job) = state.jobs.get_mut(&key).filter(|job| job.branch == branch) else { return Ok(()) };
                 match answer {
-                    ReportAnswer::Ended { .. } => state.put_down(&key),
+                    ReportAnswer::Ended { .. } => state.put_down(&myself, &key),
                     ReportAnswer::Renewed { ended, told, .. } => {
-                        if let Some(job) = state.jobs.get_mut(&key) {
-                            job.sequencer.set_known(&ended);
-                            job.sequencer.hear_of(&told);
-                            state.advance(&myself, &key).await;
-                        }
+                        job.sequencer.set_known(&ended);
+                        job.sequencer.hear_of(&told);
+                        state.advance(&myself, &key).await;
                     }
                     ReportAnswer::NotCoordinator { .. } => {}
                 }
@@ -166,9 +185,12 @@ impl AttendantState {
         self.look(myself);
         for ((mission, _), job) in &self.jobs {
             ask_around(&self.talk, &mut self.tasks, myself, mission, &job.sequencer);
-            if let Some((id, _, ask)) = &job.ask {
-                ask_person(&self.settings, &mut self.tasks, myself, *id, Some(ask.clone()));
+            if let Some(asked) = &job.ask {
+                ask_person(&self.settings, &mut self.tasks, myself, asked.id(), Some(asked.ask()));
             }
+        }
+        for id in self.dismissals.open() {
+            ask_person(&self.settings, &mut self.tasks, myself, id, None);
         }
         for key in self.jobs.keys().cloned().collect::<Vec<_>>() {
             self.report(myself, &key);
@@ -192,40 +214,46 @@ impl AttendantState {
         let Some(beacon) = &self.coordinator else { return };
         let key = self.settings.keys.write(&Key::Live(beacon.node.clone()));
         let (bus, to) = (self.settings.bus.clone(), myself.clone());
+        self.looks += 1;
+        let look = self.looks;
         self.tasks.spawn(async move {
-            let plans = live(bus, &key).await;
-            // An attendant that has stopped needs no answer.
-            let _ = to.cast(AttendantMessage::Live(plans));
+            match live(bus, &key).await {
+                // An attendant that has stopped needs no answer.
+                Some(live) => drop(to.cast(AttendantMessage::Live(look, live))),
+                None => debug!(key, "not told in full what is under way; the next beat asks again"),
+            }
         });
     }
 
     async fn follow_missions(
         &mut self,
         myself: &ActorRef<AttendantMessage>,
-        plans: Vec<LivePlan>,
+        Live { cluster, plans, .. }: Live,
     ) -> Result<(), BusError> {
         let live: Vec<_> = plans.iter().map(|live| (live.mission.clone(), live.plan.role.clone())).collect();
         for key in self.jobs.keys().filter(|key| !live.contains(key)).cloned().collect::<Vec<_>>() {
-            self.put_down(&key);
+            self.put_down(myself, &key);
         }
-        for LivePlan { mission, plan, ended, holders, told } in plans {
+        for LivePlan { mission, branch, plan, ended, holders, told } in plans {
             let key = (mission.clone(), plan.role.clone());
-            if self.jobs.get(&key).is_some_and(|job| job.plan != plan) {
-                self.put_down(&key);
+            match self.jobs.get(&key) {
+                // Said by a coordinator that has yet to learn of the recovery branch.
+                Some(job) if job.cluster == cluster && branch < job.branch => continue,
+                Some(job) if (job.cluster, job.branch) != (cluster, branch) || job.plan != plan => {
+                    self.put_down(myself, &key);
+                }
+                Some(_) | None => {}
             }
             if let Some(job) = self.jobs.get_mut(&key) {
                 job.sequencer.set_known(&ended);
                 if *job.sequencer.holders() != holders {
-                    let robots = job.sequencer.robots();
                     if job.sequencer.set_holders(holders) {
                         ask_around(&self.talk, &mut self.tasks, myself, &mission, &job.sequencer);
                     }
                     // Whoever was to be met is somebody else now: ask anew.
-                    if robots != job.sequencer.robots()
-                        && let Some((id, _, _)) = job.ask.take()
-                    {
+                    if let Some(asked) = job.ask.take_if(|asked| asked.is_outdated(job.sequencer.holders())) {
                         job.sequencer.break_off();
-                        ask_person(&self.settings, &mut self.tasks, myself, id, None);
+                        self.dismiss(myself, asked.id());
                     }
                 }
             } else {
@@ -239,7 +267,8 @@ impl AttendantState {
                 };
                 self.talk.begin(&mission, &role, Epoch::default(), sequencer.said().clone()).await?;
                 ask_around(&self.talk, &mut self.tasks, myself, &mission, &sequencer);
-                let job = Job { plan, sequencer, ask: None, failure: None, outdated: BTreeSet::new() };
+                let outdated = BTreeSet::new();
+                let job = Job { cluster, branch, plan, sequencer, ask: None, failure: None, outdated };
                 self.jobs.insert(key.clone(), job);
             }
             if let Some(job) = self.jobs.get_mut(&key) {
@@ -270,10 +299,10 @@ impl AttendantState {
     }
 
     async fn person_ended(&mut self, myself: &ActorRef<AttendantMessage>, id: GoalId, result: Result<(), ActionError>) {
-        let asked = self.jobs.iter().find(|(_, job)| job.ask.as_ref().is_some_and(|(ask, _, _)| *ask == id));
+        let asked = self.jobs.iter().find(|(_, job)| job.ask.as_ref().is_some_and(|asked| asked.id() == id));
         let Some(key) = asked.map(|(key, _)| key.clone()) else { return };
         let Some(job) = self.jobs.get_mut(&key) else { return };
-        let (Some((_, spot, _)), Some(task)) = (job.ask.take(), job.sequencer.at().cloned()) else { return };
+        let (Some(Asked { spot, .. }), Some(task)) = (job.ask.take(), job.sequencer.at().cloned()) else { return };
         let (mission, role) = key.clone();
         match result {
             Ok(()) => {
@@ -291,6 +320,14 @@ impl AttendantState {
         self.advance(myself, &key).await;
     }
 
+    /// Somebody has called off what is still wanted: this attendant itself, before it knew better, or another.
+    fn ask_again(&mut self, myself: &ActorRef<AttendantMessage>, id: GoalId) {
+        let mut asks = self.jobs.values_mut().filter_map(|job| job.ask.as_mut());
+        let Some(asked) = asks.find(|asked| asked.id() == id) else { return };
+        asked.again();
+        ask_person(&self.settings, &mut self.tasks, myself, asked.id(), Some(asked.ask()));
+    }
+
     async fn advance(&mut self, myself: &ActorRef<AttendantMessage>, key: &(MissionId, RoleId)) {
         let (mission, role) = key;
         let mut moved = false;
@@ -299,13 +336,14 @@ impl AttendantState {
             moved = true;
             match next {
                 Move::Perform { spot, task, spec } => {
-                    let holders = job.sequencer.robots();
-                    let ask = PersonAsk { role: role.clone(), task: spec.clone(), holders };
-                    let id = ask_id(mission, role, &task, &spec, &ask.holders);
-                    job.ask = Some((id, spot, ask.clone()));
+                    let (cluster, branch, holders) = (job.cluster, job.branch, job.sequencer.holders().clone());
                     let (mission, role) = (mission.clone(), role.clone());
-                    self.settings.events.tell(Happening::TaskBegan { mission, role, task });
-                    ask_person(&self.settings, &mut self.tasks, myself, id, Some(ask));
+                    let began =
+                        Happening::TaskBegan { mission: mission.clone(), role: role.clone(), task: task.clone() };
+                    let asked = Asked::first(spot, Matter { cluster, mission, branch, role, task, spec, holders });
+                    self.settings.events.tell(began);
+                    ask_person(&self.settings, &mut self.tasks, myself, asked.id(), Some(asked.ask()));
+                    job.ask = Some(asked);
                 }
                 Move::Tell(signal) => {
                     self.talk.say(mission, &signal).await;
@@ -334,6 +372,7 @@ impl AttendantState {
             mission: mission.clone(),
             role: role.clone(),
             epoch: Epoch::default(),
+            branch: job.branch,
             ended: job.sequencer.ended().clone(),
             at: job.sequencer.at().cloned(),
             place: None,
@@ -341,27 +380,28 @@ impl AttendantState {
             failure: job.failure.clone(),
         };
         let to_node = self.settings.keys.write(&Key::Report(beacon.node.clone()));
-        let (bus, limit, to) = (self.settings.bus.clone(), self.settings.beat, myself.clone());
+        let (bus, limit, to, branch) = (self.settings.bus.clone(), self.settings.beat, myself.clone(), job.branch);
         self.tasks.spawn(async move {
             match send_report(bus, &to_node, &report, limit).await {
                 // An attendant that has stopped needs no answer.
-                Some(answer) => drop(to.cast(AttendantMessage::Reported(mission, role, answer))),
+                Some(answer) => drop(to.cast(AttendantMessage::Reported(mission, role, branch, answer))),
                 None => debug!(%mission, %role, "a report was not answered; the next beat repeats it"),
             }
         });
     }
 
-    fn put_down(&mut self, key: &(MissionId, RoleId)) {
-        if let Some((id, _, _)) = self.jobs.remove(key).and_then(|job| job.ask) {
-            let ask = PeopleAsk { id, ask: None };
-            let (bus, people) = (self.settings.bus.clone(), self.settings.keys.write(&Key::People(PeopleCall::Ask)));
-            self.tasks.spawn(async move {
-                let bytes = Bytes::from(codec::encode(&ask).expect("a dismissal fits a message"));
-                if let Err(problem) = bus.query(&people, bytes, Duration::from_millis(500)).await {
-                    debug!(%problem, "a person was not dismissed");
-                }
-            });
+    fn put_down(&mut self, myself: &ActorRef<AttendantMessage>, key: &(MissionId, RoleId)) {
+        let Some(job) = self.jobs.remove(key) else { return };
+        self.talk.put_down(&key.0, &key.1);
+        if let Some(asked) = job.ask {
+            self.dismiss(myself, asked.id());
         }
+    }
+
+    /// Calls an ask off. Each beat repeats it until it is answered, lest somebody serve it in the next mission.
+    fn dismiss(&mut self, myself: &ActorRef<AttendantMessage>, id: GoalId) {
+        self.dismissals.add(id);
+        ask_person(&self.settings, &mut self.tasks, myself, id, None);
     }
 }
 
@@ -404,28 +444,12 @@ fn ask_person(
     });
 }
 
-async fn live(bus: SharedBus, key: &str) -> Option<Vec<LivePlan>> {
+/// `None` if the answer did not come in full.
+async fn live(bus: SharedBus, key: &str) -> Option<Live> {
     let mut replies = bus.query(key, Bytes::new(), Duration::from_millis(500)).await.ok()?;
-    let mut plans: Option<Vec<LivePlan>> = None;
+    let mut parts: Vec<Live> = vec![];
     while let Some(reply) = replies.recv().await {
-        let chunk: Vec<LivePlan> = codec::decode(&reply.payload.ok()?).ok()?;
-        plans.get_or_insert_default().extend(chunk);
+        parts.push(codec::decode(&reply.payload.ok()?).ok()?);
     }
-    plans
-}
-
-/// The same ask has the same id on every attendant: FNV-1a (Fowler, Noll, Vo) over what it is about.
-fn ask_id(
-    mission: &MissionId,
-    role: &RoleId,
-    task: &TaskId,
-    spec: &TaskSpec,
-    holders: &BTreeMap<RoleId, RobotId>,
-) -> GoalId {
-    let mut hash: u64 = 0xcbf2_9ce4_8422_2325;
-    let text = format!("{mission}/{role}/{task}/{}/{holders:?}", spec.task_type);
-    for byte in text.bytes() {
-        hash = (hash ^ u64::from(byte)).wrapping_mul(0x0000_0100_0000_01b3);
-    }
-    GoalId(hash)
+    Live::whole(parts)
 }

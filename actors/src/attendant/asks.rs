@@ -1,0 +1,163 @@
+//! What people are asked to do, and which asks are to be called off, as values.
+
+use crate::robot::Spot;
+use consort_protocol::codec;
+use consort_protocol::ids::{ClusterId, MissionId, RoleId, TaskId};
+use consort_protocol::lease::Holding;
+use consort_protocol::ledger::Branch;
+use consort_protocol::mission::TaskSpec;
+use consort_skills::actions::{GoalId, PersonAsk};
+use serde::Serialize;
+use std::collections::{BTreeMap, VecDeque};
+
+/// Dismissals that are repeated at a time; the oldest are given up beyond. Raised: more questions at each beat to a host of
+/// people that does not answer. A guess: each is of a mission that ended, or lost a robot, while somebody was asked.
+const DISMISSALS_MAX: usize = 64;
+
+/// What an ask is about.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub(super) struct Matter {
+    /// A ledger founded anew may have another mission of the same name.
+    pub(super) cluster: Option<ClusterId>,
+    pub(super) mission: MissionId,
+    pub(super) branch: Branch,
+    pub(super) role: RoleId,
+    pub(super) task: TaskId,
+    pub(super) spec: TaskSpec,
+    /// A robot that gets its role back has another award, and is met anew.
+    pub(super) holders: BTreeMap<RoleId, Holding>,
+}
+
+/// Something that a person was asked.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) struct Asked {
+    pub(super) spot: Spot,
+    matter: Matter,
+    /// How often it was asked before, and called off by somebody who did not know better.
+    turn: u32,
+}
+
+impl Asked {
+    pub(super) fn first(spot: Spot, matter: Matter) -> Asked {
+        Asked { spot, matter, turn: 0 }
+    }
+
+    /// Whoever asks about the same for the same time, be it another attendant or a later life of this one, asks under the
+    /// same id: FNV-1a (Fowler, Noll, Vo) over what the ask is about.
+    pub(super) fn id(&self) -> GoalId {
+        let about = codec::encode_record(&(&self.matter, self.turn)).expect("an ask is smaller than a record");
+        let step = |hash: u64, byte: &u8| (hash ^ u64::from(*byte)).wrapping_mul(0x0000_0100_0000_01b3);
+        GoalId(about.iter().fold(0xcbf2_9ce4_8422_2325, step))
+    }
+
+    /// What the host of people is told.
+    pub(super) fn ask(&self) -> PersonAsk {
+        let Matter { role, spec, holders, .. } = &self.matter;
+        PersonAsk { role: role.clone(), task: spec.clone(), holders: Holding::robots(holders) }
+    }
+
+    /// Whether the robots to be met, or their awards, are others by now.
+    pub(super) fn is_outdated(&self, holders: &BTreeMap<RoleId, Holding>) -> bool {
+        self.matter.holders != *holders
+    }
+
+    /// The ask was called off, yet is still wanted: an id that was called off is not served again.
+    pub(super) fn again(&mut self) {
+        self.turn += 1;
+    }
+}
+
+/// Asks that were called off and of which the host of people has not said that it heard so, oldest first.
+#[derive(Debug, Default)]
+pub(super) struct Dismissals(VecDeque<GoalId>);
+
+impl Dismissals {
+    pub(super) fn add(&mut self, id: GoalId) {
+        self.answered(id);
+        self.0.push_back(id);
+        if self.0.len() > DISMISSALS_MAX {
+            self.0.pop_front();
+        }
+    }
+
+    /// The ask has ended, one way or the other.
+    pub(super) fn answered(&mut self, id: GoalId) {
+        self.0.retain(|known| *known != id);
+    }
+
+    /// Those to be repeated.
+    pub(super) fn open(&self) -> impl Iterator<Item = GoalId> {
+        self.0.iter().copied()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use consort_protocol::ids::{RobotId, TaskType};
+    use consort_protocol::lease::Epoch;
+
+    fn matter(holders: &[(&str, &str, u64)]) -> Matter {
+        let role = |name: &str| RoleId::new(name).unwrap();
+        let holding = |(of, robot, index): &(&str, &str, u64)| {
+            (role(of), Holding { robot: RobotId::new(*robot).unwrap(), epoch: Epoch { term: 1, index: *index } })
+        };
+        Matter {
+            cluster: Some(ClusterId(7)),
+            mission: MissionId::new("lab-samples-1").unwrap(),
+            branch: Branch::Main,
+            role: role("nurse"),
+            task: TaskId::new("deposit").unwrap(),
+            spec: TaskSpec::of(TaskType::new("deposit").unwrap(), vec![role("nurse")]),
+            holders: holders.iter().map(holding).collect(),
+        }
+    }
+
+    fn id(matter: Matter) -> GoalId {
+        Asked::first(Spot::Step(0), matter).id()
+    }
+
+    #[test]
+    fn a_robot_that_gets_its_role_back_is_asked_for_anew() {
+        let both = matter(&[("lab_arm", "arm", 2), ("r1", "amber", 2)]);
+        let alone = matter(&[("r1", "amber", 2)]);
+        let again = matter(&[("lab_arm", "arm", 9), ("r1", "amber", 2)]);
+        let ids = std::collections::BTreeSet::from([id(both.clone()), id(alone), id(again.clone())]);
+        assert_eq!(ids.len(), 3);
+        let asked = Asked::first(Spot::Step(0), both.clone());
+        assert!(asked.is_outdated(&again.holders) && !asked.is_outdated(&both.holders));
+        assert_eq!(id(both.clone()), id(both), "and the same ask has the same id, whoever asks");
+    }
+
+    #[test]
+    fn missions_of_one_name_in_two_clusters_and_branches_are_asked_for_apart() {
+        let here = matter(&[("r1", "amber", 2)]);
+        let founded_anew = Matter { cluster: Some(ClusterId(8)), ..here.clone() };
+        let recovered = Matter { branch: Branch::Recovery, ..here.clone() };
+        let ids = std::collections::BTreeSet::from([id(here), id(founded_anew), id(recovered)]);
+        assert_eq!(ids.len(), 3);
+    }
+
+    #[test]
+    fn what_was_called_off_and_is_still_wanted_is_asked_under_another_id() {
+        let mut asked = Asked::first(Spot::Step(0), matter(&[]));
+        let first = asked.id();
+        asked.again();
+        assert_ne!(asked.id(), first);
+        let mut other_life = Asked::first(Spot::Step(0), matter(&[]));
+        other_life.again();
+        assert_eq!(other_life.id(), asked.id(), "which every attendant comes to");
+    }
+
+    #[test]
+    fn a_dismissal_is_repeated_until_it_is_answered() {
+        let mut dismissals = Dismissals::default();
+        [1, 2, 1].into_iter().for_each(|id| dismissals.add(GoalId(id)));
+        assert_eq!(dismissals.open().collect::<Vec<_>>(), [GoalId(2), GoalId(1)]);
+        assert_eq!(dismissals.open().count(), 2, "looking at them does not end them");
+        dismissals.answered(GoalId(2));
+        assert_eq!(dismissals.open().collect::<Vec<_>>(), [GoalId(1)]);
+        (10..200).for_each(|id| dismissals.add(GoalId(id)));
+        assert_eq!(dismissals.open().count(), DISMISSALS_MAX, "and there is an end to it");
+    }
+}

@@ -1,0 +1,139 @@
+use super::*;
+use consort_protocol::auction::{AuctionId, AuctionRecord};
+use consort_protocol::ids::{RequestId, RoleId};
+use consort_protocol::lease::Epoch;
+use consort_protocol::ledger::{Priority, Recovery, Submission};
+use consort_protocol::message::TaskFailure;
+use consort_protocol::mission::{Domain, Format, MissionTemplate};
+use consort_protocol::plan::divide_and_check;
+use std::collections::BTreeSet;
+
+/// The nurse has a plan in both branches: she puts a sample in, and if it is lost, another one.
+const MISSION: &str = r#"{"mission": "fetch", "roles": {
+    "nurse": {"kind": "unmanaged"}, "r1": {"kind": "managed"}, "r2": {"kind": "managed"}},
+  "root": {"task": "fetch", "method": "sequential", "tasks": [
+    {"task": "open", "type": "operate_drawer", "roles": ["r1"], "parameters": {"action": "open"}},
+    {"task": "deposit", "type": "deposit", "roles": ["nurse"], "parameters": {"into_role": "r1"}, "acquires": {"sample": "r1"}},
+    {"task": "close", "type": "operate_drawer", "roles": ["r1"], "parameters": {"action": "close"}}]},
+  "recovery": {"task": "again", "method": "sequential", "tasks": [
+    {"task": "open-2", "type": "operate_drawer", "roles": ["r2"], "parameters": {"action": "open"}},
+    {"task": "deposit-2", "type": "deposit", "roles": ["nurse"], "parameters": {"into_role": "r2"}},
+    {"task": "close-2", "type": "operate_drawer", "roles": ["r2"], "parameters": {"action": "close"}}]}}"#;
+
+fn nurse() -> RoleId {
+    RoleId::new("nurse").unwrap()
+}
+
+/// The mission under way; `lost` with the sample in the drawer of `r1`.
+fn ledger(lost: bool) -> (Ledger, MissionId) {
+    let template = MissionTemplate::parse(MISSION, Format::Json).unwrap();
+    let (mission, recovery) = template.instantiate_both(&BTreeMap::new(), &Domain::hospital()).unwrap();
+    let division = divide_and_check(&mission).unwrap();
+    let recovery = recovery.map(|mission| Recovery { division: divide_and_check(&mission).unwrap(), mission });
+    let mut ledger = Ledger::default();
+    let submission = Submission {
+        request: RequestId::new("a").unwrap(),
+        mission,
+        division,
+        parameters: BTreeMap::new(),
+        recovery,
+        priority: Priority::default(),
+        deadline_ms: None,
+        at_ms: 0,
+    };
+    let at = |index| Epoch { term: 1, index };
+    ledger.apply(at(1), Command::Submit(Box::new(submission)));
+    let mission = ledger.missions().next().unwrap().id.clone();
+    let auction = AuctionId { mission: mission.clone(), term: 1, round: 1 };
+    let auction =
+        AuctionRecord { auction, at_ms: 0, entries: vec![], omitted: 0, chosen: BTreeMap::new(), failure: None };
+    let (r1, amber) = (RoleId::new("r1").unwrap(), RobotId::new("amber").unwrap());
+    let holders = BTreeMap::from([(r1.clone(), amber)]);
+    assert_eq!(
+        ledger.apply(at(2), Command::Award { mission: mission.clone(), holders, auction }),
+        Outcome::Awarded { epoch: at(2) }
+    );
+    if lost {
+        let (incarnation, resumes) = (1, false);
+        let accept = Command::Accept { mission: mission.clone(), role: r1.clone(), epoch: at(2), incarnation, resumes };
+        assert_eq!(ledger.apply(at(3), accept), Outcome::Done);
+        let said = |role, epoch, ended: &[u32]| Command::Progress {
+            mission: mission.clone(),
+            role,
+            epoch,
+            branch: Branch::Main,
+            ended: ended.iter().copied().collect(),
+        };
+        assert_eq!(ledger.apply(at(3), said(r1.clone(), at(2), &[0, 1, 2])), Outcome::Done);
+        let (cause, place) = ("silent".to_owned(), None);
+        let release =
+            Command::Release { mission: mission.clone(), role: r1, epoch: at(2), cause, blamed: false, place };
+        assert_eq!(ledger.apply(at(4), release), Outcome::Done);
+        assert_eq!(ledger.mission(&mission).unwrap().branch, Branch::Recovery);
+    }
+    (ledger, mission)
+}
+
+fn report(mission: &MissionId, branch: Branch, ended: &[u32]) -> Report {
+    Report {
+        robot: RobotId::new("ward").unwrap(),
+        incarnation: 0,
+        mission: mission.clone(),
+        role: nurse(),
+        epoch: Epoch::default(),
+        branch,
+        ended: BTreeSet::from_iter(ended.iter().copied()),
+        at: None,
+        place: None,
+        resumes: false,
+        failure: None,
+    }
+}
+
+fn answer(ledger: &Ledger, report: &Report) -> Step {
+    next(ledger.mission(&report.mission), report, BTreeMap::new)
+}
+
+fn over() -> Step {
+    let (epoch, reason) = (Epoch::default(), Ending::Replaced);
+    Step::Answer(ReportAnswer::Ended { epoch, reason, current: None })
+}
+
+#[test]
+fn what_a_person_did_goes_into_the_ledger_with_its_branch() {
+    for (lost, branch) in [(false, Branch::Main), (true, Branch::Recovery)] {
+        let (ledger, mission) = ledger(lost);
+        let (role, epoch, ended) = (nurse(), Epoch::default(), BTreeSet::from([0, 1]));
+        let progress = Command::Progress { mission: mission.clone(), role, epoch, branch, ended };
+        assert_eq!(answer(&ledger, &report(&mission, branch, &[0, 1])), Step::Commit(progress));
+    }
+}
+
+#[test]
+fn a_late_report_of_the_other_branch_changes_nothing() {
+    let (ledger, mission) = ledger(true);
+    assert_eq!(answer(&ledger, &report(&mission, Branch::Main, &[0, 1, 2])), over());
+    assert_eq!(answer(&ledger, &report(&mission, Branch::Main, &[])), over(), "nor does it tell what has ended now");
+    let mut failed = report(&mission, Branch::Main, &[]);
+    let (cause, kind) = ("she has none".to_owned(), FailureKind::Task);
+    failed.failure = Some(TaskFailure { task: None, cause, kind });
+    assert_eq!(answer(&ledger, &failed), over());
+}
+
+#[test]
+fn a_failure_ends_the_mission_only_in_the_branch_of_which_it_is_said() {
+    let (ledger, mission) = ledger(false);
+    let mut failed = report(&mission, Branch::Main, &[]);
+    let (cause, kind) = ("she has none".to_owned(), FailureKind::Task);
+    failed.failure = Some(TaskFailure { task: None, cause, kind });
+    let cause = "ward as nurse could not go on: she has none".to_owned();
+    let fail = Command::Fail { mission, cause, branch: Some(Branch::Main), places: BTreeMap::new() };
+    assert_eq!(answer(&ledger, &failed), Step::Commit(fail));
+}
+
+#[test]
+fn a_coordinator_that_has_yet_to_learn_of_the_recovery_branch_says_so() {
+    let (ledger, mission) = ledger(false);
+    let behind = Step::Answer(ReportAnswer::NotCoordinator { coordinator: None });
+    assert_eq!(answer(&ledger, &report(&mission, Branch::Recovery, &[0])), behind);
+}
