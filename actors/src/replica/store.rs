@@ -182,7 +182,8 @@ impl<S: StateMachine> RaftLogStorage<Types<S>> for LogStore<S> {
     type LogReader = Self;
 
     async fn get_log_state(&mut self) -> Result<LogState<Types<S>>, StorageError> {
-        Ok(LogState { last_purged_log_id: lock(&self.log).purged, last_log_id: self.last() })
+        let purged = lock(&self.log).purged;
+        Ok(LogState { last_purged_log_id: purged, last_log_id: self.last() })
     }
 
     async fn get_log_reader(&mut self) -> Self {
