@@ -402,7 +402,7 @@ impl Reign {
             replica: settings.replica.clone(),
             knowledge: settings.knowledge.clone(),
             leadership_age_max: settings.terms.leadership_age_max(),
-            clock: settings.clock.clone(),
+            clock: settings.clock,
             watch: self.watch.clone(),
         };
         self.tasks.spawn(async move {

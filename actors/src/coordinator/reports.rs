@@ -78,7 +78,11 @@ impl Desk {
             return ReportAnswer::NotCoordinator { coordinator: None };
         }
         // Whoever is told that the lease goes on was in contact before anybody can find the lease to have ended.
-        let may_renew = || lock(&self.watch).renew(report.epoch, &report.robot, self.clock.now());
+        let may_renew = || {
+            let renewed = lock(&self.watch).renew(report.epoch, &report.robot, self.clock.now());
+            // To ignore epochs is to ignore that this one was taken away, too.
+            renewed || mutants::is(Mutant::IgnoreEpoch) || mutants::is(Mutant::RefusedApplied)
+        };
         if matches!(answer, ReportAnswer::Renewed { .. }) && !may_renew() {
             debug!(robot = %report.robot, mission = %report.mission, role = %report.role, "not renewed: about to be released");
             return ReportAnswer::NotCoordinator { coordinator: None };
