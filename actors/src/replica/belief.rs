@@ -27,7 +27,7 @@ pub struct Leadership {
     /// The name of the reign's leader, if this node knows its membership yet.
     pub leader: Option<NodeId>,
     /// Whether this node leads, holds all that was committed before its reign, and has been acknowledged by a majority
-    /// not longer ago than [`ReplicaSettings::quorum_silence_max`].
+    /// not longer ago than `quorum_silence_max` of the settings.
     pub is_me: bool,
     /// Whether this node was elected but hears no majority: it must not act, and a proposal is refused at once.
     pub cut_off: bool,

@@ -51,7 +51,7 @@ impl rand08::RngCore for ElectionChance {
     }
 }
 
-/// [`TokioRuntime`] with a seeded generator, and with limits of [`APPEND_MAX`] at least. Time and tasks are tokio's, so
+/// [`TokioRuntime`] with a seeded generator, and with limits of `APPEND_MAX` at least. Time and tasks are tokio's, so
 /// paused time works.
 #[derive(Debug, Default, PartialEq, Eq)]
 pub struct SeededRuntime;
