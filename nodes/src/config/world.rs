@@ -1,7 +1,8 @@
 //! The world file: a node that hosts a simulated world.
 
-use super::read::{settle_path, under};
-use super::{BusConfig, ConfigFile, FleetRef};
+use super::node::problems_around;
+use super::read::under;
+use super::{BusConfig, ConfigFile, FleetRef, NodeFile, Surroundings};
 use crate::floor::is_shipped;
 use consort_protocol::ids::NodeId;
 use consort_sim::world::{Durations, Person, RobotBody, WorldLimits, system_names};
@@ -70,8 +71,7 @@ impl ConfigFile for WorldConfig {
     const KIND: &'static str = "world";
 
     fn settle(&mut self, folder: &Path) {
-        self.fleet.settle(folder);
-        settle_path(&mut self.data_dir, folder);
+        self.surroundings().settle(folder);
         if let Some(map) = self.map.as_mut().filter(|map| !is_shipped(map)) {
             *map = under(folder, Path::new(map)).display().to_string();
         }
@@ -83,8 +83,17 @@ impl ConfigFile for WorldConfig {
             let (speed, least, most) = (self.speed, SPEED.start(), SPEED.end());
             problems.push(format!("speed is {speed}, allowed is {least} to {most}"));
         }
-        problems.extend(self.fleet.problems());
-        problems.extend(self.bus.problems());
+        problems.extend(problems_around(&self.fleet, &self.bus));
         problems
+    }
+}
+
+impl NodeFile for WorldConfig {
+    fn node(&self) -> NodeId {
+        self.name.clone()
+    }
+
+    fn surroundings(&mut self) -> Surroundings<'_> {
+        Surroundings { data_dir: &mut self.data_dir, fleet: &mut self.fleet, bus: &mut self.bus }
     }
 }
