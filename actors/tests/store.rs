@@ -11,8 +11,12 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 #[path = "store/crash.rs"]
 mod crash;
+#[path = "store/hindered.rs"]
+mod hindered;
 #[path = "store/replica.rs"]
 mod replica;
+#[path = "store/snapshot_first.rs"]
+mod snapshot_first;
 
 /// A folder of its own for each test, removed at its end.
 struct Folder(PathBuf);

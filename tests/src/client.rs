@@ -72,8 +72,8 @@ impl Fleet {
         views
     }
 
-    /// Asks a node to leave for good. What it answers once it has.
-    pub(crate) async fn asked_to_leave(&self, name: &str) -> Value {
+    /// Asks a node to leave for good. What it answers: once it has left, or why it stays.
+    pub async fn asked_to_leave(&self, name: &str) -> Value {
         let (key, limit) = (self.keys.write(&Key::Leave(slug(name))), Duration::from_secs(60));
         let mut replies = self.client.query(&key, vec![].into(), limit).await.expect("a virtual bus");
         let said = replies.recv().await.unwrap_or_else(|| panic!("seed {}: {name} does not answer", self.seed));

@@ -130,3 +130,30 @@ fn the_only_voter_says_that_it_must_stay_and_leaves_once_there_is_another() {
         assert_eq!(fleet.voters(), BTreeSet::from(["basil".to_owned()]), "seed {seed}");
     });
 }
+
+#[test]
+fn of_two_voters_one_stays_while_the_other_is_down_and_leads_on_once_it_is_back() {
+    tell(SEEDS, async |seed| {
+        let mut fleet = Stations::founded(seed, &["aster"]).await;
+        fleet.submit("aster", "before").await;
+        fleet.start("basil").await;
+        fleet.pass(Duration::from_secs(2)).await;
+        let bus = fleet.network.bus("asker".parse().expect("a name"));
+        let asked = tokio::spawn(async move {
+            let key = "consort/ward/api/leave/aster";
+            let mut replies = bus.query(key, vec![].into(), Duration::from_secs(20)).await.expect("a virtual bus");
+            let said = replies.recv().await.expect("an answer").payload.expect("no refusal");
+            serde_json::from_slice::<serde_json::Value>(&said).expect("JSON")
+        });
+        // Whoever was to relieve it dies before it can.
+        fleet.until("two voters", |fleet| fleet.believed("aster").voters.len() == 2).await;
+        fleet.kill("basil").await;
+        fleet.until("an answer", |_| asked.is_finished()).await;
+        let said = asked.await.expect("no panic");
+        let problem = said["error"].as_str().expect("a refusal");
+        assert!(problem.starts_with("aster and basil are the only voters, and basil has not relieved"), "{problem}");
+        assert!(!fleet.nodes["aster"].has_ended(), "seed {seed}");
+        fleet.start("basil").await;
+        fleet.submit("basil", "after").await;
+    });
+}

@@ -1,6 +1,7 @@
 //! Robots that leave while they hold a role: for good, or for a while.
 
 use crate::usual::{began, released, why_released};
+use consort_actors::node::NodeSettings;
 use consort_protocol::ids::MissionId;
 use consort_protocol::lease::LeaseTerms;
 use consort_protocol::ledger::MissionState;
@@ -114,6 +115,56 @@ fn a_robot_that_is_stopped_and_stays_away_is_replaced_after_its_lease() {
         assert!(waited >= terms.grace + terms.lease / 2, "seed {seed}: after {waited:?}\n{}", fleet.tale());
         fleet.completes(&mission).await;
         assert_eq!(fleet.holder(&mission, "r1").expect("held").as_str(), "fern", "seed {seed}");
+        fleet.sample_delivered(ROOM);
+        fleet.one_role_one_robot();
+    });
+}
+
+/// A fleet in which `gorse`, a robot, is the only node that may vote.
+async fn of_one_voter(seed: u64) -> Fleet {
+    let robots = vec![Member::carrier("gorse", "IC Room 4")];
+    let only_gorse = |settings: &mut NodeSettings| {
+        settings.may_vote = settings.node == slug("gorse");
+        settings.fleet.bootstrap_expect = 1;
+    };
+    Fleet::adjusted_hospital(seed, robots, &[], &[ROOM], Box::new(only_gorse)).await
+}
+
+fn must_stay(said: &Value) -> bool {
+    said["error"].as_str().is_some_and(|problem| {
+        problem.starts_with("gorse is the only voter, and there is no other node that may vote")
+            && problem.ends_with("stop this one (SIGTERM) and keep its data")
+    })
+}
+
+#[test]
+fn a_robot_whose_leave_is_refused_goes_on_bidding_and_wins_the_next_mission() {
+    tell([1241, 1242], async |seed| {
+        let mut fleet = of_one_voter(seed).await;
+        fleet.coordinator().await;
+        let said = fleet.asked_to_leave("gorse").await;
+        assert!(must_stay(&said), "seed {seed}: {said}");
+        let mission = fleet.submit("a", ROOM).await;
+        fleet.completes(&mission).await;
+        assert_eq!(fleet.holder(&mission, "r1").expect("held").as_str(), "gorse", "seed {seed}");
+        fleet.sample_delivered(ROOM);
+        // Whoever stops it means it.
+        fleet.stop("gorse").await;
+    });
+}
+
+#[test]
+fn a_robot_whose_leave_is_refused_in_the_middle_of_a_mission_keeps_its_role() {
+    tell([1251, 1252], async |seed| {
+        let mut fleet = of_one_voter(seed).await;
+        fleet.coordinator().await;
+        let mission = fleet.submit("a", ROOM).await;
+        fleet.until("navto_room", SOON, |fleet| fleet.happened(began("navto_room"))).await;
+        let said = fleet.asked_to_leave("gorse").await;
+        assert!(must_stay(&said), "seed {seed}: {said}");
+        fleet.completes(&mission).await;
+        assert!(!fleet.happened(|what| released(what).is_some()), "seed {seed}\n{}", fleet.tale());
+        assert_eq!(fleet.spells_of(&mission, "r1").len(), 1, "seed {seed}\n{}", fleet.tale());
         fleet.sample_delivered(ROOM);
         fleet.one_role_one_robot();
     });

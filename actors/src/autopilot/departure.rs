@@ -6,7 +6,7 @@
 //! | the lead | is handed over | is handed over |
 //! | the vote | is kept: a restart costs the fleet no voter | is taken over by another, or removed |
 
-use crate::bus::SharedBus;
+use crate::bus::{BusError, Sample, SharedBus, Stream};
 use crate::gossip::{GossipHandle, SharedKnowledge};
 use crate::replica::{HandOverError, Replica};
 use crate::robot::RobotMessage;
@@ -21,8 +21,8 @@ use ractor::ActorRef;
 use serde::Serialize;
 use std::collections::BTreeSet;
 use std::time::Duration;
-use tokio::time::{Instant, timeout, timeout_at};
-use tracing::{info, warn};
+use tokio::time::{Instant, timeout};
+use tracing::{debug, info, warn};
 
 /// How a node left for good.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
@@ -39,7 +39,7 @@ pub struct Farewell {
     pub role_given_back: bool,
 }
 
-/// Why a node stays. Nothing was changed, but that its robot has put down its role.
+/// Why a node stays. It goes on as if nobody had asked: its robot has not been told.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum LeaveError {
     /// With it, the ledger would go.
@@ -51,6 +51,25 @@ pub enum LeaveError {
         /// Which node.
         node: NodeId,
     },
+    /// Of two voters neither can do without the other. Ordinary while the other is down.
+    #[error(
+        "{node} and {other} are the only voters, and {other} has not relieved {node} in time: without its vote the ledger \
+         would stand still. See that {other} runs and ask again, or stop this one (SIGTERM) and keep its data"
+    )]
+    Needed {
+        /// Which node.
+        node: NodeId,
+        /// The other voter.
+        other: NodeId,
+    },
+}
+
+/// What became of a leaver's vote.
+struct Vote {
+    /// Whether there was one, or a copy of the ledger.
+    kept_ledger: bool,
+    successor: Option<NodeId>,
+    released: bool,
 }
 
 /// What it takes to leave. Clones belong to the same node.
@@ -73,7 +92,14 @@ impl Leaver {
     /// and its robot's role wait for its next life.
     pub async fn step_down(&self) -> Option<NodeId> {
         let replica = self.replica.as_ref()?;
-        let successor = self.hand_over(replica).await.ok()?;
+        let successor = match self.hand_over(replica).await {
+            Ok(successor) => successor,
+            Err(HandOverError::NotLeader) => return None,
+            Err(problem) => {
+                warn!(node = %self.node, %problem, "goes without handing over");
+                return None;
+            }
+        };
         // Until it leads, this node's vote may be needed.
         let mut leadership = replica.leadership();
         let led = leadership.wait_for(|now| now.leader.is_some());
@@ -88,81 +114,99 @@ impl Leaver {
             let leaving = base.iter().filter(|(_, heard)| heard.record.knowledge.leaving);
             leaving.map(|(node, _)| node.clone()).collect()
         });
-        let handed = replica.hand_over(&shunned, self.times.election_min).await;
-        match &handed {
-            Ok(successor) => info!(node = %self.node, %successor, "handed over the coordination"),
-            Err(HandOverError::NotLeader) => {}
-            Err(problem) => warn!(node = %self.node, %problem, "goes without handing over"),
-        }
-        handed
+        let successor = replica.hand_over(&shunned, self.times.election_min).await?;
+        info!(node = %self.node, %successor, "handed over the coordination");
+        Ok(successor)
     }
 
-    /// Leaves for good: gives back its robot's role, hands over the lead, and waits, for some seconds at most, until its
-    /// vote is another's or is removed. The node is to be stopped then.
+    /// Leaves for good: hands over the lead, waits, for some seconds at most, until its vote is another's or is removed, and
+    /// then has its robot give its role back. The node is to be stopped then.
     ///
     /// # Errors
     /// [`LeaveError`]: it stays.
     pub async fn for_good(&self) -> Result<Farewell, LeaveError> {
-        let deadline = Instant::now() + self.times.election_max * 8;
         info!(node = %self.node, "leaves for good");
+        let Vote { kept_ledger, successor, released } = self.give_up_vote().await?;
+        // Not before: the robot of a node that must stay works and bids as if nobody had asked.
+        let role_given_back = self.give_back_role().await;
+        Ok(Farewell { node: self.node.clone(), successor, kept_ledger, released, role_given_back })
+    }
+
+    async fn give_up_vote(&self) -> Result<Vote, LeaveError> {
         // The beacons are heard from before anything changes.
         let beacons = self.bus.subscribe(&self.keys.write(&Key::Beacon)).await;
-        let role = self.give_back_role();
-        let vote = async {
-            // A gossip that has stopped cannot tell; then the autopilot finds out by itself.
-            let _ = self.gossip.update_with(|knowledge| knowledge.leaving = true);
-            let Some(replica) = &self.replica else { return Ok((false, None, true)) };
-            let member = |replica: &Replica<Ledger>| {
-                let now = replica.leadership().borrow().clone();
-                now.voters.contains_key(&replica.id()) || now.observers.contains_key(&replica.id())
-            };
-            if !member(replica) {
-                return Ok((false, None, true));
-            }
-            let mut successor = None;
-            loop {
-                match self.hand_over(replica).await {
-                    Ok(node) => successor = Some(node),
-                    // The autopilot, which is this node's own, looks for somebody to join it.
-                    Err(HandOverError::Alone) if Instant::now() < deadline => {
-                        tokio::time::sleep(self.times.beacon).await;
-                        continue;
-                    }
-                    Err(HandOverError::Alone) => {
-                        let _ = self.gossip.update_with(|knowledge| knowledge.leaving = false);
-                        return Err(LeaveError::OnlyVoter { node: self.node.clone() });
-                    }
-                    Err(_) => {}
-                }
-                break;
-            }
-            let Ok(mut beacons) = beacons else { return Ok((true, successor, false)) };
-            let mut leadership = replica.leadership();
-            let released = timeout_at(deadline, async {
-                loop {
-                    let leads_again = async { leadership.wait_for(|now| now.is_me).await.map(drop) };
-                    tokio::select! {
-                        sample = beacons.recv() => {
-                            let Some(sample) = sample else { return false };
-                            let beacon = codec::decode::<Beacon>(&sample.payload);
-                            if beacon.is_ok_and(|beacon| beacon.node != self.node && !beacon.voters.contains(&self.node)) {
-                                return true;
-                            }
-                        }
-                        // Nobody else was elected; a leader cannot take its own vote away.
-                        Ok(()) = leads_again => match self.hand_over(replica).await {
-                            Ok(node) => successor = Some(node),
-                            Err(_) => tokio::time::sleep(self.times.beacon).await,
-                        },
-                    }
-                }
-            });
-            let released = released.await.unwrap_or(false);
-            Ok((true, successor, released))
+        self.tell_leaving(true);
+        let member = |replica: &&Replica<Ledger>| {
+            let now = replica.leadership().borrow().clone();
+            now.voters.contains_key(&replica.id()) || now.observers.contains_key(&replica.id())
         };
-        let (role_given_back, vote) = tokio::join!(role, vote);
-        let (kept_ledger, successor, released) = vote?;
-        Ok(Farewell { node: self.node.clone(), successor, kept_ledger, released, role_given_back })
+        let Some(replica) = self.replica.as_ref().filter(member) else {
+            return Ok(Vote { kept_ledger: false, successor: None, released: true });
+        };
+        let mut successor = None;
+        let deadline = Instant::now() + self.times.election_max * 8;
+        let released = self.until_released(replica, beacons, deadline, &mut successor).await;
+        if !released && let Err(needed) = self.can_be_spared(replica) {
+            self.tell_leaving(false);
+            return Err(needed);
+        }
+        Ok(Vote { kept_ledger: true, successor, released })
+    }
+
+    /// Hands over the lead whenever this node has it, and waits until whoever leads counts on this node's vote no more.
+    async fn until_released(
+        &self,
+        replica: &Replica<Ledger>,
+        beacons: Result<Stream<Sample>, BusError>,
+        deadline: Instant,
+        successor: &mut Option<NodeId>,
+    ) -> bool {
+        let Ok(mut beacons) = beacons else { return false };
+        let mut leadership = replica.leadership();
+        loop {
+            let leads = async { leadership.wait_for(|now| now.is_me).await.map(drop) };
+            tokio::select! {
+                biased;
+                () = tokio::time::sleep_until(deadline) => return false,
+                sample = beacons.recv() => {
+                    let Some(sample) = sample else { return false };
+                    let beacon = codec::decode::<Beacon>(&sample.payload);
+                    if beacon.is_ok_and(|beacon| beacon.node != self.node && !beacon.voters.contains(&self.node)) {
+                        return true;
+                    }
+                }
+                // At first, or because nobody else was elected: a leader cannot take its own vote away. No deadline breaks off
+                // a handing over: it would leave a leader that has resigned, and stays.
+                Ok(()) = leads => match self.hand_over(replica).await {
+                    Ok(node) => *successor = Some(node),
+                    Err(problem) => {
+                        // While it is alone, its autopilot looks for somebody to join it.
+                        debug!(node = %self.node, %problem, "cannot hand over yet");
+                        tokio::time::sleep(self.times.beacon).await;
+                    }
+                },
+            }
+        }
+    }
+
+    /// Whether the voters are a majority without this one, which is still one of them.
+    fn can_be_spared(&self, replica: &Replica<Ledger>) -> Result<(), LeaveError> {
+        let mut others = replica.leadership().borrow().voters.clone();
+        if others.remove(&replica.id()).is_none() {
+            return Ok(());
+        }
+        let node = self.node.clone();
+        let mut others = others.into_values();
+        match (others.next(), others.next()) {
+            (None, _) => Err(LeaveError::OnlyVoter { node }),
+            (Some(other), None) => Err(LeaveError::Needed { node, other }),
+            (Some(_), Some(_)) => Ok(()),
+        }
+    }
+
+    fn tell_leaving(&self, leaving: bool) {
+        // A gossip that has stopped cannot tell; then the autopilot finds out by itself.
+        let _ = self.gossip.update_with(move |knowledge| knowledge.leaving = leaving);
     }
 
     async fn give_back_role(&self) -> bool {

@@ -48,6 +48,11 @@ pub trait Journal: Send + Sync + 'static {
         "this process's memory".to_owned()
     }
 
+    /// What a person may do when what it holds is not whole, if anything.
+    fn advice(&self) -> Option<&'static str> {
+        None
+    }
+
     /// All that was recorded.
     async fn load(&self) -> io::Result<Recorded>;
 
@@ -68,6 +73,16 @@ pub trait Journal: Send + Sync + 'static {
 
     /// Replaces the snapshot.
     async fn keep_snapshot(&self, snapshot: Vec<u8>) -> io::Result<()>;
+}
+
+/// The problem, and what may be done about it if it says that the journal is not whole.
+pub(crate) fn advised(problem: io::Error, advice: Option<&str>) -> io::Error {
+    match advice {
+        Some(advice) if problem.kind() == io::ErrorKind::InvalidData => {
+            io::Error::new(io::ErrorKind::InvalidData, format!("{problem}; {advice}"))
+        }
+        _ => problem,
+    }
 }
 
 /// A journal in memory: gone with its last clone. A clone given to a restarted node plays a disk that survived.

@@ -42,6 +42,7 @@ mod types;
 
 pub use belief::Leadership;
 pub use errors::{BootstrapError, HandOverError, MemberError, ProposeError, StartError};
+pub(crate) use journal::advised;
 pub use journal::{Journal, MemoryJournal, Recorded, StoreIdentity};
 pub use replica::Replica;
 pub use runtime::{SeededRuntime, seed_elections};

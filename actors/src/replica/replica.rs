@@ -4,7 +4,7 @@ use super::belief::{Leadership, Watcher};
 use super::canvass::{self, Ear};
 use super::errors::{BootstrapError, MemberError, ProposeError, StartError, not_leader, write_error};
 use super::gather::{Gatherer, Proposal};
-use super::journal::Journal;
+use super::journal::{Journal, advised};
 use super::network::{Acks, Heard, Switchboard};
 use super::runtime::seed_elections;
 use super::serve::Service;
@@ -111,9 +111,10 @@ impl<S: StateMachine> Replica<S> {
     ) -> Result<Self, StartError> {
         let config = settings.to_config()?;
         let id = RaftId::of(&settings.node, journal.identity());
-        let place = journal.place();
+        let (place, advice) = (journal.place(), journal.advice());
         let opened = store::open::<S>(journal, applied).await;
-        let (log, machine) = opened.map_err(|problem| StartError::Journal { place, problem })?;
+        let not_whole = |problem| StartError::Journal { place, problem: advised(problem, advice) };
+        let (log, machine) = opened.map_err(not_whole)?;
         let (appended, found) = (log.appended(), log.last());
         let keys = Keys::new(&settings.fleet);
         let queries = bus.serve(&keys.any_raft(id.0)).await?;

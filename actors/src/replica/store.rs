@@ -35,9 +35,12 @@ pub(super) async fn open<S: StateMachine>(
     let (log, machine) = take_up::<S>(journal.load().await?)?;
     let applied = Arc::new(watch::Sender::new(machine.applied.as_ref().map(epoch_of).unwrap_or_default()));
     let cluster = Arc::new(watch::Sender::new(machine.state.cluster()));
-    let log = LogStore { journal: Arc::clone(&journal), log: Arc::new(Mutex::new(log)), appended: Arc::default() };
+    let (tell_covered, covered) = watch::channel(Ok(machine.applied));
+    let (log, appended) = (Arc::new(Mutex::new(log)), Arc::default());
+    let log = LogStore { journal: Arc::clone(&journal), log, appended, covered };
     let machine = Arc::new(Mutex::new(machine));
-    Ok((log, MachineStore { journal, machine, applied, cluster, observer, snapshots: Arc::default() }))
+    let (covered, snapshots) = (Arc::new(tell_covered), Arc::default());
+    Ok((log, MachineStore { journal, machine, applied, cluster, covered, observer, snapshots }))
 }
 
 /// Reads what a journal recorded: the log, and the state machine as of the last snapshot.
@@ -112,12 +115,16 @@ pub(super) struct Held<S: StateMachine> {
     bytes: usize,
 }
 
+/// The last entry that the journal's snapshot covers; or why a snapshot that was to be installed is not in the journal.
+type Covered = Result<Option<LogId>, String>;
+
 /// The log and the vote.
 pub(super) struct LogStore<S: StateMachine> {
     journal: Arc<dyn Journal>,
     log: Arc<Mutex<Log<S>>>,
     /// How often entries have been written.
     appended: Arc<watch::Sender<u64>>,
+    covered: watch::Receiver<Covered>,
 }
 
 impl<S: StateMachine> Clone for LogStore<S> {
@@ -126,6 +133,7 @@ impl<S: StateMachine> Clone for LogStore<S> {
             journal: Arc::clone(&self.journal),
             log: Arc::clone(&self.log),
             appended: Arc::clone(&self.appended),
+            covered: self.covered.clone(),
         }
     }
 }
@@ -140,6 +148,15 @@ impl<S: StateMachine> LogStore<S> {
     /// How often entries have been written, now and whenever it grows.
     pub(super) fn appended(&self) -> watch::Receiver<u64> {
         self.appended.subscribe()
+    }
+
+    /// Waits until the journal's snapshot covers all entries up to this one.
+    async fn until_covered(&self, through: LogId) -> std::io::Result<()> {
+        let reached = |covered: &Covered| covered.as_ref().map_or(true, |last| *last >= Some(through));
+        let mut covered = self.covered.clone();
+        let covered = covered.wait_for(reached).await.map_err(|_| std::io::Error::other("the replica has ended"))?;
+        let missing = |problem| std::io::Error::other(format!("no snapshot covers what is to be purged: {problem}"));
+        covered.as_ref().map(drop).map_err(missing)
     }
 }
 
@@ -246,7 +263,10 @@ impl<S: StateMachine> RaftLogStorage<Types<S>> for LogStore<S> {
         Ok(())
     }
 
+    /// openraft asks for this right after it has handed a snapshot from the leader to a task of its own, which installs it.
+    /// Should the power fail between the two writes, the one that removes entries must not have been the first.
     async fn purge(&mut self, through: LogId) -> Result<(), StorageError> {
+        self.until_covered(through).await.map_err(writing_logs)?;
         let last = write_record(&through).map_err(writing_logs)?;
         self.journal.purge(through.index, last).await.map_err(writing_logs)?;
         let mut log = lock(&self.log);
@@ -301,6 +321,7 @@ pub(super) struct MachineStore<S: StateMachine> {
     machine: Arc<Mutex<Machine<S>>>,
     applied: Arc<watch::Sender<Epoch>>,
     cluster: Arc<watch::Sender<Option<ClusterId>>>,
+    covered: Arc<watch::Sender<Covered>>,
     observer: Option<Applied<S>>,
     /// Held while a snapshot goes to the journal: openraft builds one while it installs another.
     snapshots: Arc<tokio::sync::Mutex<()>>,
@@ -313,6 +334,7 @@ impl<S: StateMachine> Clone for MachineStore<S> {
             machine: Arc::clone(&self.machine),
             applied: Arc::clone(&self.applied),
             cluster: Arc::clone(&self.cluster),
+            covered: Arc::clone(&self.covered),
             observer: self.observer.clone(),
             snapshots: Arc::clone(&self.snapshots),
         }
@@ -337,6 +359,19 @@ impl<S: StateMachine> MachineStore<S> {
     /// The place of the last applied entry, told anew after each batch.
     pub(super) fn applied(&self) -> watch::Receiver<Epoch> {
         self.applied.subscribe()
+    }
+
+    async fn install(&self, kept: Kept) -> Result<(), StorageError> {
+        let state: S = read_record(&kept.state).map_err(reading_snapshot)?;
+        let (cluster, last) = (state.cluster(), kept.meta.last_log_id);
+        let record = write_record(&kept).map_err(writing_snapshot)?;
+        let _alone = self.snapshots.lock().await;
+        self.journal.keep_snapshot(record).await.map_err(writing_snapshot)?;
+        lock(&self.machine).restore(state, kept);
+        self.covered.send_modify(|covered| *covered = Ok(last));
+        self.tell_cluster(cluster);
+        self.applied.send_replace(last.as_ref().map(epoch_of).unwrap_or_default());
+        Ok(())
     }
 }
 
@@ -403,16 +438,12 @@ impl<S: StateMachine> RaftStateMachine<Types<S>> for MachineStore<S> {
         meta: &SnapshotMeta,
         snapshot: Box<Cursor<Vec<u8>>>,
     ) -> Result<(), StorageError> {
-        let kept = Kept { meta: meta.clone(), state: snapshot.into_inner() };
-        let state: S = read_record(&kept.state).map_err(reading_snapshot)?;
-        let cluster = state.cluster();
-        let record = write_record(&kept).map_err(writing_snapshot)?;
-        let _alone = self.snapshots.lock().await;
-        self.journal.keep_snapshot(record).await.map_err(writing_snapshot)?;
-        lock(&self.machine).restore(state, kept);
-        self.tell_cluster(cluster);
-        self.applied.send_replace(meta.last_log_id.as_ref().map(epoch_of).unwrap_or_default());
-        Ok(())
+        let installed = self.install(Kept { meta: meta.clone(), state: snapshot.into_inner() }).await;
+        if let Err(problem) = &installed {
+            // Whoever waits for it, to purge what it covers, would wait for ever.
+            self.covered.send_modify(|covered| *covered = Err(problem.to_string()));
+        }
+        installed
     }
 
     async fn get_current_snapshot(&mut self) -> Result<Option<Snapshot<Types<S>>>, StorageError> {
@@ -441,6 +472,10 @@ impl<S: StateMachine> RaftSnapshotBuilder<Types<S>> for SnapshotBuilder<S> {
         if newest <= kept.meta.last_log_id {
             self.store.journal.keep_snapshot(record).await.map_err(writing_snapshot)?;
             lock(&self.store.machine).snapshot = Some(kept.clone());
+            // An installation that has failed meanwhile stays failed.
+            self.store
+                .covered
+                .send_if_modified(|covered| covered.as_mut().map(|last| *last = kept.meta.last_log_id).is_ok());
         }
         Ok(to_snapshot(kept))
     }

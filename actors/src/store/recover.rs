@@ -1,7 +1,7 @@
 //! When a majority of the voters is gone for good: what is left becomes the ledger of one voter, on somebody's word.
 
 use super::DurableStore;
-use crate::replica::{Holdings, Journal, holdings, sole_voter};
+use crate::replica::{Holdings, Journal, advised, holdings, sole_voter};
 use consort_protocol::ids::ClusterId;
 use consort_protocol::ledger::Ledger;
 use std::io;
@@ -12,7 +12,7 @@ use std::path::PathBuf;
 /// # Errors
 /// The store cannot be read, or what it holds is not whole.
 pub fn ledger_of(store: &DurableStore) -> io::Result<Holdings<Ledger>> {
-    holdings(store.recorded()?)
+    store.recorded().and_then(holdings).map_err(|problem| advised(problem, store.advice()))
 }
 
 /// Makes the store that of its fleet's only voter: all that it holds counts as committed from now on, as the ledger of
@@ -23,10 +23,9 @@ pub fn ledger_of(store: &DurableStore) -> io::Result<Holdings<Ledger>> {
 /// # Errors
 /// The store is not whole, holds nothing, or cannot be copied or written; it is as it was then.
 pub fn recover(store: &DurableStore, moment: u64, cluster: ClusterId) -> io::Result<Vec<PathBuf>> {
-    let recorded = store.recorded()?;
-    let recovered = sole_voter::<Ledger>(recorded, &store.owner().node, store.identity(), |ledger| {
-        ledger.refound(cluster);
-    })?;
+    let refound = |ledger: &mut Ledger| ledger.refound(cluster);
+    let recovered = store.recorded().and_then(|all| sole_voter(all, &store.owner().node, store.identity(), refound));
+    let recovered = recovered.map_err(|problem| advised(problem, store.advice()))?;
     let copies = store.back_up(&format!("before-recovery-{moment}"))?;
     store.replace(recovered)?;
     Ok(copies)

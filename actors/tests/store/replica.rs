@@ -1,5 +1,6 @@
 //! A replica on a store on disk: it comes back as the same member, with its vote and all that it held.
 
+use super::hindered::{Hindered, Hindrance, Write};
 use super::{Folder, owner};
 use async_trait::async_trait;
 use consort_actors::bus::virtual_bus::{LinkModel, VirtualNetwork};
@@ -19,11 +20,11 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 use tokio::time::Instant;
 
-const NAMES: [&str; 3] = ["ada", "bob", "cyd"];
+pub(super) const NAMES: [&str; 3] = ["ada", "bob", "cyd"];
 
 /// A list of numbers.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
-struct Tally(Vec<u64>);
+pub(super) struct Tally(pub(super) Vec<u64>);
 
 impl StateMachine for Tally {
     type Command = u64;
@@ -35,28 +36,28 @@ impl StateMachine for Tally {
     }
 }
 
-struct Fleet {
-    network: VirtualNetwork,
-    live: BTreeMap<&'static str, Replica<Tally>>,
+pub(super) struct Fleet {
+    pub(super) network: VirtualNetwork,
+    pub(super) live: BTreeMap<&'static str, Replica<Tally>>,
     starts: u64,
 }
 
-fn settings(name: &str) -> ReplicaSettings {
+pub(super) fn settings(name: &str) -> ReplicaSettings {
     let owner = owner(name);
     ReplicaSettings { snapshot_every: 50, log_kept: 20, ..ReplicaSettings::new(owner.fleet, owner.node) }
 }
 
-fn on_disk(folder: &Path, name: &str) -> Arc<dyn Journal> {
+pub(super) fn on_disk(folder: &Path, name: &str) -> Arc<dyn Journal> {
     let fresh = StoreIdentity(name.len() as u128 + u128::from(name.as_bytes()[0]));
     Arc::new(DurableStore::open(&folder.join(name), &owner(name), fresh).expect("a store"))
 }
 
 impl Fleet {
-    fn new(seed: u64) -> Fleet {
+    pub(super) fn new(seed: u64) -> Fleet {
         Fleet { network: VirtualNetwork::new(seed, LinkModel::LAN), live: BTreeMap::new(), starts: seed * 100 }
     }
 
-    async fn start(&mut self, name: &'static str, journal: Arc<dyn Journal>) -> RaftId {
+    pub(super) async fn start(&mut self, name: &'static str, journal: Arc<dyn Journal>) -> RaftId {
         self.starts += 1;
         let bus = Arc::new(self.network.bus(NodeId::new(name).expect("a slug")));
         let replica = Replica::start(settings(name), bus, journal, self.starts).await.expect("a start");
@@ -65,20 +66,20 @@ impl Fleet {
         id
     }
 
-    async fn found(&self) {
+    pub(super) async fn found(&self) {
         let members = self.live.iter().map(|(name, replica)| (replica.id(), NodeId::new(*name).expect("a slug")));
         self.live["ada"].bootstrap(members.collect()).await.expect("a first founding");
     }
 
     /// Ends all nodes at once.
-    async fn stop(&mut self) {
+    pub(super) async fn stop(&mut self) {
         for (name, replica) in std::mem::take(&mut self.live) {
             self.network.crash(&NodeId::new(name).expect("a slug"));
             replica.shutdown().await;
         }
     }
 
-    async fn until<T>(&self, what: &str, mut done: impl FnMut(&Fleet) -> Option<T>) -> T {
+    pub(super) async fn until<T>(&self, what: &str, mut done: impl FnMut(&Fleet) -> Option<T>) -> T {
         let began = Instant::now();
         loop {
             if let Some(found) = done(self) {
@@ -89,7 +90,7 @@ impl Fleet {
         }
     }
 
-    async fn leader(&self) -> &'static str {
+    pub(super) async fn leader(&self) -> &'static str {
         let leads = |fleet: &Fleet| {
             let mut all = fleet.live.iter();
             all.find(|(_, replica)| replica.leadership().borrow().is_me).map(|(name, _)| *name)
@@ -97,7 +98,7 @@ impl Fleet {
         self.until("somebody leads", leads).await
     }
 
-    async fn note(&self, numbers: impl IntoIterator<Item = u64>) {
+    pub(super) async fn note(&self, numbers: impl IntoIterator<Item = u64>) {
         for number in numbers {
             loop {
                 let leader = self.leader().await;
@@ -109,7 +110,7 @@ impl Fleet {
         }
     }
 
-    async fn until_all_hold(&self, count: usize) {
+    pub(super) async fn until_all_hold(&self, count: usize) {
         let hold = |fleet: &Fleet| {
             fleet.live.values().all(|replica| replica.read(|tally| tally.0.len() == count)).then_some(())
         };
@@ -118,13 +119,13 @@ impl Fleet {
 }
 
 /// Virtual time stands still while a disk is written to.
-fn on_virtual_time<T>(story: impl Future<Output = T>) -> T {
+pub(super) fn on_virtual_time<T>(story: impl Future<Output = T>) -> T {
     let mut builder = tokio::runtime::Builder::new_current_thread();
     builder.enable_time().start_paused(true).build().expect("a runtime").block_on(story)
 }
 
 /// Waits until nothing of the last life keeps a directory any more.
-async fn until_free(folder: &Path, name: &str) {
+pub(super) async fn until_free(folder: &Path, name: &str) {
     let began = std::time::Instant::now();
     while let Err(problem) = DurableStore::open_existing(&folder.join(name)) {
         assert!(began.elapsed() < Duration::from_secs(30), "{problem}");
@@ -190,55 +191,14 @@ fn the_disk_a_store_takes_stays_bounded_however_much_is_written() {
     });
 }
 
-/// A journal whose disk is full from some moment on.
-struct Filling {
-    journal: MemoryJournal,
-    full: AtomicBool,
-}
-
-impl Filling {
-    fn check(&self) -> io::Result<()> {
-        if self.full.load(Ordering::SeqCst) { Err(io::ErrorKind::StorageFull.into()) } else { Ok(()) }
-    }
-}
+/// A disk that is full from some moment on.
+#[derive(Default)]
+struct Filling(AtomicBool);
 
 #[async_trait]
-impl Journal for Filling {
-    fn identity(&self) -> StoreIdentity {
-        self.journal.identity()
-    }
-
-    async fn load(&self) -> io::Result<Recorded> {
-        self.journal.load().await
-    }
-
-    async fn record_vote(&self, vote: Vec<u8>) -> io::Result<()> {
-        self.check()?;
-        self.journal.record_vote(vote).await
-    }
-
-    async fn record_committed(&self, committed: Option<Vec<u8>>) -> io::Result<()> {
-        self.journal.record_committed(committed).await
-    }
-
-    async fn append(&self, entries: Vec<(u64, Vec<u8>)>) -> io::Result<()> {
-        self.check()?;
-        self.journal.append(entries).await
-    }
-
-    async fn truncate(&self, index: u64) -> io::Result<()> {
-        self.check()?;
-        self.journal.truncate(index).await
-    }
-
-    async fn purge(&self, index: u64, last: Vec<u8>) -> io::Result<()> {
-        self.check()?;
-        self.journal.purge(index, last).await
-    }
-
-    async fn keep_snapshot(&self, snapshot: Vec<u8>) -> io::Result<()> {
-        self.check()?;
-        self.journal.keep_snapshot(snapshot).await
+impl Hindrance for Filling {
+    async fn before(&self, _: Write) -> io::Result<()> {
+        if self.0.load(Ordering::SeqCst) { Err(io::ErrorKind::StorageFull.into()) } else { Ok(()) }
     }
 }
 
@@ -248,14 +208,14 @@ fn a_leader_whose_disk_is_full_gives_up_for_good_and_says_so_and_another_takes_o
         let mut fleet = Fleet::new(3);
         let mut disks = BTreeMap::new();
         for (seed, name) in (70..).zip(NAMES) {
-            let disk = Arc::new(Filling { journal: MemoryJournal::new(seed), full: AtomicBool::new(false) });
+            let disk = Arc::new(Hindered { journal: MemoryJournal::new(seed), by: Filling::default() });
             fleet.start(name, Arc::clone(&disk) as _).await;
             disks.insert(name, disk);
         }
         fleet.found().await;
         fleet.note(0..10).await;
         let old = fleet.leader().await;
-        disks[old].full.store(true, Ordering::SeqCst);
+        disks[old].by.0.store(true, Ordering::SeqCst);
         let answer = fleet.live[old].propose(10, Duration::from_secs(2)).await;
         assert!(answer.is_err(), "{answer:?}");
         let failed = fleet.live[old].failed();

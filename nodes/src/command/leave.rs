@@ -12,8 +12,8 @@ const LEAVES_WITHIN: Duration = Duration::from_secs(60);
 
 /// Have a node leave the fleet for good
 ///
-/// Its robot puts its role down, so that another can take it; if it coordinates, it hands over; another takes its vote.
-/// Then its process ends. To stop a node for a while, end its process (Ctrl-C or SIGTERM): it keeps its vote, and its robot
+/// If it coordinates, it hands over; another takes its vote; its robot puts its role down, so that another can take it. Then
+/// its process ends. A node without which the ledger would be lost stays, says why, and works on. To stop a node for a while, end its process (Ctrl-C or SIGTERM): it keeps its vote, and its robot
 /// goes on with its role if it is back in time.
 #[derive(Debug, clap::Args)]
 #[command(after_long_help = "\

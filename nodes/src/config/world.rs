@@ -5,7 +5,7 @@ use super::read::under;
 use super::{BusConfig, ConfigFile, FleetRef, NodeFile, Surroundings};
 use crate::floor::is_shipped;
 use consort_protocol::ids::NodeId;
-use consort_sim::world::{Durations, Person, RobotBody, WorldLimits};
+use consort_sim::world::{Durations, Person, RobotBody, WorldLimits, system_names};
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 
@@ -36,6 +36,8 @@ pub struct WorldConfig {
     pub durations: Durations,
     /// How much the world holds and remembers.
     pub limits: WorldLimits,
+    /// What can happen there, by name, in the order in which it hears of things. Default: all that can.
+    pub systems: Vec<String>,
     /// The robots' bodies, by the names of their robots.
     pub robot: Vec<RobotBody>,
     /// The people.
@@ -55,6 +57,7 @@ impl Default for WorldConfig {
             bus: BusConfig::default(),
             durations: Durations::default(),
             limits: WorldLimits::default(),
+            systems: system_names().map(str::to_owned).collect(),
             robot: vec![],
             person: vec![],
         }

@@ -303,6 +303,10 @@ impl Journal for DurableStore {
         self.shared.path.display().to_string()
     }
 
+    fn advice(&self) -> Option<&'static str> {
+        Some(ADVICE)
+    }
+
     async fn load(&self) -> io::Result<Recorded> {
         let store = self.clone();
         spawn_blocking(move || store.recorded()).await.map_err(died)?
