@@ -163,7 +163,7 @@ fn a_robot_whose_leave_is_refused_in_the_middle_of_a_mission_keeps_its_role() {
         let said = fleet.asked_to_leave("gorse").await;
         assert!(must_stay(&said), "seed {seed}: {said}");
         fleet.completes(&mission).await;
-        assert!(!fleet.happened(|what| released(what).is_some()), "seed {seed}\n{}", fleet.tale());
+        assert!(!fleet.happened(released), "seed {seed}\n{}", fleet.tale());
         assert_eq!(fleet.spells_of(&mission, "r1").len(), 1, "seed {seed}\n{}", fleet.tale());
         fleet.sample_delivered(ROOM);
         fleet.one_role_one_robot();
