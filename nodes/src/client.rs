@@ -2,8 +2,8 @@
 
 use crate::config::{DEFAULT_FLEET, FleetConfig, load};
 use crate::exit::Failure;
-use crate::output::Waiting;
-use crate::running::{describe, start_log};
+use crate::output::{self, Waiting};
+use crate::running::{describe, runtime, start_log};
 use bytes::Bytes;
 use consort_actors::bus::zenoh_bus::Mode;
 use consort_actors::bus::{Bus, ZenohBus, ZenohSettings};
@@ -39,6 +39,46 @@ pub struct ClientFlags {
     /// How long to try to reach the fleet and its coordinator, in seconds
     #[arg(long, env = "CONSORT_TIMEOUT", value_name = "SECONDS", default_value_t = 10.0)]
     timeout: f64,
+}
+
+impl ClientFlags {
+    /// Connects, has something done with the connection, and closes it.
+    ///
+    /// # Errors
+    /// As [`Client::open`], and what `work` fails with.
+    pub fn connected<T>(&self, work: impl AsyncFnOnce(&mut Client) -> Result<T, Failure>) -> Result<T, Failure> {
+        runtime()?.block_on(async {
+            let mut client = Client::open(self).await?;
+            let done = work(&mut client).await;
+            client.close().await;
+            done
+        })
+    }
+}
+
+/// How a fleet is asked something, and how its answer is shown.
+#[derive(Debug, clap::Args)]
+pub struct AskFlags {
+    /// Print JSON
+    #[arg(long)]
+    json: bool,
+    #[command(flatten)]
+    client: ClientFlags,
+}
+
+impl AskFlags {
+    /// Asks, and prints the answer: as it is, or in words.
+    ///
+    /// # Errors
+    /// As [`Client::open`], and what `ask` fails with; [`Failure::OutputClosed`].
+    pub fn print(
+        &self,
+        ask: impl AsyncFnOnce(&mut Client) -> Result<Value, Failure>,
+        words: impl FnOnce(&Value) -> String,
+    ) -> Result<(), Failure> {
+        let answer = self.client.connected(ask)?;
+        if self.json { output::line(answer) } else { output::line(words(&answer)) }
+    }
 }
 
 /// A client that is connected.

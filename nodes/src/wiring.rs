@@ -233,6 +233,7 @@ pub fn build_world(world: &WorldConfig, fleet: &FleetConfig) -> Result<World, Pr
         seed: world.seed,
         durations: world.durations,
         limits: world.limits,
+        systems: world.systems.clone(),
     };
     World::new(setup).map_err(|errors| Problems(errors.0.iter().map(|problem| Problem::of("", problem)).collect()))
 }

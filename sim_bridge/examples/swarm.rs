@@ -15,9 +15,15 @@ const HOUR_S: f64 = 3600.0;
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let robots: usize = std::env::args().nth(1).map_or(Ok(200), |text| text.parse())?;
-    let post = |name: String, x_m: f64, y_m: f64| PlaceEntry { name, kind: PlaceKind::Other, x_m, y_m, yaw_rad: 0.0 };
-    let lane = |a: String, b: String| LaneEntry { between: (a, b), length_m: None, one_way: false };
-    let mut file = MapFile { name: "yard".into(), walls: vec![], places: vec![], lanes: vec![] };
+    let post = |name: String, x_m: f64, y_m: f64| PlaceEntry {
+        name,
+        kind: PlaceKind::Other,
+        x_m,
+        y_m,
+        ..PlaceEntry::default()
+    };
+    let lane = |a: String, b: String| LaneEntry { between: (a, b), ..LaneEntry::default() };
+    let mut file = MapFile { name: "yard".into(), ..MapFile::default() };
     for n in 0..robots {
         file.places.extend([post(format!("{n} a"), n as f64, 0.0), post(format!("{n} b"), n as f64, 10.0 + n as f64)]);
         file.lanes.push(lane(format!("{n} a"), format!("{n} b")));

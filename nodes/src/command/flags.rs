@@ -1,8 +1,10 @@
 //! Flags that several commands share.
 
-use crate::config::{BusConfig, ConfigFile, FleetConfig, FleetRef, load, to_toml};
+use crate::config::{BusConfig, ConfigFile, FleetConfig, FleetRef, NodeFile, Problems, load, to_toml};
 use crate::exit::Failure;
-use crate::output;
+use crate::wiring::Life;
+use crate::{output, running};
+use consort_actors::node::NodeSettings;
 use consort_actors::timing::Timing;
 use consort_protocol::ids::FleetId;
 use consort_protocol::units::{BatteryShare, Seconds};
@@ -56,10 +58,72 @@ pub struct RunFlags {
     pub until_stdin_closes: bool,
 }
 
+/// What the autopilot is told of a node.
+#[derive(Debug, clap::Args)]
+pub(super) struct KeeperFlags {
+    /// Whether it stays where it is
+    #[arg(long, env = "CONSORT_STATIONARY", value_name = "BOOL", num_args = 0..=1, default_missing_value = "true")]
+    pub(super) stationary: Option<bool>,
+    /// Whether it lives on mains power
+    #[arg(long, env = "CONSORT_MAINS_POWERED", value_name = "BOOL", num_args = 0..=1, default_missing_value = "true")]
+    pub(super) mains_powered: Option<bool>,
+    #[command(flatten)]
+    pub(super) vote: VoteFlag,
+}
+
+/// Whether a node may be a keeper of the ledger at all.
+#[derive(Debug, clap::Args)]
+pub(super) struct VoteFlag {
+    /// Whether it may keep a copy of the ledger, and coordinate
+    #[arg(long, env = "CONSORT_MAY_VOTE", value_name = "BOOL", num_args = 0..=1, default_missing_value = "true")]
+    pub(super) may_vote: Option<bool>,
+}
+
+/// What the commands of all nodes take.
+#[derive(Debug, clap::Args)]
+pub(super) struct NodeFlags {
+    #[command(flatten)]
+    store: StoreFlags,
+    #[command(flatten)]
+    bus: BusFlags,
+    #[command(flatten)]
+    fleet: FleetFlags,
+    #[command(flatten)]
+    run: RunFlags,
+}
+
+impl NodeFlags {
+    /// Runs the node of a file, with what was given in the place of what the file says; or prints what it would be run with.
+    /// `wire` makes its parts, within the runtime.
+    ///
+    /// # Errors
+    /// [`Failure::Usage`] for wrong configuration; [`Failure::Unsuccessful`] if the node fails.
+    pub(super) fn run<C: NodeFile>(
+        self,
+        mut file: C,
+        wire: impl FnOnce(&C, &FleetConfig, Life) -> Result<NodeSettings, Problems>,
+    ) -> Result<(), Failure> {
+        let surroundings = file.surroundings();
+        self.store.apply(surroundings.data_dir);
+        self.bus.apply(surroundings.bus);
+        let fleet = self.fleet.resolve(surroundings.fleet)?;
+        *surroundings.fleet = FleetRef::from(fleet.clone());
+        settled(&mut file)?;
+        if self.run.print_config {
+            return output::line(to_toml(&file).trim_end());
+        }
+        let surroundings = file.surroundings();
+        let (bus, data_dir) = (surroundings.bus.clone(), surroundings.data_dir.clone());
+        running::node(self.run, &bus, &fleet, || {
+            wire(&file, &fleet, Life::real(&file.node(), &fleet, data_dir.as_deref())?)
+        })
+    }
+}
+
 /// What a node remembers.
 #[derive(Debug, clap::Args)]
 #[command(next_help_heading = "Memory")]
-pub struct StoreFlags {
+struct StoreFlags {
     /// Directory in which the node keeps its copy of the ledger, its vote, and what its robot is at; created if need be.
     /// Without one it forgets all when it ends, and comes back as a new member
     #[arg(long, env = "CONSORT_DATA_DIR", value_name = "DIR")]
@@ -68,7 +132,7 @@ pub struct StoreFlags {
 
 impl StoreFlags {
     /// Puts what was given in the place of what the file says.
-    pub fn apply(self, data_dir: &mut Option<PathBuf>) {
+    fn apply(self, data_dir: &mut Option<PathBuf>) {
         *data_dir = self.data_dir.or(data_dir.take());
     }
 }
@@ -76,7 +140,7 @@ impl StoreFlags {
 /// Where a node is on the network.
 #[derive(Debug, clap::Args)]
 #[command(next_help_heading = "Network")]
-pub struct BusFlags {
+struct BusFlags {
     /// Address to listen on, as tcp/0.0.0.0:7447; may be repeated. Default: loopback, any free port
     #[arg(long, env = "CONSORT_LISTEN", value_delimiter = ',', value_name = "ADDRESS")]
     listen: Vec<String>,
@@ -87,7 +151,7 @@ pub struct BusFlags {
 
 impl BusFlags {
     /// Puts what was given in the place of what the file says.
-    pub fn apply(self, bus: &mut BusConfig) {
+    fn apply(self, bus: &mut BusConfig) {
         if !self.listen.is_empty() {
             bus.listen = self.listen;
         }
@@ -100,7 +164,7 @@ impl BusFlags {
 /// What all nodes of a fleet agree on.
 #[derive(Debug, clap::Args)]
 #[command(next_help_heading = "Fleet (the same for all its nodes)")]
-pub struct FleetFlags {
+struct FleetFlags {
     /// The fleet file
     #[arg(long, env = "CONSORT_FLEET", value_name = "FILE")]
     fleet: Option<PathBuf>,
@@ -150,7 +214,7 @@ impl FleetFlags {
     ///
     /// # Errors
     /// [`Failure::Usage`] for what is wrong with it.
-    pub fn resolve(self, named: &FleetRef) -> Result<FleetConfig, Failure> {
+    fn resolve(self, named: &FleetRef) -> Result<FleetConfig, Failure> {
         let mut fleet = match &self.fleet {
             Some(path) => load(path)?,
             None => named.resolve()?,
@@ -184,17 +248,9 @@ pub(super) fn set<T>(place: &mut T, given: Option<T>) {
 ///
 /// # Errors
 /// [`Failure::Usage`] for what is wrong.
-pub(super) fn settled<C: ConfigFile>(config: &mut C) -> Result<(), Failure> {
+fn settled<C: ConfigFile>(config: &mut C) -> Result<(), Failure> {
     let here = std::env::current_dir().unwrap_or_else(|_| PathBuf::from("/"));
     config.settle(Path::new(&here));
     let problems = config.problems();
     if problems.is_empty() { Ok(()) } else { Err(Failure::Usage(problems.join("\n"))) }
-}
-
-/// Prints a node's configuration with its fleet as part of it.
-///
-/// # Errors
-/// [`Failure::OutputClosed`].
-pub(super) fn print_config<C: ConfigFile>(config: &C) -> Result<(), Failure> {
-    output::line(to_toml(config).trim_end())
 }

@@ -1,8 +1,8 @@
 //! `consort fleet`: the nodes of a fleet, and who coordinates.
 
-use crate::client::{Client, ClientFlags};
+use crate::client::{AskFlags, Client};
 use crate::exit::Failure;
-use crate::{output, running};
+use crate::output;
 use consort_protocol::keys::Key;
 use serde_json::{Value, json};
 
@@ -15,33 +15,29 @@ Examples:
   consort fleet
   consort fleet --json --connect tcp/192.0.2.7:7447")]
 pub struct Args {
-    /// Print JSON
-    #[arg(long)]
-    json: bool,
     #[command(flatten)]
-    client: ClientFlags,
+    ask: AskFlags,
 }
 
 /// Runs the command.
 ///
 /// # Errors
-/// As [`Client::api`].
+/// As [`Client::view`].
 pub fn run(args: Args) -> Result<(), Failure> {
-    running::runtime()?.block_on(async {
-        let mut client = Client::open(&args.client).await?;
+    let look = async |client: &mut Client| {
         let fleet = client.view(&Key::ViewFleet).await?;
         let coordinator = client.view(&Key::ViewCoordinator).await?;
-        client.close().await;
-        if args.json {
-            return output::line(json!({ "fleet": fleet, "coordinator": coordinator }));
-        }
-        output::line(head(&coordinator))?;
-        let heads = ["NODE", "ALIVE", "VOTES", "PLACE", "BATTERY", "SPEED", "HOLDS", "MEMBER", "HEARD", "SKILLS"];
-        let nodes = fleet.get("nodes").and_then(Value::as_array).map_or(&[][..], Vec::as_slice);
-        let rows = nodes.iter().map(|node| row(node, &fleet, &coordinator));
-        let rows: Vec<Vec<String>> = std::iter::once(heads.map(str::to_owned).to_vec()).chain(rows).collect();
-        output::line(output::table(&rows))
-    })
+        Ok(json!({ "fleet": fleet, "coordinator": coordinator }))
+    };
+    args.ask.print(look, |seen| words(&seen["fleet"], &seen["coordinator"]))
+}
+
+fn words(fleet: &Value, coordinator: &Value) -> String {
+    let heads = ["NODE", "ALIVE", "VOTES", "PLACE", "BATTERY", "SPEED", "HOLDS", "MEMBER", "HEARD", "SKILLS"];
+    let nodes = fleet.get("nodes").and_then(Value::as_array).map_or(&[][..], Vec::as_slice);
+    let rows = nodes.iter().map(|node| row(node, fleet, coordinator));
+    let rows: Vec<Vec<String>> = std::iter::once(heads.map(str::to_owned).to_vec()).chain(rows).collect();
+    format!("{}\n{}", head(coordinator), output::table(&rows))
 }
 
 fn head(coordinator: &Value) -> String {

@@ -1,8 +1,7 @@
 //! `consort leave`: a node leaves the fleet for good.
 
-use crate::client::{Client, ClientFlags};
+use crate::client::AskFlags;
 use crate::exit::Failure;
-use crate::{output, running};
 use consort_protocol::ids::NodeId;
 use consort_protocol::keys::Key;
 use serde_json::Value;
@@ -24,37 +23,34 @@ Examples:
 pub struct Args {
     /// The node, as `consort fleet` names it
     node: NodeId,
-    /// Print JSON
-    #[arg(long)]
-    json: bool,
     #[command(flatten)]
-    client: ClientFlags,
+    ask: AskFlags,
 }
 
 /// Runs the command.
 ///
 /// # Errors
-/// As [`Client::ask_node`]; a node that must stay is [`Failure::Unsuccessful`].
+/// As [`Client::ask_node`](crate::client::Client::ask_node); a node that must stay is [`Failure::Unsuccessful`].
 pub fn run(args: Args) -> Result<(), Failure> {
-    running::runtime()?.block_on(async {
-        let mut client = Client::open(&args.client).await?;
-        let answer = client.ask_node(&Key::Leave(args.node.clone()), &args.node, LEAVES_WITHIN).await?;
-        client.close().await;
-        if args.json {
-            return output::line(&answer);
-        }
-        let is = |key: &str| answer.get(key).and_then(Value::as_bool).unwrap_or(false);
-        let successor = answer.get("successor").and_then(Value::as_str);
-        let mut words = format!("{} has left", args.node);
-        if let Some(successor) = successor {
-            words += &format!("; {successor} coordinates");
-        }
-        if is("kept_ledger") {
-            words += if is("released") { "; it keeps the ledger no more" } else { "; its vote is not removed yet" };
-        }
-        if !is("role_given_back") {
-            words += "; its robot's role was not given back in time, and is given to another when its lease has ended";
-        }
-        output::line(words)
-    })
+    let leave = Key::Leave(args.node.clone());
+    args.ask.print(
+        async |client| client.ask_node(&leave, &args.node, LEAVES_WITHIN).await,
+        |answer| words(&args.node, answer),
+    )
+}
+
+fn words(node: &NodeId, answer: &Value) -> String {
+    let is = |key: &str| answer.get(key).and_then(Value::as_bool).unwrap_or(false);
+    let successor = answer.get("successor").and_then(Value::as_str);
+    let mut words = format!("{node} has left");
+    if let Some(successor) = successor {
+        words += &format!("; {successor} coordinates");
+    }
+    if is("kept_ledger") {
+        words += if is("released") { "; it keeps the ledger no more" } else { "; its vote is not removed yet" };
+    }
+    if !is("role_given_back") {
+        words += "; its robot's role was not given back in time, and is given to another when its lease has ended";
+    }
+    words
 }

@@ -2,7 +2,7 @@
 
 use crate::client::{Client, ClientFlags};
 use crate::exit::Failure;
-use crate::{output, running};
+use crate::output;
 use consort_protocol::keys::ApiCall;
 use serde_json::{Value, json};
 use std::collections::BTreeMap;
@@ -37,12 +37,11 @@ const LOOK: Duration = Duration::from_millis(500);
 /// # Errors
 /// As [`Client::api`].
 pub fn run(args: Args) -> Result<(), Failure> {
-    running::runtime()?.block_on(async {
-        let mut client = Client::open(&args.client).await?;
-        let shown = if args.watch { watch(&mut client, args.json).await } else { once(&mut client, args.json).await };
-        client.close().await;
-        shown
-    })
+    args.client.connected(
+        async |client| {
+            if args.watch { watch(client, args.json).await } else { once(client, args.json).await }
+        },
+    )
 }
 
 async fn list(client: &mut Client) -> Result<Value, Failure> {

@@ -8,6 +8,7 @@ pub mod flags;
 pub mod fleet;
 pub mod leave;
 pub mod missions;
+mod on_word;
 pub mod recover;
 pub mod rescue;
 pub mod robot;

@@ -1,11 +1,10 @@
 //! `consort robot`: the node of a robot.
 
-use super::flags::{BusFlags, FleetFlags, RunFlags, StoreFlags, print_config, quantity, set, settled, share};
-use crate::config::{FleetRef, RobotConfig, load};
+use super::flags::{KeeperFlags, NodeFlags, quantity, set, share};
+use crate::config::{RobotConfig, load};
 use crate::exit::Failure;
-use crate::running;
-use crate::wiring::{Life, robot_node};
-use consort_protocol::ids::{NodeId, PlaceId, RobotId, TaskType};
+use crate::wiring::robot_node;
+use consort_protocol::ids::{PlaceId, RobotId, TaskType};
 use consort_protocol::units::{BatteryShare, MetresPerSecond, SharePerSecond};
 use std::path::PathBuf;
 
@@ -28,13 +27,7 @@ pub struct Args {
     #[command(flatten)]
     robot: RobotFlags,
     #[command(flatten)]
-    store: StoreFlags,
-    #[command(flatten)]
-    bus: BusFlags,
-    #[command(flatten)]
-    fleet: FleetFlags,
-    #[command(flatten)]
-    run: RunFlags,
+    node: NodeFlags,
 }
 
 #[derive(Debug, clap::Args)]
@@ -61,15 +54,8 @@ struct RobotFlags {
     /// Below this charge it takes no work, as a share
     #[arg(long, env = "CONSORT_USEFUL_CHARGE", value_name = "SHARE", value_parser = share)]
     useful_charge: Option<BatteryShare>,
-    /// Whether it stays where it is
-    #[arg(long, env = "CONSORT_STATIONARY", value_name = "BOOL", num_args = 0..=1, default_missing_value = "true")]
-    stationary: Option<bool>,
-    /// Whether it lives on mains power
-    #[arg(long, env = "CONSORT_MAINS_POWERED", value_name = "BOOL", num_args = 0..=1, default_missing_value = "true")]
-    mains_powered: Option<bool>,
-    /// Whether it may keep a copy of the ledger, and coordinate
-    #[arg(long, env = "CONSORT_MAY_VOTE", value_name = "BOOL", num_args = 0..=1, default_missing_value = "true")]
-    may_vote: Option<bool>,
+    #[command(flatten)]
+    keeper: KeeperFlags,
 }
 
 fn speed(text: &str) -> Result<MetresPerSecond, String> {
@@ -102,19 +88,8 @@ pub fn run(args: Args) -> Result<(), Failure> {
     set(&mut robot.battery, given.battery);
     set(&mut robot.discharge_share_per_s, given.discharge_share_per_s);
     set(&mut robot.useful_charge, given.useful_charge);
-    set(&mut robot.stationary, given.stationary);
-    set(&mut robot.mains_powered, given.mains_powered);
-    set(&mut robot.may_vote, given.may_vote);
-    args.store.apply(&mut robot.data_dir);
-    args.bus.apply(&mut robot.bus);
-    let fleet = args.fleet.resolve(&robot.fleet)?;
-    robot.fleet = FleetRef::Table(Box::new(fleet.clone()));
-    settled(&mut robot)?;
-    if args.run.print_config {
-        return print_config(&robot);
-    }
-    let node = NodeId::from(robot.name.clone());
-    running::node(args.run, &robot.bus, &fleet, || {
-        robot_node(&robot, &fleet, Life::real(&node, &fleet, robot.data_dir.as_deref())?)
-    })
+    set(&mut robot.stationary, given.keeper.stationary);
+    set(&mut robot.mains_powered, given.keeper.mains_powered);
+    set(&mut robot.may_vote, given.keeper.vote.may_vote);
+    args.node.run(robot, robot_node)
 }

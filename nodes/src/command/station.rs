@@ -1,10 +1,9 @@
 //! `consort station`: a node without a robot.
 
-use super::flags::{BusFlags, FleetFlags, RunFlags, StoreFlags, print_config, set, settled};
-use crate::config::{FleetRef, StationConfig, load};
+use super::flags::{KeeperFlags, NodeFlags, set};
+use crate::config::{StationConfig, load};
 use crate::exit::Failure;
-use crate::running;
-use crate::wiring::{Life, station_node};
+use crate::wiring::station_node;
 use consort_protocol::ids::NodeId;
 use std::path::PathBuf;
 
@@ -27,13 +26,7 @@ pub struct Args {
     #[command(flatten)]
     station: StationFlags,
     #[command(flatten)]
-    store: StoreFlags,
-    #[command(flatten)]
-    bus: BusFlags,
-    #[command(flatten)]
-    fleet: FleetFlags,
-    #[command(flatten)]
-    run: RunFlags,
+    node: NodeFlags,
 }
 
 #[derive(Debug, clap::Args)]
@@ -42,15 +35,8 @@ struct StationFlags {
     /// Its name, unique in the fleet
     #[arg(long, env = "CONSORT_NAME")]
     name: Option<NodeId>,
-    /// Whether it stays where it is
-    #[arg(long, env = "CONSORT_STATIONARY", value_name = "BOOL", num_args = 0..=1, default_missing_value = "true")]
-    stationary: Option<bool>,
-    /// Whether it lives on mains power
-    #[arg(long, env = "CONSORT_MAINS_POWERED", value_name = "BOOL", num_args = 0..=1, default_missing_value = "true")]
-    mains_powered: Option<bool>,
-    /// Whether it may keep a copy of the ledger, and coordinate
-    #[arg(long, env = "CONSORT_MAY_VOTE", value_name = "BOOL", num_args = 0..=1, default_missing_value = "true")]
-    may_vote: Option<bool>,
+    #[command(flatten)]
+    keeper: KeeperFlags,
 }
 
 /// Runs the command.
@@ -65,18 +51,8 @@ pub fn run(args: Args) -> Result<(), Failure> {
     };
     let given = args.station;
     set(&mut station.name, given.name);
-    set(&mut station.stationary, given.stationary);
-    set(&mut station.mains_powered, given.mains_powered);
-    set(&mut station.may_vote, given.may_vote);
-    args.store.apply(&mut station.data_dir);
-    args.bus.apply(&mut station.bus);
-    let fleet = args.fleet.resolve(&station.fleet)?;
-    station.fleet = FleetRef::Table(Box::new(fleet.clone()));
-    settled(&mut station)?;
-    if args.run.print_config {
-        return print_config(&station);
-    }
-    running::node(args.run, &station.bus, &fleet, || {
-        station_node(&station, &fleet, Life::real(&station.name, &fleet, station.data_dir.as_deref())?)
-    })
+    set(&mut station.stationary, given.keeper.stationary);
+    set(&mut station.mains_powered, given.keeper.mains_powered);
+    set(&mut station.may_vote, given.keeper.vote.may_vote);
+    args.node.run(station, station_node)
 }

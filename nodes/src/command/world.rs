@@ -1,10 +1,9 @@
 //! `consort world`: a node that hosts a simulated world.
 
-use super::flags::{BusFlags, FleetFlags, RunFlags, StoreFlags, print_config, set, settled};
-use crate::config::{FleetRef, WorldConfig, load};
+use super::flags::{NodeFlags, VoteFlag, set};
+use crate::config::{WorldConfig, load};
 use crate::exit::Failure;
-use crate::running;
-use crate::wiring::{Life, world_node};
+use crate::wiring::world_node;
 use consort_protocol::ids::NodeId;
 use std::path::PathBuf;
 
@@ -26,13 +25,7 @@ pub struct Args {
     #[command(flatten)]
     world: WorldFlags,
     #[command(flatten)]
-    store: StoreFlags,
-    #[command(flatten)]
-    bus: BusFlags,
-    #[command(flatten)]
-    fleet: FleetFlags,
-    #[command(flatten)]
-    run: RunFlags,
+    node: NodeFlags,
 }
 
 #[derive(Debug, clap::Args)]
@@ -47,9 +40,8 @@ struct WorldFlags {
     /// World seconds that pass in one second
     #[arg(long, env = "CONSORT_SPEED", value_name = "FACTOR")]
     speed: Option<f64>,
-    /// Whether the node may keep a copy of the ledger, and coordinate
-    #[arg(long, env = "CONSORT_MAY_VOTE", value_name = "BOOL", num_args = 0..=1, default_missing_value = "true")]
-    may_vote: Option<bool>,
+    #[command(flatten)]
+    vote: VoteFlag,
 }
 
 /// Runs the command.
@@ -62,17 +54,6 @@ pub fn run(args: Args) -> Result<(), Failure> {
     set(&mut world.name, given.name);
     set(&mut world.seed, given.seed);
     set(&mut world.speed, given.speed);
-    set(&mut world.may_vote, given.may_vote);
-    args.store.apply(&mut world.data_dir);
-    args.bus.apply(&mut world.bus);
-    let fleet = args.fleet.resolve(&world.fleet)?;
-    world.fleet = FleetRef::Table(Box::new(fleet.clone()));
-    settled(&mut world)?;
-    if args.run.print_config {
-        return print_config(&world);
-    }
-    running::node(args.run, &world.bus, &fleet, || {
-        let life = Life::real(&world.name, &fleet, world.data_dir.as_deref())?;
-        world_node(&world, &fleet, life).map(|(settings, _)| settings)
-    })
+    set(&mut world.may_vote, given.vote.may_vote);
+    args.node.run(world, |world, fleet, life| world_node(world, fleet, life).map(|(settings, _)| settings))
 }

@@ -7,6 +7,7 @@
 
 mod bus;
 mod fleet;
+mod node;
 mod problem;
 mod read;
 mod robot;
@@ -15,6 +16,7 @@ mod world;
 
 pub use bus::BusConfig;
 pub use fleet::{AuctionConfig, DEFAULT_FLEET, FleetConfig, FleetRef, LeaseConfig, LimitsConfig};
+pub use node::{NodeFile, Surroundings};
 pub use problem::{Problem, Problems};
 pub use read::{ConfigFile, from_text, load, to_toml};
 pub use robot::{RobotConfig, useful_charge};

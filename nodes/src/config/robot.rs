@@ -1,9 +1,9 @@
 //! The robot file: a node that drives a robot.
 
 use super::fleet::unknown_skill;
-use super::read::settle_path;
-use super::{BusConfig, ConfigFile, FleetRef, yes};
-use consort_protocol::ids::{PlaceId, RobotId, TaskType};
+use super::node::problems_around;
+use super::{BusConfig, ConfigFile, FleetRef, NodeFile, Surroundings, yes};
+use consort_protocol::ids::{NodeId, PlaceId, RobotId, TaskType};
 use consort_protocol::mission::Domain;
 use consort_protocol::units::{BatteryShare, MetresPerSecond, SharePerSecond};
 use serde::{Deserialize, Serialize};
@@ -90,8 +90,7 @@ impl ConfigFile for RobotConfig {
     const KIND: &'static str = "robot";
 
     fn settle(&mut self, folder: &Path) {
-        self.fleet.settle(folder);
-        settle_path(&mut self.data_dir, folder);
+        self.surroundings().settle(folder);
     }
 
     fn problems(&self) -> Vec<String> {
@@ -104,8 +103,17 @@ impl ConfigFile for RobotConfig {
         if self.skills.iter().any(|skill| skill.as_str() == "navigation") && self.speed_mps.is_none() {
             problems.push("speed_mps: is missing, and the robot has the skill `navigation`".to_owned());
         }
-        problems.extend(self.fleet.problems());
-        problems.extend(self.bus.problems());
+        problems.extend(problems_around(&self.fleet, &self.bus));
         problems
+    }
+}
+
+impl NodeFile for RobotConfig {
+    fn node(&self) -> NodeId {
+        NodeId::from(self.name.clone())
+    }
+
+    fn surroundings(&mut self) -> Surroundings<'_> {
+        Surroundings { data_dir: &mut self.data_dir, fleet: &mut self.fleet, bus: &mut self.bus }
     }
 }

@@ -1,7 +1,7 @@
 //! The station file: a node without a robot, which keeps the ledger and may coordinate.
 
-use super::read::settle_path;
-use super::{BusConfig, ConfigFile, FleetRef, yes};
+use super::node::problems_around;
+use super::{BusConfig, ConfigFile, FleetRef, NodeFile, Surroundings, yes};
 use consort_protocol::ids::NodeId;
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
@@ -51,13 +51,20 @@ impl ConfigFile for StationConfig {
     const KIND: &'static str = "station";
 
     fn settle(&mut self, folder: &Path) {
-        self.fleet.settle(folder);
-        settle_path(&mut self.data_dir, folder);
+        self.surroundings().settle(folder);
     }
 
     fn problems(&self) -> Vec<String> {
-        let mut problems = self.fleet.problems();
-        problems.extend(self.bus.problems());
-        problems
+        problems_around(&self.fleet, &self.bus)
+    }
+}
+
+impl NodeFile for StationConfig {
+    fn node(&self) -> NodeId {
+        self.name.clone()
+    }
+
+    fn surroundings(&mut self) -> Surroundings<'_> {
+        Surroundings { data_dir: &mut self.data_dir, fleet: &mut self.fleet, bus: &mut self.bus }
     }
 }

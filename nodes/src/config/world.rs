@@ -1,10 +1,11 @@
 //! The world file: a node that hosts a simulated world.
 
-use super::read::{settle_path, under};
-use super::{BusConfig, ConfigFile, FleetRef};
+use super::node::problems_around;
+use super::read::under;
+use super::{BusConfig, ConfigFile, FleetRef, NodeFile, Surroundings};
 use crate::floor::is_shipped;
 use consort_protocol::ids::NodeId;
-use consort_sim::world::{Durations, Person, RobotBody, WorldLimits};
+use consort_sim::world::{Durations, Person, RobotBody, WorldLimits, system_names};
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 
@@ -35,6 +36,8 @@ pub struct WorldConfig {
     pub durations: Durations,
     /// How much the world holds and remembers.
     pub limits: WorldLimits,
+    /// What can happen there, by name, in the order in which it hears of things. Default: all that can.
+    pub systems: Vec<String>,
     /// The robots' bodies, by the names of their robots.
     pub robot: Vec<RobotBody>,
     /// The people.
@@ -54,6 +57,7 @@ impl Default for WorldConfig {
             bus: BusConfig::default(),
             durations: Durations::default(),
             limits: WorldLimits::default(),
+            systems: system_names().map(str::to_owned).collect(),
             robot: vec![],
             person: vec![],
         }
@@ -67,8 +71,7 @@ impl ConfigFile for WorldConfig {
     const KIND: &'static str = "world";
 
     fn settle(&mut self, folder: &Path) {
-        self.fleet.settle(folder);
-        settle_path(&mut self.data_dir, folder);
+        self.surroundings().settle(folder);
         if let Some(map) = self.map.as_mut().filter(|map| !is_shipped(map)) {
             *map = under(folder, Path::new(map)).display().to_string();
         }
@@ -80,8 +83,17 @@ impl ConfigFile for WorldConfig {
             let (speed, least, most) = (self.speed, SPEED.start(), SPEED.end());
             problems.push(format!("speed is {speed}, allowed is {least} to {most}"));
         }
-        problems.extend(self.fleet.problems());
-        problems.extend(self.bus.problems());
+        problems.extend(problems_around(&self.fleet, &self.bus));
         problems
+    }
+}
+
+impl NodeFile for WorldConfig {
+    fn node(&self) -> NodeId {
+        self.name.clone()
+    }
+
+    fn surroundings(&mut self) -> Surroundings<'_> {
+        Surroundings { data_dir: &mut self.data_dir, fleet: &mut self.fleet, bus: &mut self.bus }
     }
 }

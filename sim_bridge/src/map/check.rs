@@ -1,149 +1,14 @@
 //! Whether what was written is a sound map.
 
 use super::file::{LaneEntry, MapFile, PlaceEntry, limits};
-use super::{Lane, Map, Place, PlaceIndex};
+use super::fittings::{self, FittingProblem};
+use super::reach::cut_off;
+use super::{Lane, LaneName, Map, MapProblem, Place, PlaceIndex};
 use crate::suggest::did_you_mean;
-use consort_protocol::ids::{NameError, PlaceId};
+use consort_protocol::ids::PlaceId;
 use consort_protocol::pose::Pose;
-use consort_protocol::units::Metres;
-use petgraph::algo::tarjan_scc;
-use petgraph::graph::{DiGraph, NodeIndex};
-use petgraph::visit::{Dfs, IntoNeighbors, NodeCount, Reversed, Visitable};
-use std::cmp::Reverse;
+use consort_protocol::units::{Metres, MetresPerSecond};
 use std::collections::BTreeMap;
-use std::fmt;
-
-/// One thing that is wrong with a map.
-#[derive(Debug, Clone, PartialEq, thiserror::Error)]
-pub enum MapProblem {
-    /// The map's name is not one.
-    #[error("{text:?} cannot name a map: allowed are 1 to 64 characters of A-Z, a-z, 0-9, `_`, `.` and `-`")]
-    Name {
-        /// The name as given.
-        text: String,
-    },
-    /// More than [`limits`] allow.
-    #[error("{count} {what} are more than the {max} allowed")]
-    TooMany {
-        /// Of what.
-        what: &'static str,
-        /// How many there are.
-        count: usize,
-        /// How many there may be.
-        max: usize,
-    },
-    /// A map without places.
-    #[error("there are no places")]
-    Empty,
-    /// The name of a place is not one.
-    #[error("{0}")]
-    PlaceName(#[from] NameError),
-    /// Two places of one name.
-    #[error("place {:?} stands more than once", place.as_str())]
-    Duplicate {
-        /// Its name.
-        place: PlaceId,
-    },
-    /// A number of a place is infinite, not a number, or absurdly large.
-    #[error("place {place:?}: {field} is {value}, allowed is a number from -{max} to {max}", max = limits::EXTENT_M)]
-    Number {
-        /// The place as written.
-        place: String,
-        /// The field.
-        field: &'static str,
-        /// The number.
-        value: f64,
-    },
-    /// A corner of a wall is infinite, not a number, or absurdly large.
-    #[error("wall {wall}: a corner is at ({x}, {y}), allowed are numbers from -{max} to {max}", max = limits::EXTENT_M)]
-    Corner {
-        /// Which wall, counted from 1.
-        wall: usize,
-        /// Metres to the east.
-        x: f64,
-        /// Metres to the north.
-        y: f64,
-    },
-    /// A lane to a place that is not on the map.
-    #[error("lane {lane}: there is no place {place:?}{hint}")]
-    UnknownPlace {
-        /// The lane.
-        lane: LaneName,
-        /// The name as written.
-        place: String,
-        /// The place probably meant, in words; may be empty.
-        hint: String,
-    },
-    /// A lane from a place to itself.
-    #[error("lane {lane}: both ends are one place")]
-    Loop {
-        /// The lane.
-        lane: LaneName,
-    },
-    /// A lane without length, or with one that is no length.
-    #[error("lane {lane}: length is {length_m} m, allowed is a number above 0 and up to {max}", max = limits::EXTENT_M)]
-    Length {
-        /// The lane.
-        lane: LaneName,
-        /// Its length as written or measured.
-        length_m: f64,
-    },
-    /// A lane shorter than the straight line between its ends.
-    #[error("lane {lane}: {length_m} m are less than the straight line of {straight_m:.3} m")]
-    TooShort {
-        /// The lane.
-        lane: LaneName,
-        /// Its length as written.
-        length_m: f64,
-        /// The distance of its ends.
-        straight_m: f64,
-    },
-    /// Two lanes for one way.
-    #[error("lane {lane} stands more than once")]
-    DuplicateLane {
-        /// The lane.
-        lane: LaneName,
-    },
-    /// A place without a way to or from the rest of the map.
-    #[error("place {:?} {how} the rest of the map", place.as_str())]
-    CutOff {
-        /// The place.
-        place: PlaceId,
-        /// Which way is missing.
-        how: Seclusion,
-    },
-}
-
-/// A lane by its ends as written.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct LaneName(pub String, pub String);
-
-impl fmt::Display for LaneName {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "between {:?} and {:?}", self.0, self.1)
-    }
-}
-
-/// How a place is cut off from the others.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Seclusion {
-    /// No way there and none back.
-    Apart,
-    /// One-way lanes lead away only.
-    NoWayIn,
-    /// One-way lanes lead there only.
-    NoWayOut,
-}
-
-impl fmt::Display for Seclusion {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(match self {
-            Seclusion::Apart => "is cut off from",
-            Seclusion::NoWayIn => "cannot be reached from",
-            Seclusion::NoWayOut => "cannot be left for",
-        })
-    }
-}
 
 /// A lane may be this much shorter than the straight line: hand-written lengths are rounded to a centimetre.
 const ROUNDING_M: f64 = 0.01;
@@ -156,21 +21,29 @@ pub(super) fn check(written: &MapFile) -> Result<Map, Vec<MapProblem>> {
     if consort_protocol::ids::EnsembleId::new(written.name.as_str()).is_err() {
         problems.push(MapProblem::Name { text: written.name.clone() });
     }
-    corners(&written.walls, &mut problems);
     let mut map = Map {
         name: written.name.clone(),
+        levels: Vec::new(),
         places: Vec::new(),
         lanes: Vec::new(),
-        walls: written.walls.clone(),
+        walls: Vec::new(),
+        wall_levels: Vec::new(),
+        doors: Vec::new(),
+        lifts: Vec::new(),
         by_name: BTreeMap::new(),
         by_ends: BTreeMap::new(),
+        doors_by_lane: BTreeMap::new(),
+        lift_of: BTreeMap::new(),
     };
+    fittings::levels(written, &mut map, &mut problems);
+    corners(&map.walls, &mut problems);
     for entry in &written.places {
         place(entry, &mut map, &mut problems);
     }
     for entry in &written.lanes {
         lane(entry, &mut map, written, &mut problems);
     }
+    fittings::doors_and_lifts(written, &mut map, &mut problems);
     if problems.is_empty() {
         problems = cut_off(&map);
     }
@@ -184,7 +57,12 @@ fn too_many(written: &MapFile) -> Vec<MapProblem> {
     [
         ("places", written.places.len(), limits::PLACES),
         ("lanes", written.lanes.len(), limits::LANES),
-        ("wall corners", written.walls.iter().map(Vec::len).sum(), limits::WALL_CORNERS),
+        ("wall corners", written.all_walls().map(Vec::len).sum(), limits::WALL_CORNERS),
+        ("levels", written.levels.len(), limits::LEVELS),
+        ("doors", written.doors.len(), limits::DOORS),
+        ("lanes with doors", written.doors.iter().map(|door| door.on.len()).sum(), limits::LANES),
+        ("lifts", written.lifts.len(), limits::LIFTS),
+        ("lift stops", written.lifts.iter().map(|lift| lift.stops.len()).sum(), limits::PLACES),
     ]
     .into_iter()
     .filter(|(_, count, max)| count > max)
@@ -217,7 +95,8 @@ fn place(entry: &PlaceEntry, map: &mut Map, problems: &mut Vec<MapProblem>) {
         Ok(id) => {
             map.by_name.insert(id.clone(), PlaceIndex(map.places.len()));
             let pose = Pose::new(entry.x_m, entry.y_m, entry.yaw_rad);
-            map.places.push(Place { id, kind: entry.kind, pose });
+            let level = fittings::level_of(&entry.name, entry.level.as_deref(), map, problems);
+            map.places.push(Place { id, kind: entry.kind, pose, level });
         }
     }
 }
@@ -237,6 +116,18 @@ fn lane(entry: &LaneEntry, map: &mut Map, written: &MapFile, problems: &mut Vec<
         problems.push(MapProblem::Loop { lane: name() });
         return;
     }
+    let [from_level, to_level] = [from, to].map(|end| map.at(end).level);
+    if from_level != to_level {
+        let [from, to] = [from_level, to_level].map(|level| map.level(level).name.clone());
+        problems.push(FittingProblem::LaneAcrossLevels { lane: name(), from, to }.into());
+        return;
+    }
+    let speed_limit = entry.speed_limit_mps.map(MetresPerSecond::new);
+    let Ok(speed_limit) = speed_limit.transpose() else {
+        let value = entry.speed_limit_mps.unwrap_or_default();
+        problems.push(FittingProblem::SpeedLimit { lane: name(), value }.into());
+        return;
+    };
     let (a, b) = (map.at(from).pose, map.at(to).pose);
     if ![a.x, a.y, b.x, b.y].into_iter().all(sane) {
         return; // said of the place already
@@ -262,41 +153,6 @@ fn lane(entry: &LaneEntry, map: &mut Map, written: &MapFile, problems: &mut Vec<
     if two_way {
         map.by_ends.insert((to, from), index);
     }
-    map.lanes.push(Lane { from: map.at(from).id.clone(), to: map.at(to).id.clone(), length, two_way });
-}
-
-/// The places that cannot be reached from, or left for, the largest part of the map that hangs together.
-fn cut_off(map: &Map) -> Vec<MapProblem> {
-    let edges = map.by_ends.keys().map(|(from, to)| (from.0 as u32, to.0 as u32));
-    let mut graph = DiGraph::<(), ()>::with_capacity(map.places.len(), map.by_ends.len());
-    for _ in &map.places {
-        graph.add_node(());
-    }
-    graph.extend_with_edges(edges);
-    let parts = tarjan_scc(&graph).into_iter();
-    // The largest part, and of equals the one with the first place: the same answer for the same file.
-    let largest = parts.max_by_key(|part| (part.len(), Reverse(part.iter().min().copied())));
-    let Some(hub) = largest.and_then(|part| part.first().copied()) else { return Vec::new() };
-    let (out, into) = (reached(&graph, hub), reached(Reversed(&graph), hub));
-    let how = |index: usize| match (out[index], into[index]) {
-        (true, true) => None,
-        (false, true) => Some(Seclusion::NoWayIn),
-        (true, false) => Some(Seclusion::NoWayOut),
-        (false, false) => Some(Seclusion::Apart),
-    };
-    let places = map.places.iter().enumerate();
-    places.filter_map(|(i, place)| Some(MapProblem::CutOff { place: place.id.clone(), how: how(i)? })).collect()
-}
-
-/// For each place whether a way leads there from `start`.
-fn reached<G>(graph: G, start: NodeIndex) -> Vec<bool>
-where
-    G: IntoNeighbors<NodeId = NodeIndex> + Visitable<NodeId = NodeIndex> + NodeCount,
-{
-    let mut found = vec![false; graph.node_count()];
-    let mut walk = Dfs::new(graph, start);
-    while let Some(node) = walk.next(graph) {
-        found[node.index()] = true;
-    }
-    found
+    let [from, to] = [from, to].map(|end| map.at(end).id.clone());
+    map.lanes.push(Lane { from, to, length, two_way, speed_limit, facing: entry.facing });
 }

@@ -1,7 +1,8 @@
 //! The file a map is read from.
 
-use super::check::{MapProblem, check};
-use super::{Map, PlaceKind};
+use super::MapProblem;
+use super::check::check;
+use super::{Facing, Map, PlaceKind};
 use serde::{Deserialize, Serialize};
 use std::path::Path;
 
@@ -15,17 +16,26 @@ pub mod limits {
     pub const LANES: usize = 40_000;
     /// Corners of all walls together.
     pub const WALL_CORNERS: usize = 100_000;
+    /// Levels of a building.
+    pub const LEVELS: usize = 200;
+    /// Doors on a map.
+    pub const DOORS: usize = 10_000;
+    /// Lifts on a map.
+    pub const LIFTS: usize = 1_000;
     /// Coordinates and lengths, in metres either way.
     pub const EXTENT_M: f64 = 100_000.0;
 }
 
 /// A map as written, not yet checked. A program that makes maps of its own fills this and calls [`MapFile::check`].
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct MapFile {
     /// The map's name.
     pub name: String,
-    /// Walls as polylines of (x, y) in metres.
+    /// Levels, from the lowest; one called [`super::GROUND`] if none are given.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub levels: Vec<LevelEntry>,
+    /// Walls of the first level, as polylines of (x, y) in metres.
     #[serde(default)]
     pub walls: Vec<Vec<(f64, f64)>>,
     /// The places.
@@ -33,10 +43,30 @@ pub struct MapFile {
     /// The lanes between them.
     #[serde(default)]
     pub lanes: Vec<LaneEntry>,
+    /// Automatic doors across lanes.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub doors: Vec<DoorEntry>,
+    /// Lifts between levels.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub lifts: Vec<LiftEntry>,
+}
+
+/// A level as written.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct LevelEntry {
+    /// Its name.
+    pub name: String,
+    /// How high it lies, in metres.
+    #[serde(default)]
+    pub elevation_m: f64,
+    /// Its walls, as polylines of (x, y) in metres.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub walls: Vec<Vec<(f64, f64)>>,
 }
 
 /// A place as written.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct PlaceEntry {
     /// Its name.
@@ -50,10 +80,13 @@ pub struct PlaceEntry {
     /// The heading a robot takes there, in radians.
     #[serde(default)]
     pub yaw_rad: f64,
+    /// Its level; the first if not given.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub level: Option<String>,
 }
 
 /// A lane as written.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct LaneEntry {
     /// Its two ends.
@@ -62,8 +95,82 @@ pub struct LaneEntry {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub length_m: Option<f64>,
     /// Whether it may only be driven from the first end to the second.
-    #[serde(default)]
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub one_way: bool,
+    /// The fastest that is allowed there, in metres per second.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub speed_limit_mps: Option<f64>,
+    /// Which way a robot must face while it drives from the first end to the second; back, it keeps that heading.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub facing: Option<Facing>,
+}
+
+/// An automatic door as written.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct DoorEntry {
+    /// Its name.
+    pub name: String,
+    /// The lanes through it, each by its two ends.
+    pub on: Vec<(String, String)>,
+    /// Seconds from closed to open, and from open to closed.
+    #[serde(default = "opening_s")]
+    pub opening_s: f64,
+    /// Its two posts, as (x, y) in metres; across the middle of each lane if not given.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub span: Option<((f64, f64), (f64, f64))>,
+}
+
+impl Default for DoorEntry {
+    fn default() -> Self {
+        DoorEntry { name: String::new(), on: Vec::new(), opening_s: opening_s(), span: None }
+    }
+}
+
+/// A lift as written.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct LiftEntry {
+    /// Its name.
+    pub name: String,
+    /// The places where one steps in and out, on two levels or more.
+    pub stops: Vec<String>,
+    /// How many robots fit in.
+    #[serde(default = "capacity")]
+    pub capacity: u32,
+    /// Seconds from closed to open of its doors, and from open to closed.
+    #[serde(default = "opening_s")]
+    pub opening_s: f64,
+    /// How fast the cabin moves, in metres per second.
+    #[serde(default = "speed_mps")]
+    pub speed_mps: f64,
+}
+
+impl Default for LiftEntry {
+    fn default() -> Self {
+        LiftEntry {
+            name: String::new(),
+            stops: Vec::new(),
+            capacity: capacity(),
+            opening_s: opening_s(),
+            speed_mps: speed_mps(),
+        }
+    }
+}
+
+/// A guess: sliding doors of hospitals take two to four seconds.
+fn opening_s() -> f64 {
+    3.0
+}
+
+/// A robot rides alone unless told otherwise.
+fn capacity() -> u32 {
+    1
+}
+
+/// A guess: lifts of low buildings go at 0.6 to 1 m/s.
+fn speed_mps() -> f64 {
+    1.0
 }
 
 /// Why there is no map. Ordinary with hand-written files.
@@ -151,5 +258,10 @@ impl MapFile {
     /// [`MapError::Unsound`] with all that is wrong.
     pub fn check(&self, file: &str) -> Result<Map, MapError> {
         check(self).map_err(|problems| MapError::Unsound { file: file.to_owned(), problems })
+    }
+
+    /// The walls of all levels.
+    pub(super) fn all_walls(&self) -> impl Iterator<Item = &Vec<(f64, f64)>> {
+        self.walls.iter().chain(self.levels.iter().flat_map(|level| &level.walls))
     }
 }

@@ -1,40 +1,59 @@
-//! The floor: places, the lanes between them, and walls to draw.
+//! The floor: places, the lanes between them, doors, lifts, levels, and walls.
 //!
 //! A map file is YAML, or JSON where its name ends in `.json`; unknown fields are refused.
 //!
 //! ```yaml
 //! name: ward                    # 1 to 64 characters of A-Z a-z 0-9 _ . -
-//! walls:                        # optional, only drawn: open polylines of [x, y] in metres
+//! levels:                       # optional; one level called ground if there are none
+//!   - { name: ground }          # elevation_m is 0 unless told otherwise
+//!   - { name: first, elevation_m: 4.0, walls: [[[0, 0], [12, 0]]] }
+//! walls:                        # optional, of the first level: open polylines of [x, y] in metres
 //!   - [[0, 0], [12, 0], [12, 6]]
-//! places:                       # x east, y north, in metres; yaw counter-clockwise from east
+//! places:                       # x east, y north, in metres; yaw counter-clockwise from east; on the first level
 //!   - { name: Ward Corridor, kind: corridor, x_m: 2.0, y_m: 3.0 }
 //!   - { name: Room 1, kind: room, x_m: 2.0, y_m: 5.0, yaw_rad: 1.57 }
+//!   - { name: Hall, kind: corridor, x_m: 2.0, y_m: 3.0, level: first }
 //! lanes:                        # where one may drive; two-way and as long as the straight line unless told otherwise
 //!   - { between: [Ward Corridor, Room 1] }
-//!   # - { between: [A, B], length_m: 3.5, one_way: true }   (only from A to B)
+//!   # - { between: [A, B], length_m: 3.5, one_way: true }            (only from A to B)
+//!   # - { between: [A, B], speed_limit_mps: 0.5, facing: backward }  (facing: while going from A to B)
+//! doors:                        # optional: automatic doors, by the lanes through them
+//!   - { name: Door 1, on: [[Ward Corridor, Room 1]], opening_s: 3.0 }
+//!   # span: [[x, y], [x, y]] gives the posts; without it the door stands in the middle of its lane
+//! lifts:                        # optional: who steps in at one stop steps out at another
+//!   - { name: Lift A, stops: [Ward Corridor, Hall], capacity: 1, opening_s: 3.0, speed_mps: 1.0 }
 //! ```
 //!
-//! Kinds of place are `room`, `lab`, `corridor`, `dock` and `other`. Reading a file reports *all* that is wrong with it,
-//! with the file and the place; a [`Map`] that exists is sound: every place can be reached from every other.
+//! Kinds of place are `room`, `lab`, `corridor`, `dock`, `charger` and `other`. Opening times, capacity and speed of a
+//! lift are those above unless given. Reading a file reports *all* that is wrong with it, with the file and the place;
+//! a [`Map`] that exists is sound: every place can be reached from every other, by lanes and lifts.
 
+mod building;
+#[cfg(test)]
+mod building_tests;
 mod check;
 mod file;
+mod fittings;
+mod problem;
+mod reach;
 mod shipped;
 #[cfg(test)]
 mod tests;
 
-pub use check::{LaneName, MapProblem, Seclusion};
-pub use file::{LaneEntry, MapError, MapFile, PlaceEntry, limits, load, read};
+pub use building::{Door, DoorOnWay, Facing, GROUND, Level, LevelIndex, Lift, Ride};
+pub use file::{DoorEntry, LaneEntry, LevelEntry, LiftEntry, MapError, MapFile, PlaceEntry, limits, load, read};
+pub use fittings::FittingProblem;
+pub use problem::{LaneName, MapProblem, Seclusion};
 pub use shipped::{SHIPPED, shipped};
 
 use consort_protocol::ids::PlaceId;
 use consort_protocol::pose::Pose;
-use consort_protocol::units::Metres;
+use consort_protocol::units::{Metres, MetresPerSecond};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
 /// What a place is for.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum PlaceKind {
     /// Where patients and nurses are.
@@ -45,7 +64,10 @@ pub enum PlaceKind {
     Corridor,
     /// Where robots rest.
     Dock,
+    /// Where robots fill their batteries.
+    Charger,
     /// Anything else.
+    #[default]
     Other,
 }
 
@@ -58,6 +80,8 @@ pub struct Place {
     pub kind: PlaceKind,
     /// Where it is, and the heading a robot takes there.
     pub pose: Pose,
+    /// The level it is on.
+    pub level: LevelIndex,
 }
 
 /// A stretch of floor between two places that robots drive in a straight line.
@@ -71,6 +95,11 @@ pub struct Lane {
     pub length: Metres,
     /// Whether it may also be driven from `to` to `from`.
     pub two_way: bool,
+    /// The fastest that is allowed there; none if robots may drive as they can.
+    pub speed_limit: Option<MetresPerSecond>,
+    /// Which way a robot must face while it drives from `from` to `to`, if that matters; from `to` to `from` it is
+    /// [`Facing::reversed`].
+    pub facing: Option<Facing>,
 }
 
 /// Position of a place in [`Map::places`].
@@ -81,12 +110,21 @@ pub(crate) struct PlaceIndex(pub(crate) usize);
 #[derive(Debug, Clone, PartialEq)]
 pub struct Map {
     name: String,
+    levels: Vec<Level>,
     places: Vec<Place>,
     lanes: Vec<Lane>,
     walls: Vec<Vec<(f64, f64)>>,
+    /// For each wall its level.
+    wall_levels: Vec<LevelIndex>,
+    doors: Vec<Door>,
+    lifts: Vec<Lift>,
     by_name: BTreeMap<PlaceId, PlaceIndex>,
     /// By start and end, each two-way lane twice.
     by_ends: BTreeMap<(PlaceIndex, PlaceIndex), usize>,
+    /// For each lane its doors, each with the share of the lane, from its `from`, at which it stands.
+    doors_by_lane: BTreeMap<usize, Vec<(usize, f64)>>,
+    /// For each stop its lift.
+    lift_of: BTreeMap<PlaceIndex, usize>,
 }
 
 impl Map {
@@ -105,7 +143,7 @@ impl Map {
         &self.lanes
     }
 
-    /// Walls as polylines of (x, y) in metres.
+    /// Walls of all levels as polylines of (x, y) in metres.
     pub fn walls(&self) -> &[Vec<(f64, f64)>] {
         &self.walls
     }

@@ -22,7 +22,8 @@ fn problems(text: &str) -> Vec<String> {
 #[test]
 fn a_lane_is_two_way_and_as_long_as_the_straight_line_unless_told_otherwise() {
     let map = read(WARD, "ward.yaml").unwrap();
-    let lane = Lane { from: place("A"), to: place("B"), length: Metres::new(5.0).unwrap(), two_way: true };
+    let length = Metres::new(5.0).unwrap();
+    let lane = Lane { from: place("A"), to: place("B"), length, two_way: true, speed_limit: None, facing: None };
     assert_eq!(map.lanes(), std::slice::from_ref(&lane));
     assert_eq!(map.lane(&place("B"), &place("A")), Some(&lane));
     assert_eq!(map.place(&place("B")).unwrap().pose, Pose::new(3.0, 4.0, 1.5));

@@ -1,20 +1,14 @@
 //! From a setup to a world.
 
-use super::battery::Battery;
-use super::components::{Beside, Body, Departures, DrawerOpen, HandsBusy, Label, Pace, Who};
+use super::components::Body;
+use super::floor::Floor;
 use super::goals::GoalBook;
-use super::journal::Journal;
-use super::motion::{Spot, Whereabouts};
-use super::people::Asks;
-use super::queue::Queue;
-use super::samples::{Custody, Holder};
-use super::setup::{Durations, SetupError, SetupErrors, WorldLimits, WorldSetup};
-use super::{Person, RobotBody, World};
+use super::samples::Handovers;
+use super::setup::{Durations, RobotBody, SetupError, SetupErrors, WorldLimits, WorldSetup};
+use super::whereabouts::{Spot, Whereabouts};
+use super::{World, systems};
 use consort_protocol::ids::PlaceId;
-use hecs::Entity;
-use rand_chacha::ChaCha8Rng;
-use rand_chacha::rand_core::SeedableRng;
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeSet;
 
 const SPEED_MPS: std::ops::RangeInclusive<f64> = 0.001..=100.0;
 const DURATION_S: std::ops::RangeInclusive<f64> = 0.0..=86_400.0;
@@ -29,55 +23,26 @@ impl World {
         if !problems.is_empty() {
             return Err(SetupErrors(problems));
         }
-        let mut world = World {
-            map: setup.map,
-            now: 0.0,
-            store: hecs::World::new(),
-            robots: BTreeMap::new(),
-            people: BTreeMap::new(),
-            samples: BTreeMap::new(),
-            asks: Asks::default(),
-            queue: Queue::new(),
-            handovers: 0,
-            durations: setup.durations,
-            limits: setup.limits,
-            journal: Journal::default(),
-        };
+        let systems = setup.systems.iter().filter_map(|name| systems::of_name(name)).collect();
+        let mut floor = Floor::new(setup.map.clone(), setup.durations, setup.limits);
+        floor.furnish(Handovers::default());
+        let mut world = World { floor, systems };
+        world.each_system(|system, floor| system.furnish(floor, &setup));
         for body in setup.robots {
             world.spawn_robot(body);
-        }
-        for (index, person) in setup.people.into_iter().enumerate() {
-            let mut pace = ChaCha8Rng::seed_from_u64(setup.seed);
-            pace.set_stream(index as u64);
-            world.spawn_person(person, pace);
         }
         Ok(world)
     }
 
     fn spawn_robot(&mut self, body: RobotBody) {
-        let place = self.map.index(&body.place).expect("checked: the place is on the map");
-        let standing = Whereabouts::Standing { spot: Spot::Place(place), pose: self.map.at(place).pose };
-        let (id, battery) = (body.id.clone(), Battery::new(body.battery));
-        let (beside, book) = (Beside::Nobody, GoalBook::default());
-        let robot = self.store.spawn((Body(body), standing, battery, beside, Departures(0), DrawerOpen(false), book));
-        self.robots.insert(id, robot);
-        self.set_working(robot, false);
-    }
-
-    fn spawn_person(&mut self, person: Person, pace: ChaCha8Rng) {
-        let place = self.map.index(&person.place).expect("checked: the place is on the map");
-        let who = Who { name: person.name.clone(), role: person.role, place };
-        let hands = self.store.spawn((who, HandsBusy(false), Pace(pace)));
-        self.people.insert(person.name, hands);
-        for sample in person.samples {
-            let entity = self.spawn_sample(hands, &sample);
-            self.samples.insert(sample, entity);
-        }
-    }
-
-    fn spawn_sample(&mut self, hands: Entity, sample: &super::SampleId) -> Entity {
-        self.handovers += 1;
-        self.store.spawn((Label(sample.clone()), Custody::new(Holder::Hands(hands), self.handovers)))
+        let floor = &mut self.floor;
+        let place = floor.map.index(&body.place).expect("checked: the place is on the map");
+        let robot = floor.spawn();
+        floor.give(robot, Body(body.clone()));
+        floor.give(robot, Whereabouts::Standing { spot: Spot::Place(place), pose: floor.map.at(place).pose });
+        floor.give(robot, GoalBook::default());
+        floor.robots.insert(body.id.clone(), robot);
+        self.each_system(|system, floor| system.equip(floor, robot, &body));
     }
 }
 
@@ -90,6 +55,7 @@ fn check(setup: &WorldSetup) -> Vec<SetupError> {
         problems.push(SetupError::TooMany { what, count, max });
     }
     check_numbers(&setup.durations, &setup.limits, &mut problems);
+    check_systems(&setup.systems, &mut problems);
     let mut seen = BTreeSet::new();
     for body in &setup.robots {
         let who = format!("robot {}", body.id);
@@ -165,5 +131,17 @@ fn check_numbers(durations: &Durations, limits: &WorldLimits, problems: &mut Vec
             let allowed = "1 or more";
             problems.push(SetupError::Number { who: "limits".to_owned(), field, value: 0.0, allowed });
         }
+    }
+}
+
+fn check_systems(chosen: &[String], problems: &mut Vec<SetupError>) {
+    let mut seen = BTreeSet::new();
+    for name in chosen {
+        if systems::of_name(name).is_none() {
+            let hint = crate::suggest::did_you_mean(name, systems::system_names());
+            let known = systems::system_names().collect::<Vec<_>>().join(", ");
+            problems.push(SetupError::UnknownSystem { name: name.clone(), known, hint });
+        }
+        check_twice(format!("system {name}"), &mut seen, problems);
     }
 }

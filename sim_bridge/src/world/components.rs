@@ -8,11 +8,11 @@ use hecs::Entity;
 use rand_chacha::ChaCha8Rng;
 
 /// A robot: what it was set up with. Its discharge rate here is the only one there is.
-pub(super) struct Body(pub(super) RobotBody);
+pub(crate) struct Body(pub(crate) RobotBody);
 
 /// Who a robot is beside, and has come within reach of.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Beside {
+pub(crate) enum Beside {
     Nobody,
     Person {
         person: Entity,
@@ -26,23 +26,23 @@ pub(super) enum Beside {
 }
 
 /// How often a robot has left where it stood.
-pub(super) struct Departures(pub(super) u64);
+pub(crate) struct Departures(pub(crate) u64);
 
 /// Whether a robot's drawer stands open. What is in it is known by the samples.
-pub(super) struct DrawerOpen(pub(super) bool);
+pub(crate) struct DrawerOpen(pub(crate) bool);
 
 /// A person: who they are and where they stay.
-pub(super) struct Who {
-    pub(super) name: PersonName,
-    pub(super) role: RoleId,
-    pub(super) place: PlaceIndex,
+pub(crate) struct Who {
+    pub(crate) name: PersonName,
+    pub(crate) role: RoleId,
+    pub(crate) place: PlaceIndex,
 }
 
 /// A person's hands are at work for an ask.
-pub(super) struct HandsBusy(pub(super) bool);
+pub(crate) struct HandsBusy(pub(crate) bool);
 
 /// A person's own source of chance.
-pub(super) struct Pace(pub(super) ChaCha8Rng);
+pub(crate) struct Pace(pub(crate) ChaCha8Rng);
 
 /// A sample's label.
-pub(super) struct Label(pub(super) SampleId);
+pub(crate) struct Label(pub(crate) SampleId);

@@ -1,11 +1,10 @@
 //! The life of a goal: begun or refused, under way, ended, remembered for a while.
 
-use super::actions::{refused, verb};
-use super::battery::Battery;
+use super::floor::{Due, Floor};
 use super::journal::Happening;
-use super::motion::Whereabouts;
 use super::queue::Ticket;
-use super::{Due, World};
+use super::reach::{refused, verb};
+use super::{Chosen, World};
 use consort_protocol::ids::RobotId;
 use consort_protocol::units::{Metres, Seconds};
 use consort_skills::actions::{ActionError, BodyEvent, ErrorCode, Feedback, Goal, GoalId, GoalStatus};
@@ -14,7 +13,7 @@ use std::collections::VecDeque;
 
 /// A robot's goals: the one under way, and those that lately ended.
 #[derive(Default)]
-pub(super) struct GoalBook {
+pub(crate) struct GoalBook {
     current: Option<Current>,
     ended: VecDeque<Ended>,
     /// The largest id no longer remembered: what is not larger is taken for a repetition.
@@ -25,6 +24,8 @@ struct Current {
     id: GoalId,
     goal: Goal,
     ends: Ticket,
+    /// Who carries it out.
+    by: Chosen,
 }
 
 struct Ended {
@@ -35,7 +36,7 @@ struct Ended {
 
 impl GoalBook {
     /// Whether a goal is under way.
-    pub(super) fn is_busy(&self) -> bool {
+    pub(crate) fn is_busy(&self) -> bool {
         self.current.is_some()
     }
 
@@ -57,114 +58,76 @@ impl GoalBook {
 impl World {
     /// Begins a goal, or refuses it; an id that was seen before changes nothing.
     pub(super) fn begin(&mut self, robot: Entity, id: GoalId, goal: Goal) {
-        if self.get::<GoalBook>(robot).knows(id) {
+        if self.floor.get::<GoalBook>(robot).knows(id) {
             return;
         }
         match self.try_begin(robot, &goal) {
-            Ok(ends) => {
-                self.note(Happening::GoalBegan { robot: self.name(robot), id, goal: goal.clone() });
-                let ends = self.queue.arrange(ends, Due::GoalEnds(robot));
-                self.get_mut::<GoalBook>(robot).current = Some(Current { id, goal, ends });
-                self.set_working(robot, true);
+            Ok((by, ends)) => {
+                let floor = &mut self.floor;
+                floor.note(Happening::GoalBegan { robot: floor.name(robot), id, goal: goal.clone() });
+                let ends = floor.queue.arrange(ends, Due::GoalEnds(robot));
+                floor.get_mut::<GoalBook>(robot).current = Some(Current { id, goal, ends, by });
             }
             Err(error) => {
-                let event = self.record(robot, id, goal, GoalStatus::Aborted(error));
-                self.say(event);
+                let event = self.floor.record(robot, id, goal, GoalStatus::Aborted(error));
+                self.floor.say(event);
             }
         }
     }
 
-    /// When the goal will end, if it may begin.
-    fn try_begin(&mut self, robot: Entity, goal: &Goal) -> Result<f64, ActionError> {
-        if let Some(current) = &self.get::<GoalBook>(robot).current {
-            let message = format!("{} is doing {} (goal {})", self.name(robot), verb(&current.goal), current.id.0);
+    /// Who carries the goal out and when it will end, if it may begin.
+    fn try_begin(&mut self, robot: Entity, goal: &Goal) -> Result<(Chosen, f64), ActionError> {
+        if let Some(current) = &self.floor.get::<GoalBook>(robot).current {
+            let message =
+                format!("{} is doing {} (goal {})", self.floor.name(robot), verb(&current.goal), current.id.0);
             return Err(refused(ErrorCode::Busy, message));
         }
-        if !self.get::<Battery>(robot).able {
-            return Err(self.too_low(robot));
+        for chosen in self.chosen() {
+            self.work(chosen, |system, floor| system.permit(floor, robot, goal))?;
         }
-        if let Goal::NavigateToPose { pose, place } = goal {
-            let drive = self.drive(robot, *pose, place.as_ref())?;
-            self.set_off(robot, drive);
-            return Ok(drive.ends);
+        for chosen in self.chosen() {
+            if let Some(begun) = self.work(chosen, |system, floor| system.begin(floor, robot, goal)) {
+                return begun.map(|ends| (chosen, ends));
+            }
         }
-        self.effect(robot, goal)?;
-        Ok(self.now + self.duration(goal))
-    }
-
-    fn too_low(&self, robot: Entity) -> ActionError {
-        let left = self.get::<Battery>(robot).at(self.now);
-        refused(ErrorCode::BatteryLow, format!("the battery of {} is down to {left:e}", self.name(robot)))
+        Err(refused(ErrorCode::Unknown, format!("no system of this world can {}", verb(goal))))
     }
 
     /// The goal under way has come to its end: its effect is carried out if it still can be.
     pub(super) fn complete(&mut self, robot: Entity) -> Option<BodyEvent> {
-        let current = self.get_mut::<GoalBook>(robot).current.take()?;
-        self.come_to_rest(robot);
-        let status = match self.effect(robot, &current.goal) {
-            Ok(effect) => {
-                self.carry_out(robot, effect);
-                GoalStatus::Succeeded
-            }
+        let Current { id, goal, ends, by } = self.floor.get_mut::<GoalBook>(robot).current.take()?;
+        self.floor.queue.take_back(ends);
+        let status = match self.work(by, |system, floor| system.finish(floor, robot, &goal)) {
+            Ok(()) => GoalStatus::Succeeded,
             Err(error) => GoalStatus::Aborted(error),
         };
-        Some(self.record(robot, current.id, current.goal, status))
+        Some(self.floor.record(robot, id, goal, status))
     }
 
     /// Ends a goal early, if it is the one under way.
     pub(super) fn cancel_goal(&mut self, robot: Entity, id: GoalId) {
-        if self.get::<GoalBook>(robot).current.as_ref().is_none_or(|current| current.id != id) {
-            return;
-        }
-        if let Some(event) = self.interrupt(robot, GoalStatus::Canceled) {
-            self.say(event);
+        let is_current = self.floor.get::<GoalBook>(robot).current.as_ref().is_some_and(|current| current.id == id);
+        if is_current && let Some(event) = self.interrupt(robot, GoalStatus::Canceled) {
+            self.floor.say(event);
         }
     }
 
-    /// The battery has come down to the stopping share: what is under way is aborted where it stands.
-    pub(super) fn strand(&mut self, robot: Entity) -> Vec<BodyEvent> {
-        self.run_down(robot);
-        let error = self.too_low(robot);
-        let mut events: Vec<_> = self.interrupt(robot, GoalStatus::Aborted(error)).into_iter().collect();
-        let robot = self.name(robot);
-        self.note(Happening::Stranded { robot: robot.clone() });
-        events.push(BodyEvent::Stranded { robot });
-        events
-    }
-
-    fn interrupt(&mut self, robot: Entity, status: GoalStatus) -> Option<BodyEvent> {
-        let current = self.get_mut::<GoalBook>(robot).current.take()?;
-        self.queue.take_back(current.ends);
-        self.come_to_rest(robot);
-        Some(self.record(robot, current.id, current.goal, status))
-    }
-
-    fn come_to_rest(&mut self, robot: Entity) {
-        self.stand_still(robot);
-        self.set_working(robot, false);
-    }
-
-    fn record(&mut self, robot: Entity, id: GoalId, goal: Goal, status: GoalStatus) -> BodyEvent {
-        let kept = self.limits.ended_kept;
-        self.get_mut::<GoalBook>(robot).remember(Ended { id, goal, status: status.clone() }, kept);
-        let robot = self.name(robot);
-        self.note(Happening::GoalEnded { robot: robot.clone(), id, status: status.clone() });
-        BodyEvent::GoalEnded { robot, goal: id, status }
-    }
-
-    /// Has the next `advance` say it.
-    pub(super) fn say(&mut self, event: BodyEvent) {
-        self.queue.arrange(self.now, Due::Say(Box::new(event)));
+    /// Ends the goal under way, if there is one, with everything as it is now.
+    pub(super) fn interrupt(&mut self, robot: Entity, status: GoalStatus) -> Option<BodyEvent> {
+        let Current { id, goal, ends, by } = self.floor.get_mut::<GoalBook>(robot).current.take()?;
+        self.floor.queue.take_back(ends);
+        self.work(by, |system, floor| system.halt(floor, robot, &goal));
+        Some(self.floor.record(robot, id, goal, status))
     }
 
     /// Refuses a goal for a robot that is not here; nothing is remembered of it.
     pub(super) fn refuse_stranger(&mut self, robot: &RobotId, id: GoalId) {
-        let status = GoalStatus::Aborted(self.no_robot(robot));
-        self.say(BodyEvent::GoalEnded { robot: robot.clone(), goal: id, status });
+        let status = GoalStatus::Aborted(self.floor.no_robot(robot));
+        self.floor.say(BodyEvent::GoalEnded { robot: robot.clone(), goal: id, status });
     }
 
     pub(super) fn goals_of(&self, robot: Entity) -> Vec<GoalId> {
-        let book = self.get::<GoalBook>(robot);
+        let book = self.floor.get::<GoalBook>(robot);
         let ended = book.ended.iter().map(|ended| ended.id);
         let mut goals: Vec<GoalId> = ended.chain(book.current.as_ref().map(|current| current.id)).collect();
         goals.sort();
@@ -172,25 +135,34 @@ impl World {
     }
 
     pub(super) fn goal_of(&self, robot: Entity, id: GoalId) -> Option<Goal> {
-        let book = self.get::<GoalBook>(robot);
+        let book = self.floor.get::<GoalBook>(robot);
         let current = book.current.as_ref().filter(|current| current.id == id).map(|current| &current.goal);
         let ended = || book.ended.iter().find(|ended| ended.id == id).map(|ended| &ended.goal);
         current.or_else(ended).cloned()
     }
 
     pub(super) fn goal_status(&self, robot: Entity, id: GoalId) -> Option<GoalStatus> {
-        let book = self.get::<GoalBook>(robot);
+        let book = self.floor.get::<GoalBook>(robot);
         match &book.current {
             Some(current) if current.id == id => {
-                let left = (current.ends.time - self.now).max(0.0);
-                let distance_remaining = match &*self.get::<Whereabouts>(robot) {
-                    Whereabouts::Driving(drive) => drive.remaining(self.now),
-                    Whereabouts::Standing { .. } => Metres::ZERO,
-                };
-                let time_remaining = Seconds::new(left).unwrap_or(Seconds::ZERO);
-                Some(GoalStatus::Executing(Feedback { distance_remaining, time_remaining }))
+                let left = current.ends.time - self.floor.now;
+                let time_remaining = Seconds::new(left.max(0.0)).unwrap_or(Seconds::ZERO);
+                let usual = Feedback { distance_remaining: Metres::ZERO, time_remaining };
+                let system = self.systems[current.by.0];
+                Some(GoalStatus::Executing(system.feedback(&self.floor, robot, &current.goal, usual)))
             }
             _ => book.ended.iter().find(|ended| ended.id == id).map(|ended| ended.status.clone()),
         }
+    }
+}
+
+impl Floor {
+    /// Remembers how a goal ended: what the outside is to be told.
+    fn record(&mut self, robot: Entity, id: GoalId, goal: Goal, status: GoalStatus) -> BodyEvent {
+        let kept = self.limits.ended_kept;
+        self.get_mut::<GoalBook>(robot).remember(Ended { id, goal, status: status.clone() }, kept);
+        let robot = self.name(robot);
+        self.note(Happening::GoalEnded { robot: robot.clone(), id, status: status.clone() });
+        BodyEvent::GoalEnded { robot, goal: id, status }
     }
 }

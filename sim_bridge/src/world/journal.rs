@@ -70,19 +70,22 @@ pub enum Happening {
     },
 }
 
+/// See the [module](self).
 #[derive(Default)]
 pub(super) struct Journal(VecDeque<JournalEntry>);
+
+impl Journal {
+    pub(super) fn write(&mut self, now: f64, what: Happening, kept: usize) {
+        self.0.push_back(JournalEntry { time: WorldTime::from_secs(now), what });
+        if self.0.len() > kept {
+            self.0.pop_front();
+        }
+    }
+}
 
 impl World {
     /// What happened since this was last asked for, oldest first.
     pub fn drain_journal(&mut self) -> Vec<JournalEntry> {
-        std::mem::take(&mut self.journal.0).into()
-    }
-
-    pub(super) fn note(&mut self, what: Happening) {
-        self.journal.0.push_back(JournalEntry { time: WorldTime::from_secs(self.now), what });
-        if self.journal.0.len() > self.limits.history_kept {
-            self.journal.0.pop_front();
-        }
+        std::mem::take(&mut self.floor.journal.0).into()
     }
 }

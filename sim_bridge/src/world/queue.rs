@@ -5,8 +5,8 @@ use std::collections::BTreeMap;
 
 /// Names an entry, so that it can be taken back. Ordered by time, then by when it was arranged.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Ticket {
-    pub(super) time: f64,
+pub(crate) struct Ticket {
+    pub(crate) time: f64,
     number: u64,
 }
 
@@ -31,39 +31,39 @@ impl PartialEq for Ticket {
 impl Eq for Ticket {}
 
 /// Entries by time; those of one instant in the order in which they were arranged.
-pub(super) struct Queue<T> {
+pub(crate) struct Queue<T> {
     entries: BTreeMap<Ticket, T>,
     next: u64,
 }
 
 impl<T> Queue<T> {
-    pub(super) fn new() -> Self {
+    pub(crate) fn new() -> Self {
         Self { entries: BTreeMap::new(), next: 0 }
     }
 
-    pub(super) fn arrange(&mut self, time: f64, entry: T) -> Ticket {
+    pub(crate) fn arrange(&mut self, time: f64, entry: T) -> Ticket {
         let ticket = Ticket { time, number: self.next };
         self.next += 1;
         self.entries.insert(ticket, entry);
         ticket
     }
 
-    pub(super) fn take_back(&mut self, ticket: Ticket) {
+    pub(crate) fn take_back(&mut self, ticket: Ticket) {
         self.entries.remove(&ticket);
     }
 
-    pub(super) fn first_time(&self) -> Option<f64> {
+    pub(crate) fn first_time(&self) -> Option<f64> {
         self.entries.first_key_value().map(|(ticket, _)| ticket.time)
     }
 
     /// The first entry due up to and including `to`, with its time.
-    pub(super) fn pop_until(&mut self, to: f64) -> Option<(f64, T)> {
+    pub(crate) fn pop_until(&mut self, to: f64) -> Option<(f64, T)> {
         let first = self.entries.first_entry().filter(|first| first.key().time <= to)?;
         let (ticket, entry) = first.remove_entry();
         Some((ticket.time, entry))
     }
 
-    pub(super) fn len(&self) -> usize {
+    pub(crate) fn len(&self) -> usize {
         self.entries.len()
     }
 }

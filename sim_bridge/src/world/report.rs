@@ -40,23 +40,23 @@ pub struct PersonReport {
 impl World {
     /// What a robot was set up with, its discharge rate among it; `None` for one that is not here.
     pub fn setup_of(&self, robot: &RobotId) -> Option<RobotBody> {
-        self.robots.get(robot).map(|robot| self.get::<Body>(*robot).0.clone())
+        self.floor.robots.get(robot).map(|robot| self.floor.get::<Body>(*robot).0.clone())
     }
 
     /// A robot's drawer, arm and company; `None` for one that is not here.
     pub fn body(&self, robot: &RobotId) -> Option<BodyReport> {
-        let robot = *self.robots.get(robot)?;
-        let (beside_person, authenticated, beside_robot) = match *self.get::<Beside>(robot) {
+        let robot = *self.floor.robots.get(robot)?;
+        let (beside_person, authenticated, beside_robot) = match *self.floor.get::<Beside>(robot) {
             Beside::Nobody => (None, false, None),
             Beside::Person { person, authenticated } => {
-                (Some(self.get::<Who>(person).name.clone()), authenticated, None)
+                (Some(self.floor.get::<Who>(person).name.clone()), authenticated, None)
             }
-            Beside::Robot { robot: other, .. } => (None, false, Some(self.name(other))),
+            Beside::Robot { robot: other, .. } => (None, false, Some(self.floor.name(other))),
         };
         Some(BodyReport {
-            drawer_open: self.get::<DrawerOpen>(robot).0,
-            in_drawer: self.held_labels(Holder::Drawer(robot)),
-            in_arm: self.held_labels(Holder::Arm(robot)).into_iter().next(),
+            drawer_open: self.floor.get::<DrawerOpen>(robot).0,
+            in_drawer: self.floor.held_labels(Holder::Drawer(robot)),
+            in_arm: self.floor.held_labels(Holder::Arm(robot)).into_iter().next(),
             beside_person,
             authenticated,
             beside_robot,
@@ -66,14 +66,14 @@ impl World {
     /// All people, in the order of their names.
     pub fn people(&self) -> Vec<PersonReport> {
         let report = |person: &hecs::Entity| {
-            let who = self.get::<Who>(*person);
+            let who = self.floor.get::<Who>(*person);
             PersonReport {
                 name: who.name.clone(),
                 role: who.role.clone(),
-                place: self.map.at(who.place).id.clone(),
-                samples: self.held_labels(Holder::Hands(*person)),
+                place: self.floor.map.at(who.place).id.clone(),
+                samples: self.floor.held_labels(Holder::Hands(*person)),
             }
         };
-        self.people.values().map(report).collect()
+        self.floor.people.values().map(report).collect()
     }
 }

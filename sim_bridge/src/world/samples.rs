@@ -5,9 +5,10 @@
 
 use super::World;
 use super::components::{Body, Label, Who};
+use super::floor::Floor;
 use super::journal::Happening;
-use super::motion::Whereabouts;
 use super::names::{PersonName, SampleId};
+use super::whereabouts::Whereabouts;
 use crate::map::PlaceIndex;
 use consort_protocol::ids::{PlaceId, RobotId};
 use consort_protocol::units::WorldTime;
@@ -44,7 +45,7 @@ pub struct SampleReport {
 
 /// Who or what has a sample, as entities.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Holder {
+pub(crate) enum Holder {
     Table(PlaceIndex),
     Drawer(Entity),
     Arm(Entity),
@@ -52,28 +53,43 @@ pub(super) enum Holder {
 }
 
 /// A sample's holder, now and before.
-pub(super) struct Custody {
+pub(crate) struct Custody {
     holder: Holder,
     /// Running number of the latest change of hands: what came first goes first.
     since: u64,
     before: VecDeque<(f64, Holder)>,
 }
 
-impl Custody {
-    pub(super) fn new(holder: Holder, since: u64) -> Self {
-        Self { holder, since, before: VecDeque::new() }
-    }
-}
+/// Running number of changes of hands, of the floor.
+#[derive(Default)]
+pub(crate) struct Handovers(u64);
 
 impl World {
     /// Where each sample is.
     pub fn samples(&self) -> Vec<SampleReport> {
-        self.samples.iter().map(|(id, sample)| self.sample_report(id, *sample)).collect()
+        self.floor.samples.iter().map(|(id, sample)| self.floor.sample_report(id, *sample)).collect()
     }
 
     /// Where one sample is; `None` if there is none of this name.
     pub fn sample(&self, id: &SampleId) -> Option<SampleReport> {
-        self.samples.get(id).map(|sample| self.sample_report(id, *sample))
+        self.floor.samples.get(id).map(|sample| self.floor.sample_report(id, *sample))
+    }
+}
+
+impl Floor {
+    /// A new thing, which somebody has from the first.
+    pub(crate) fn spawn_sample(&mut self, id: SampleId, holder: Holder) {
+        let since = self.next_handover();
+        let sample = self.spawn();
+        self.give(sample, Label(id.clone()));
+        self.give(sample, Custody { holder, since, before: VecDeque::new() });
+        self.samples.insert(id, sample);
+    }
+
+    fn next_handover(&mut self) -> u64 {
+        let mut handovers = self.own_mut::<Handovers>();
+        handovers.0 += 1;
+        handovers.0
     }
 
     fn sample_report(&self, id: &SampleId, sample: Entity) -> SampleReport {
@@ -105,7 +121,7 @@ impl World {
     }
 
     /// What a holder has, what it got first standing first.
-    pub(super) fn held(&self, holder: Holder) -> Vec<Entity> {
+    pub(crate) fn held(&self, holder: Holder) -> Vec<Entity> {
         let mut held: Vec<(u64, Entity)> = Vec::new();
         for sample in self.samples.values() {
             let custody = self.get::<Custody>(*sample);
@@ -118,16 +134,16 @@ impl World {
     }
 
     /// The names of what a holder has.
-    pub(super) fn held_labels(&self, holder: Holder) -> Vec<SampleId> {
+    pub(crate) fn held_labels(&self, holder: Holder) -> Vec<SampleId> {
         self.held(holder).into_iter().map(|sample| self.get::<Label>(sample).0.clone()).collect()
     }
 
-    pub(super) fn hand_over(&mut self, sample: Entity, to: Holder) {
-        self.handovers += 1;
+    pub(crate) fn hand_over(&mut self, sample: Entity, to: Holder) {
+        let since = self.next_handover();
         let from = {
             let mut custody = self.get_mut::<Custody>(sample);
             let from = custody.holder;
-            (custody.holder, custody.since) = (to, self.handovers);
+            (custody.holder, custody.since) = (to, since);
             custody.before.push_back((self.now, from));
             if custody.before.len() > self.limits.history_kept {
                 custody.before.pop_front();

@@ -1,7 +1,8 @@
 //! How a world is set up.
 
-use super::battery::default_idle_factor;
 use super::names::{PersonName, SampleId};
+use super::systems;
+use super::systems::power::default_idle_factor;
 use crate::map::Map;
 use consort_protocol::ids::{PlaceId, RobotId, RoleId};
 use consort_protocol::units::{BatteryShare, MetresPerSecond, SharePerSecond};
@@ -22,13 +23,16 @@ pub struct WorldSetup {
     pub durations: Durations,
     /// How much the world remembers and holds.
     pub limits: WorldLimits,
+    /// What happens there: the names of the systems, in the order in which they hear of things.
+    pub systems: Vec<String>,
 }
 
 impl WorldSetup {
     /// An empty floor with default durations and limits.
     pub fn new(map: Map, seed: u64) -> Self {
         let (durations, limits) = (Durations::default(), WorldLimits::default());
-        Self { map, robots: Vec::new(), people: Vec::new(), seed, durations, limits }
+        let systems = systems::system_names().map(str::to_owned).collect();
+        Self { map, robots: Vec::new(), people: Vec::new(), seed, durations, limits, systems }
     }
 
     /// The same with one more robot.
@@ -225,6 +229,16 @@ pub enum SetupError {
         value: f64,
         /// The range, in words.
         allowed: &'static str,
+    },
+    /// A system that there is not.
+    #[error("there is no system {name:?}{hint}; there are: {known}")]
+    UnknownSystem {
+        /// The name as given.
+        name: String,
+        /// Those that there are.
+        known: String,
+        /// The one probably meant, in words; may be empty.
+        hint: String,
     },
     /// More than [`WorldLimits::entities_max`].
     #[error("{count} {what} are more than the {max} allowed")]

@@ -7,7 +7,7 @@
 //! through it, until it has an answer, whether the neighbour hears it and is heard. If not, only a new session helps, which
 //! stays away for long enough to be new to everybody.
 
-use super::session::Life;
+use super::current::Current;
 use super::{BusError, failed};
 use std::collections::BTreeSet;
 use std::sync::{Arc, Weak};
@@ -38,17 +38,18 @@ const ENOUGH: u32 = 6;
 /// So many sessions are opened for one neighbour in vain: it may speak another language.
 const SESSIONS: u32 = 3;
 
-/// Answers neighbours, and asks those to whom this session opens a link.
-pub(super) async fn attend(life: &Arc<Life>, session: &Session) -> Result<(), BusError> {
-    let (own, runtime) = (session.zid(), Handle::current());
+/// Answers neighbours, and asks those to whom this session opens a link; `listen` is where they open links to it.
+pub(super) async fn attend(current: &Arc<Current>, listen: &[String]) -> Result<(), BusError> {
+    let (session, runtime) = (current.session(), Handle::current());
+    let own = session.zid();
     let key = format!("{HEARING}/{own}");
-    let (on, weak, spawner) = (key.clone(), Arc::downgrade(life), runtime.clone());
+    let (on, weak, spawner) = (key.clone(), Arc::downgrade(current), runtime.clone());
     let answer = move |query: zenoh::query::Query| {
         let (on, weak) = (on.clone(), weak.clone());
         spawner.spawn(async move {
             let heard = match (query.parameters().get("back"), weak.upgrade()) {
                 (None, _) => true,
-                (Some(back), Some(life)) => ask(&life.session(), &format!("{HEARING}/{back}")).await.is_some(),
+                (Some(back), Some(current)) => ask(&current.session(), &format!("{HEARING}/{back}")).await.is_some(),
                 (Some(_), None) => return,
             };
             // Whoever asked may have gone.
@@ -57,8 +58,8 @@ pub(super) async fn attend(life: &Arc<Life>, session: &Session) -> Result<(), Bu
     };
     session.declare_queryable(key).callback(answer).background().await.map_err(|problem| failed("serve", problem))?;
 
-    let weak = Arc::downgrade(life);
-    let accepting: BTreeSet<String> = life.settings().listen.iter().filter_map(|address| port(address)).collect();
+    let weak = Arc::downgrade(current);
+    let accepting: BTreeSet<String> = listen.iter().filter_map(|address| port(address)).collect();
     let linked = move |event: zenoh::session::LinkEvent| {
         let (link, opened) = (event.link(), event.kind() == SampleKind::Put);
         if opened && port(link.src().as_str()).is_some_and(|port| !accepting.contains(&port)) {
@@ -75,11 +76,11 @@ fn port(address: &str) -> Option<String> {
 }
 
 /// Asks a neighbour until it answers that it is heard and hears. If it does not, the session is replaced.
-async fn be_sure(life: Weak<Life>, own: ZenohId, neighbour: ZenohId, address: String) {
+async fn be_sure(current: Weak<Current>, own: ZenohId, neighbour: ZenohId, address: String) {
     for _ in 0..ENOUGH {
         sleep(PAUSE).await;
-        let Some(life) = life.upgrade() else { return };
-        let session = life.session();
+        let Some(current) = current.upgrade() else { return };
+        let session = current.session();
         if session.zid() != own || !is_linked(&session, neighbour).await {
             return;
         }
@@ -89,19 +90,19 @@ async fn be_sure(life: Weak<Life>, own: ZenohId, neighbour: ZenohId, address: St
             None => ask(&session, &format!("@/{neighbour}/router")).await.is_some(),
         };
         if heard {
-            life.forget_sessions_for(&address);
+            current.forget_sessions_for(&address);
             return;
         }
         debug!(%neighbour, "is not heard, or does not hear");
     }
-    let Some(life) = life.upgrade() else { return };
-    if !is_linked(&life.session(), neighbour).await {
+    let Some(current) = current.upgrade() else { return };
+    if !is_linked(&current.session(), neighbour).await {
         return;
     }
-    match life.count_session_for(&address) {
+    match current.count_session_for(&address) {
         count if count <= SESSIONS => {
             warn!(%neighbour, "linked, and yet one does not hear the other: the session is opened anew");
-            life.replace(own);
+            current.replace(own);
         }
         _ => warn!(%neighbour, "linked, and yet one does not hear the other, whatever is done; it may be none of ours"),
     }

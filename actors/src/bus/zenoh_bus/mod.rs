@@ -3,6 +3,7 @@
 //! Zenoh calls back inside its own receiving and sending, so every callback here only pushes into a mailbox without
 //! limit. Queries go to all matching services, replies are not consolidated, and every query has its own limit.
 
+mod current;
 mod hearing;
 mod session;
 mod settings;

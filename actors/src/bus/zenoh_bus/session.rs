@@ -1,16 +1,16 @@
 //! A session that can be opened anew, with everything that was declared on it.
 
+use super::current::Current;
 use super::{Mode, ZenohSettings, content, failed, from_zenoh, hearing, questions, why_not_opened};
 use crate::bus::{BusError, Presence, Query, Sample};
 use std::collections::{BTreeMap, BTreeSet};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError, RwLock, Weak};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
 use std::time::Duration;
-use tokio::sync::mpsc::{UnboundedSender, unbounded_channel};
+use tokio::sync::mpsc::UnboundedSender;
 use tokio::time::sleep;
 use tracing::{error, info, warn};
 use zenoh::Session;
 use zenoh::sample::SampleKind;
-use zenoh::session::ZenohId;
 use zenoh_keyexpr::OwnedKeyExpr;
 
 /// How long a router stays away before it links up. Zenoh 1.10.2 works out its routes at most every 100 ms, and compares
@@ -44,15 +44,10 @@ struct Entry {
 /// A session and its declarations. The session closes when this is dropped.
 pub(super) struct Life {
     settings: ZenohSettings,
-    session: RwLock<Session>,
+    current: Arc<Current>,
     entries: Mutex<Entries>,
     /// Held while something is declared, or everything anew.
     declaring: tokio::sync::Mutex<()>,
-    /// Which session is to be opened anew.
-    stale: UnboundedSender<ZenohId>,
-    /// How many sessions were opened for the sake of a neighbour that was not heard yet, by its address: its id changes with
-    /// its own sessions.
-    in_vain: Mutex<BTreeMap<String, u32>>,
 }
 
 #[derive(Default)]
@@ -161,16 +156,14 @@ impl Life {
     pub(super) async fn begin(mut settings: ZenohSettings) -> Result<Arc<Life>, BusError> {
         let session = open(&settings).await?;
         settings.listen = with_ports(&settings.listen, &listening(&session).await);
-        let (stale, mut asked) = unbounded_channel();
+        let (current, mut asked) = Current::new(session);
         let life = Arc::new(Life {
-            stale,
             settings,
-            session: RwLock::new(session.clone()),
+            current: Arc::new(current),
             entries: Mutex::default(),
             declaring: tokio::sync::Mutex::default(),
-            in_vain: Mutex::default(),
         });
-        hearing::attend(&life, &session).await?;
+        hearing::attend(&life.current, &life.settings.listen).await?;
         let weak = Arc::downgrade(&life);
         tokio::spawn(async move {
             while let Some(stale) = asked.recv().await {
@@ -189,7 +182,7 @@ impl Life {
 
     /// The session of now. After it was closed everything that is attempted fails.
     pub(super) fn session(&self) -> Session {
-        self.session.read().unwrap_or_else(PoisonError::into_inner).clone()
+        self.current.session()
     }
 
     fn entries(&self) -> MutexGuard<'_, Entries> {
@@ -239,25 +232,6 @@ impl Life {
         self.session().close().await.map_err(|problem| failed("close", problem))
     }
 
-    /// Counts one more session for the sake of a neighbour; returns how many there were.
-    pub(super) fn count_session_for(&self, neighbour: &str) -> u32 {
-        let mut in_vain = self.in_vain.lock().unwrap_or_else(PoisonError::into_inner);
-        let count = in_vain.entry(neighbour.to_owned()).or_default();
-        *count += 1;
-        *count
-    }
-
-    /// A neighbour is heard, and hears.
-    pub(super) fn forget_sessions_for(&self, neighbour: &str) {
-        self.in_vain.lock().unwrap_or_else(PoisonError::into_inner).remove(neighbour);
-    }
-
-    /// Has a session replaced, if it is still that of now.
-    pub(super) fn replace(&self, stale: ZenohId) {
-        // Otherwise there is nobody any more for whom to open one.
-        let _ = self.stale.send(stale);
-    }
-
     /// Opens the session anew, at the same addresses, and declares everything again. Meanwhile publications and questions
     /// fail, and presence is out of sight. If that cannot be done for long, the bus closes: every stream ends, and whoever
     /// supervises the node learns of it.
@@ -297,14 +271,14 @@ impl Life {
             warn!(%problem, "the session cannot be opened anew; tries again");
             sleep(TRY_AGAIN).await;
         };
-        *self.session.write().unwrap_or_else(PoisonError::into_inner) = session.clone();
+        self.current.put(session.clone());
         if self.entries().closed {
             // Nobody closed this one.
             let _ = session.close().await;
             return;
         }
         info!(id = %session.zid(), "opened its session anew");
-        if let Err(problem) = hearing::attend(self, &session).await {
+        if let Err(problem) = hearing::attend(&self.current, &self.settings.listen).await {
             warn!(%problem, "does not notice if it is not heard");
         }
     }

@@ -7,13 +7,14 @@ mod power;
 mod preconditions;
 mod properties;
 mod setups;
+mod systems;
 
 use super::*;
 use crate::map;
-use consort_protocol::ids::{PlaceId, RoleId, TaskType};
+use consort_protocol::ids::{PlaceId, RobotId, RoleId, TaskType};
 use consort_protocol::mission::TaskSpec;
 use consort_protocol::units::{BatteryShare, MetresPerSecond, Seconds, SharePerSecond, WorldTime};
-use consort_skills::actions::{ActionError, BodyHost, ErrorCode, Goal, GoalId, GoalStatus, PersonAsk};
+use consort_skills::actions::{ActionError, BodyEvent, BodyHost, ErrorCode, Goal, GoalId, GoalStatus, PersonAsk};
 
 fn place(name: &str) -> PlaceId {
     PlaceId::new(name).unwrap()

@@ -88,9 +88,8 @@ fn on_mains_power_nothing_is_lost() {
 fn an_hour_of_two_hundred_idle_robots_is_nothing_to_do() {
     let file = MapFile {
         name: "yard".into(),
-        walls: vec![],
-        places: vec![PlaceEntry { name: "Yard".into(), kind: PlaceKind::Other, x_m: 0.0, y_m: 0.0, yaw_rad: 0.0 }],
-        lanes: vec![],
+        places: vec![PlaceEntry { name: "Yard".into(), kind: PlaceKind::Other, ..PlaceEntry::default() }],
+        ..MapFile::default()
     };
     let mut setup = WorldSetup::new(file.check("yard").unwrap(), 1);
     setup.robots = (0..200).map(|n| carrier(&format!("d{n}"), "Yard")).collect();

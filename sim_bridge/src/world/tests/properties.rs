@@ -2,6 +2,7 @@
 
 use super::*;
 use proptest::prelude::*;
+use std::collections::BTreeMap;
 
 /// Something done to the world from outside at a time.
 #[derive(Debug, Clone)]

@@ -15,12 +15,15 @@ fn all_that_is_wrong_is_said() {
         .person(nurse("", "PC Room 1", "s2"));
     setup.durations.pick_up_s = f64::NAN;
     setup.limits.drawer_slots = 0;
+    setup.systems.extend(["powr".to_owned(), "arm".to_owned()]);
     let errors = World::new(setup).unwrap_err().to_string();
     assert_eq!(
         errors.lines().collect::<Vec<_>>(),
         [
             "durations: pick_up_s is NaN, allowed is a number of seconds from 0 to 86400",
             "limits: drawer_slots is 0, allowed is 1 or more",
+            "there is no system \"powr\"; did you mean \"power\"?; there are: driving, waiting, company, drawer, arm, power, people",
+            "system arm stands more than once",
             "robot r1: there is no place \"PC Rom 3\" on map hospital; did you mean \"PC Room 3\"?",
             "robot r1 stands more than once",
             "robot r2: idle_factor is 1.5, allowed is a number from 0 to 1",
@@ -49,4 +52,20 @@ fn bodies_and_people_are_read_from_files() {
     let person: Person = serde_saphyr::from_str("{name: Ana, role: nurse, place: PC Room 1, samples: [s1]}").unwrap();
     assert_eq!(person, nurse("Ana", "PC Room 1", "s1"));
     assert!(serde_saphyr::from_str::<Person>("{name: Ana, role: nurse, place: PC Room 1, mood: shy}").is_err());
+}
+
+#[test]
+fn a_world_has_the_systems_that_its_setup_names() {
+    let mut setup = hospital(1).robot(carrier("r1", "Dock")).person(nurse("Ana", "PC Room 1", "s1"));
+    setup.systems = vec!["waiting".to_owned()];
+    let mut world = World::new(setup).unwrap();
+    does(&mut world, "r1", 1, Goal::Wait { time: Seconds::new(1e6).unwrap() });
+    assert_eq!(world.telemetry(&robot("r1")).unwrap().battery, BatteryShare::FULL, "nothing drains it");
+    let status = refusal(&mut world, "r1", 2, Goal::OperateDrawer { open: true });
+    assert_eq!(status, aborted(ErrorCode::Unknown, "no system of this world can operate_drawer"));
+    world.ask_person(GoalId(3), deposit("r1"));
+    let nobody = ActionError { code: ErrorCode::Unknown, message: "there are no people in this world".to_owned() };
+    let now = world.now();
+    assert_eq!(world.advance(now), [BodyEvent::PersonEnded { ask: GoalId(3), result: Err(nobody) }]);
+    assert_eq!((world.people(), world.samples()), (vec![], vec![]));
 }

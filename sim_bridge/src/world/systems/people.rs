@@ -4,16 +4,21 @@
 //! stands there with an open drawer. Whom it approached is who hands over: of several nurses, the one where the robot
 //! is. She takes her time; if the robot leaves or shuts its drawer meanwhile, she keeps her sample and waits on.
 
-use super::actions::refused;
-use super::components::{Beside, Body, DrawerOpen, HandsBusy, Pace, Who};
-use super::journal::Happening;
-use super::queue::Ticket;
-use super::samples::Holder;
-use super::{Due, World};
+use crate::world::components::{Beside, Body, DrawerOpen, HandsBusy, Label, Pace, Who};
+use crate::world::floor::Floor;
+use crate::world::journal::Happening;
+use crate::world::queue::Ticket;
+use crate::world::reach::refused;
+use crate::world::samples::{Custody, Handovers, Holder};
+use crate::world::setup::{Person, WorldSetup};
+use crate::world::system::{Kind, System, Wake, kinds};
+use crate::world::whereabouts::Whereabouts;
 use consort_protocol::ids::RoleId;
 use consort_skills::actions::{ActionError, BodyEvent, ErrorCode, GoalId, PersonAsk};
 use hecs::Entity;
 use rand::RngExt;
+use rand_chacha::ChaCha8Rng;
+use rand_chacha::rand_core::SeedableRng;
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 
 /// What people can do, by task type.
@@ -24,11 +29,11 @@ const INTO_ROLE: &str = "into_role";
 
 /// Running number of an ask: earlier ones are served first.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
-pub(super) struct AskNumber(u64);
+struct AskNumber(u64);
 
 /// The asks that have not ended, and the ids of those that lately did.
 #[derive(Default)]
-pub(super) struct Asks {
+pub(crate) struct Asks {
     open: BTreeMap<AskNumber, Ask>,
     ids: BTreeMap<GoalId, AskNumber>,
     /// With what came of each; `None` for one that was withdrawn.
@@ -53,35 +58,134 @@ struct HandingOver {
     ends: Ticket,
 }
 
-impl World {
+impl Asks {
+    fn knows(&self, id: GoalId) -> bool {
+        self.ids.contains_key(&id) || self.ended.contains_key(&id)
+    }
+
+    fn open(&mut self, ask: Ask) {
+        let number = AskNumber(self.next);
+        self.next += 1;
+        self.ids.insert(ask.id, number);
+        self.open.insert(number, ask);
+    }
+
+    fn under_way(&self, id: GoalId) -> Option<HandingOver> {
+        self.open.get(self.ids.get(&id)?)?.under_way
+    }
+
+    /// Those that nobody serves yet, earlier ones first.
+    fn waiting(&self) -> Vec<AskNumber> {
+        self.open.iter().filter(|(_, ask)| ask.under_way.is_none()).map(|(number, _)| *number).collect()
+    }
+
+    fn close(&mut self, id: GoalId, result: Option<Result<(), ActionError>>, kept: usize) {
+        if let Some(number) = self.ids.remove(&id) {
+            self.open.remove(&number);
+        }
+        if self.ended.insert(id, result).is_none() {
+            self.ended_order.push_back(id);
+        }
+        if self.ended.len() > kept
+            && let Some(oldest) = self.ended_order.pop_front()
+        {
+            self.ended.remove(&oldest);
+        }
+    }
+
+    /// Whether an ask was lately withdrawn.
+    pub(crate) fn was_withdrawn(&self, id: GoalId) -> bool {
+        self.ended.get(&id).is_some_and(Option::is_none)
+    }
+
+    /// What came of an ask that lately ended.
+    pub(crate) fn answer(&self, id: GoalId) -> Option<Result<(), ActionError>> {
+        self.ended.get(&id).cloned().flatten()
+    }
+}
+
+/// See the [module](self).
+pub(crate) struct People;
+
+impl System for People {
+    fn name(&self) -> &'static str {
+        "people"
+    }
+
+    fn reads(&self) -> Vec<Kind> {
+        kinds![Beside, Body, DrawerOpen, Whereabouts]
+    }
+
+    fn writes(&self) -> Vec<Kind> {
+        kinds![Asks, Custody, HandsBusy, Handovers, Label, Pace, Who]
+    }
+
+    fn furnish(&self, floor: &mut Floor, setup: &WorldSetup) {
+        floor.furnish(Asks::default());
+        for (index, person) in setup.people.iter().enumerate() {
+            let mut pace = ChaCha8Rng::seed_from_u64(setup.seed);
+            pace.set_stream(index as u64);
+            floor.spawn_person(person, pace);
+        }
+    }
+
+    fn ask(&self, floor: &mut Floor, id: GoalId, ask: &PersonAsk) -> bool {
+        floor.take_ask(id, ask);
+        true
+    }
+
+    fn dismiss(&self, floor: &mut Floor, id: GoalId) {
+        floor.withdraw(id);
+    }
+
+    fn wake(&self, floor: &mut Floor, Wake { number, .. }: Wake) {
+        floor.handed_over(AskNumber(number));
+    }
+
+    fn observe(&self, floor: &mut Floor, what: &Happening) {
+        if matches!(what, Happening::GoalEnded { .. }) {
+            floor.serve_asks();
+        }
+    }
+}
+
+impl Floor {
+    fn spawn_person(&mut self, person: &Person, pace: ChaCha8Rng) {
+        let place = self.map.index(&person.place).expect("checked: the place is on the map");
+        let hands = self.spawn();
+        self.give(hands, Who { name: person.name.clone(), role: person.role.clone(), place });
+        self.give(hands, HandsBusy(false));
+        self.give(hands, Pace(pace));
+        self.people.insert(person.name.clone(), hands);
+        for sample in &person.samples {
+            self.spawn_sample(sample.clone(), Holder::Hands(hands));
+        }
+    }
+
     /// Takes an ask, or answers at once why nobody can do it; an id that was seen before changes nothing.
-    pub(super) fn take_ask(&mut self, id: GoalId, ask: &PersonAsk) {
-        if self.asks.ids.contains_key(&id) || self.asks.ended.contains_key(&id) {
+    fn take_ask(&mut self, id: GoalId, ask: &PersonAsk) {
+        if self.own::<Asks>().knows(id) {
             return;
         }
         match self.who_will_do(ask) {
             Ok(into) => {
-                let number = AskNumber(self.asks.next);
-                self.asks.next += 1;
-                self.asks.ids.insert(id, number);
-                self.asks.open.insert(number, Ask { id, role: ask.role.clone(), into, under_way: None });
+                self.own_mut::<Asks>().open(Ask { id, role: ask.role.clone(), into, under_way: None });
                 self.serve_asks();
             }
             Err(error) => {
-                let event = self.end_ask(id, Err(error));
-                self.say(event);
+                self.end_ask(id, Err(error));
             }
         }
     }
 
     /// Withdraws an ask: nobody waits any longer, and nothing is said. One that was withdrawn before it was heard of is not
     /// served when it comes.
-    pub(super) fn withdraw(&mut self, id: GoalId) {
-        if self.asks.ended.contains_key(&id) {
+    fn withdraw(&mut self, id: GoalId) {
+        if self.own::<Asks>().ended.contains_key(&id) {
             return;
         }
-        let number = self.asks.ids.get(&id);
-        if let Some(handing) = number.and_then(|number| self.asks.open.get(number)?.under_way) {
+        let handing = self.own::<Asks>().under_way(id);
+        if let Some(handing) = handing {
             self.queue.take_back(handing.ends);
             self.get_mut::<HandsBusy>(handing.person).0 = false;
         }
@@ -102,8 +206,9 @@ impl World {
         if !CAN.contains(&ask.task.task_type.as_str()) {
             return unknown(format!("a {} cannot {}; can: {}", ask.role, ask.task.task_type, CAN.join(", ")));
         }
-        if self.asks.open.len() >= self.limits.asks_max {
-            let message = format!("{} asks are waiting already", self.asks.open.len());
+        let waiting = self.own::<Asks>().open.len();
+        if waiting >= self.limits.asks_max {
+            let message = format!("{waiting} asks are waiting already");
             return Err(refused(ErrorCode::Busy, message));
         }
         let wanted = ask.task.parameters.get(INTO_ROLE);
@@ -120,18 +225,18 @@ impl World {
     }
 
     /// Begins to hand over wherever what an ask waits for has come about, earlier asks first.
-    pub(super) fn serve_asks(&mut self) {
-        let waiting: Vec<AskNumber> =
-            self.asks.open.iter().filter(|(_, ask)| ask.under_way.is_none()).map(|(number, _)| *number).collect();
+    fn serve_asks(&mut self) {
+        let waiting = self.own::<Asks>().waiting();
         for number in waiting {
-            let Some((person, robot)) = self.asks.open.get(&number).and_then(|ask| self.met(ask)) else { continue };
+            let met = self.own::<Asks>().open.get(&number).and_then(|ask| self.met(ask));
+            let Some((person, robot)) = met else { continue };
             let (least, most) = (self.durations.person_min_s, self.durations.person_max_s);
             let takes = self.get_mut::<Pace>(person).0.random_range(least..=most);
-            let ends = self.queue.arrange(self.now + takes, Due::HandedOver(number));
+            let ends = self.arrange(self.now + takes, person, number.0);
             self.get_mut::<HandsBusy>(person).0 = true;
             let name = self.get::<Who>(person).name.clone();
             self.note(Happening::HandsOut { person: name, robot: self.name(robot) });
-            if let Some(ask) = self.asks.open.get_mut(&number) {
+            if let Some(ask) = self.own_mut::<Asks>().open.get_mut(&number) {
                 ask.under_way = Some(HandingOver { person, robot, ends });
             }
         }
@@ -153,16 +258,15 @@ impl World {
     }
 
     /// The time a person took is over: what she hands over changes hands, if the robot is still there for it.
-    pub(super) fn handed_over(&mut self, number: AskNumber) -> Option<BodyEvent> {
-        let ask = self.asks.open.get_mut(&number)?;
-        let (id, handing) = (ask.id, ask.under_way.take()?);
+    fn handed_over(&mut self, number: AskNumber) {
+        let done = self.own_mut::<Asks>().open.get_mut(&number).and_then(|ask| Some((ask.id, ask.under_way.take()?)));
+        let Some((id, handing)) = done else { return };
         self.get_mut::<HandsBusy>(handing.person).0 = false;
-        let event = (self.ready_at(handing.robot) == Some(handing.person)).then(|| {
+        if self.ready_at(handing.robot) == Some(handing.person) {
             let result = self.put_in(handing);
-            self.end_ask(id, result)
-        });
+            self.end_ask(id, result);
+        }
         self.serve_asks();
-        event
     }
 
     fn put_in(&mut self, handing: HandingOver) -> Result<(), ActionError> {
@@ -176,32 +280,13 @@ impl World {
         Ok(())
     }
 
-    fn end_ask(&mut self, id: GoalId, result: Result<(), ActionError>) -> BodyEvent {
+    fn end_ask(&mut self, id: GoalId, result: Result<(), ActionError>) {
         self.close(id, Some(result.clone()));
-        BodyEvent::PersonEnded { ask: id, result }
+        self.say(BodyEvent::PersonEnded { ask: id, result });
     }
 
     fn close(&mut self, id: GoalId, result: Option<Result<(), ActionError>>) {
-        if let Some(number) = self.asks.ids.remove(&id) {
-            self.asks.open.remove(&number);
-        }
-        if self.asks.ended.insert(id, result).is_none() {
-            self.asks.ended_order.push_back(id);
-        }
-        if self.asks.ended.len() > self.limits.asks_max
-            && let Some(oldest) = self.asks.ended_order.pop_front()
-        {
-            self.asks.ended.remove(&oldest);
-        }
-    }
-
-    /// Whether an ask was lately withdrawn.
-    pub(super) fn was_withdrawn(&self, id: GoalId) -> bool {
-        self.asks.ended.get(&id).is_some_and(Option::is_none)
-    }
-
-    /// What came of an ask that lately ended.
-    pub(super) fn answer_to(&self, id: GoalId) -> Option<Result<(), ActionError>> {
-        self.asks.ended.get(&id).cloned().flatten()
+        let kept = self.limits.asks_max;
+        self.own_mut::<Asks>().close(id, result, kept);
     }
 }

@@ -1,133 +1,72 @@
-//! Where a body is, as a function of time.
+//! Driving to a pose: a straight line at the robot's own speed, the same in every direction.
 //!
-//! A drive is a straight line at the robot's own speed, the same in every direction: its position is computed from when
-//! it began, and its end is an entry in the queue. Robots may pass through one another.
+//! Its position is computed from when it began, and its end is an entry in the queue: a robot under way costs nothing.
+//! Robots may pass through one another.
 
-use super::components::{Beside, Body, Departures};
-use super::{World, actions::refused};
-use crate::map::{Map, PlaceIndex, limits};
+use crate::map::{PlaceIndex, limits};
+use crate::world::components::{Beside, Body, Departures};
+use crate::world::floor::Floor;
+use crate::world::reach::refused;
+use crate::world::setup::RobotBody;
+use crate::world::system::{Kind, System, kinds};
+use crate::world::whereabouts::{Drive, Spot, Stretch, Whereabouts};
 use consort_protocol::ids::PlaceId;
 use consort_protocol::pose::Pose;
-use consort_protocol::units::Metres;
-use consort_skills::actions::{ActionError, ErrorCode};
+use consort_skills::actions::{ActionError, ErrorCode, Feedback, Goal};
 use hecs::Entity;
 
 /// A pose given for a place must be this close to where the map has it; more is a robot with another map.
-pub(super) const SAME_SPOT_M: f64 = 0.1;
+const SAME_SPOT_M: f64 = 0.1;
 
-/// What a robot's position means on the map.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) enum Spot {
-    /// At a place.
-    Place(PlaceIndex),
-    /// In the middle of a lane, after this share of its length from `from` to `to`.
-    Lane { from: PlaceIndex, to: PlaceIndex, share: f64 },
-    /// Anywhere on the floor, having last passed `near`.
-    Floor { near: PlaceIndex },
-}
+/// See the [module](self).
+pub(crate) struct Driving;
 
-/// Where a robot is.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) enum Whereabouts {
-    Standing { spot: Spot, pose: Pose },
-    Driving(Drive),
-}
-
-/// A straight line under way.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct Drive {
-    /// Where it stood when it began.
-    start_spot: Spot,
-    start_pose: Pose,
-    began: f64,
-    /// Where it will stand.
-    end_spot: Spot,
-    end_pose: Pose,
-    pub(super) ends: f64,
-    length_m: f64,
-    /// The part of a lane it follows, if it does.
-    lane: Option<Stretch>,
-}
-
-/// Part of a lane: the lane's ends, and the shares of its length where the part begins and ends.
-type Stretch = (PlaceIndex, PlaceIndex, f64, f64);
-
-impl Drive {
-    /// Share of the drive done, from 0 to 1.
-    fn share(&self, time: f64) -> f64 {
-        if time >= self.ends { 1.0 } else { ((time - self.began) / (self.ends - self.began)).clamp(0.0, 1.0) }
+impl System for Driving {
+    fn name(&self) -> &'static str {
+        "driving"
     }
 
-    fn pose(&self, time: f64) -> Pose {
-        let (a, b, share) = (self.start_pose, self.end_pose, self.share(time));
-        if share >= 1.0 {
-            return b;
-        }
-        let (dx, dy) = (b.x - a.x, b.y - a.y);
-        let yaw = if share > 0.0 && (dx, dy) != (0.0, 0.0) { dy.atan2(dx) } else { a.yaw };
-        Pose::new(a.x + dx * share, a.y + dy * share, yaw)
+    fn reads(&self) -> Vec<Kind> {
+        kinds![Body]
     }
 
-    pub(super) fn remaining(&self, time: f64) -> Metres {
-        Metres::new(self.length_m * (1.0 - self.share(time))).unwrap_or(Metres::ZERO)
+    fn writes(&self) -> Vec<Kind> {
+        kinds![Whereabouts, Departures, Beside]
     }
 
-    /// Where it stands if it stops now.
-    fn spot(&self, time: f64) -> Spot {
-        let share = self.share(time);
-        match self.lane {
-            _ if share <= 0.0 => self.start_spot,
-            _ if share >= 1.0 => self.end_spot,
-            Some((from, to, first, last)) => Spot::Lane { from, to, share: first + (last - first) * share },
-            None => Spot::Floor { near: self.start_spot.last_place() },
+    fn equip(&self, floor: &mut Floor, robot: Entity, _body: &RobotBody) {
+        floor.give(robot, Departures(0));
+    }
+
+    fn begin(&self, floor: &mut Floor, robot: Entity, goal: &Goal) -> Option<Result<f64, ActionError>> {
+        let Goal::NavigateToPose { pose, place } = goal else { return None };
+        let drive = floor.plan_drive(robot, *pose, place.as_ref());
+        Some(drive.map(|drive| {
+            floor.set_off(robot, drive);
+            drive.ends
+        }))
+    }
+
+    fn finish(&self, floor: &mut Floor, robot: Entity, _goal: &Goal) -> Result<(), ActionError> {
+        floor.stand_still(robot);
+        Ok(())
+    }
+
+    fn halt(&self, floor: &mut Floor, robot: Entity, _goal: &Goal) {
+        floor.stand_still(robot);
+    }
+
+    fn feedback(&self, floor: &Floor, robot: Entity, _goal: &Goal, usual: Feedback) -> Feedback {
+        match &*floor.get::<Whereabouts>(robot) {
+            Whereabouts::Driving(drive) => Feedback { distance_remaining: drive.remaining(floor.now), ..usual },
+            Whereabouts::Standing { .. } => usual,
         }
     }
 }
 
-impl Spot {
-    /// The place, or the last one passed.
-    pub(super) fn last_place(self) -> PlaceIndex {
-        match self {
-            Spot::Place(place) => place,
-            Spot::Lane { from, .. } => from,
-            Spot::Floor { near } => near,
-        }
-    }
-
-    /// For people: `at IC Room 1`, `between Dock and Crossing`.
-    pub(super) fn describe(self, map: &Map) -> String {
-        let name = |place| &map.at(place).id;
-        match self {
-            Spot::Place(place) => format!("at {}", name(place)),
-            Spot::Lane { from, to, .. } => format!("between {} and {}", name(from), name(to)),
-            Spot::Floor { near } => format!("off the lanes near {}", name(near)),
-        }
-    }
-}
-
-impl Whereabouts {
-    pub(super) fn pose(&self, time: f64) -> Pose {
-        match self {
-            Whereabouts::Standing { pose, .. } => *pose,
-            Whereabouts::Driving(drive) => drive.pose(time),
-        }
-    }
-
-    pub(super) fn spot(&self, time: f64) -> Spot {
-        match self {
-            Whereabouts::Standing { spot, .. } => *spot,
-            Whereabouts::Driving(drive) => drive.spot(time),
-        }
-    }
-}
-
-impl World {
-    pub(super) fn spot(&self, robot: Entity) -> Spot {
-        self.get::<Whereabouts>(robot).spot(self.now)
-    }
-
+impl Floor {
     /// Plans a straight line to a pose or place; nothing moves yet.
-    pub(super) fn drive(&self, robot: Entity, pose: Pose, place: Option<&PlaceId>) -> Result<Drive, ActionError> {
+    fn plan_drive(&self, robot: Entity, pose: Pose, place: Option<&PlaceId>) -> Result<Drive, ActionError> {
         let body = &self.get::<Body>(robot).0;
         if !body.mobile {
             return Err(refused(ErrorCode::NoRoute, format!("{} cannot drive", body.id)));
@@ -200,16 +139,18 @@ impl World {
     }
 
     /// Sets a robot in motion. Whoever it was beside, it is no longer.
-    pub(super) fn set_off(&mut self, robot: Entity, drive: Drive) {
+    fn set_off(&mut self, robot: Entity, drive: Drive) {
         *self.get_mut::<Whereabouts>(robot) = Whereabouts::Driving(drive);
         if drive.length_m > 0.0 {
-            *self.get_mut::<Beside>(robot) = Beside::Nobody;
+            if let Some(mut beside) = self.find_mut::<Beside>(robot) {
+                *beside = Beside::Nobody;
+            }
             self.get_mut::<Departures>(robot).0 += 1;
         }
     }
 
     /// Lets a robot stand where it is now, whether it was driving or not.
-    pub(super) fn stand_still(&mut self, robot: Entity) {
+    fn stand_still(&mut self, robot: Entity) {
         let mut whereabouts = self.get_mut::<Whereabouts>(robot);
         *whereabouts = Whereabouts::Standing { spot: whereabouts.spot(self.now), pose: whereabouts.pose(self.now) };
     }

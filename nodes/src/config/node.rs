@@ -1,0 +1,40 @@
+//! What the files of all nodes have in common, whatever the node is for.
+
+use super::read::settle_path;
+use super::{BusConfig, ConfigFile, FleetRef};
+use consort_protocol::ids::NodeId;
+use std::path::{Path, PathBuf};
+
+/// The file of one node.
+pub trait NodeFile: ConfigFile {
+    /// The node's name.
+    fn node(&self) -> NodeId;
+
+    /// What the node works with and among.
+    fn surroundings(&mut self) -> Surroundings<'_>;
+}
+
+/// The part of a node's file that says what the node works with and among.
+pub struct Surroundings<'a> {
+    /// Where it keeps what it has promised.
+    pub data_dir: &'a mut Option<PathBuf>,
+    /// The fleet that it belongs to.
+    pub fleet: &'a mut FleetRef,
+    /// Where it is on the network.
+    pub bus: &'a mut BusConfig,
+}
+
+impl Surroundings<'_> {
+    /// Makes paths relative to `folder`, where the file lies.
+    pub(super) fn settle(self, folder: &Path) {
+        self.fleet.settle(folder);
+        settle_path(self.data_dir, folder);
+    }
+}
+
+/// What is wrong with the fleet or the bus of a node's file.
+pub(super) fn problems_around(fleet: &FleetRef, bus: &BusConfig) -> Vec<String> {
+    let mut problems = fleet.problems();
+    problems.extend(bus.problems());
+    problems
+}

@@ -1,0 +1,139 @@
+//! Results as tidy rows: one for each trial, in CSV.
+
+use super::outcome::EndState;
+use super::policy::Policy;
+use serde::{Deserialize, Serialize};
+
+/// Whether something is done to the fleet during a trial.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Treatment {
+    /// Nothing.
+    Calm,
+    /// The coordinator is killed at a random moment.
+    CoordinatorKilled,
+}
+
+impl Treatment {
+    /// As in files.
+    pub const fn as_str(self) -> &'static str {
+        match self {
+            Treatment::Calm => "calm",
+            Treatment::CoordinatorKilled => "coordinator-killed",
+        }
+    }
+}
+
+/// One trial. The names of the fields are the header, in this order; what is not known is empty.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct TrialRow {
+    /// The trial's name, unique in the design.
+    pub trial: String,
+    /// The mission.
+    pub mission: String,
+    /// The scenario.
+    pub scenario: String,
+    /// Level of the factor speed; empty in scenarios without.
+    pub speed: String,
+    /// Level of the factor charge.
+    pub charge: String,
+    /// Level of the factor discharge rate.
+    pub discharge: String,
+    /// Level of the factor location.
+    pub location: String,
+    /// Level of the factor skills.
+    pub skills: String,
+    /// The policy.
+    pub policy: Policy,
+    /// What was done to the fleet.
+    pub treatment: Treatment,
+    /// Counted from 1.
+    pub repetition: u32,
+    /// How it ended.
+    pub end_state: EndState,
+    /// Time to conclude in seconds of world time; of successes only.
+    pub ttc_s: Option<f64>,
+    /// What the chosen robots' bids promised, in seconds: the longest of them.
+    pub predicted_s: Option<f64>,
+    /// Least charge of an assigned mobile robot, as a share of a full battery.
+    pub lowest_share: Option<f64>,
+    /// The robots that were chosen, by role: `r1=ada lab_arm=arm`.
+    pub robots: String,
+    /// What else there is to say.
+    pub note: String,
+}
+
+/// Writes rows with their header.
+///
+/// # Errors
+/// The writer's.
+pub fn write(rows: &[TrialRow], to: impl std::io::Write) -> Result<(), csv::Error> {
+    let mut writer = csv::Writer::from_writer(to);
+    for row in rows {
+        writer.serialize(row)?;
+    }
+    writer.flush()?;
+    Ok(())
+}
+
+/// Reads what [`write()`] wrote.
+///
+/// # Errors
+/// [`csv::Error`] names the line and the field that is not as it should be, an unknown or missing column among them.
+pub fn read(from: impl std::io::Read) -> Result<Vec<TrialRow>, csv::Error> {
+    csv::Reader::from_reader(from).into_deserialize().collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn row() -> TrialRow {
+        let level = |name: &str| name.to_owned();
+        TrialRow {
+            trial: "lab-samples/aaaab/consort/calm/1".into(),
+            mission: "lab-samples".into(),
+            scenario: "aaaab".into(),
+            speed: level("a"),
+            charge: level("a"),
+            discharge: level("a"),
+            location: level("b"),
+            skills: level("a"),
+            policy: Policy::Consort,
+            treatment: Treatment::CoordinatorKilled,
+            repetition: 1,
+            end_state: EndState::Success,
+            ttc_s: Some(0.1 + 0.2),
+            predicted_s: None,
+            lowest_share: Some(0.31),
+            robots: "r1=ada lab_arm=arm".into(),
+            note: "two, \"three\"".into(),
+        }
+    }
+
+    #[test]
+    fn what_is_written_reads_back_to_the_bit() {
+        let rows = [row(), TrialRow { end_state: EndState::TimeoutSim, ttc_s: None, ..row() }];
+        let mut text = vec![];
+        write(&rows, &mut text).unwrap();
+        assert_eq!(read(text.as_slice()).unwrap(), rows);
+        let header = String::from_utf8(text).unwrap().lines().next().unwrap().to_owned();
+        assert_eq!(
+            header,
+            "trial,mission,scenario,speed,charge,discharge,location,skills,policy,treatment,repetition,end_state,ttc_s,\
+             predicted_s,lowest_share,robots,note"
+        );
+    }
+
+    #[test]
+    fn another_form_is_refused_with_its_line() {
+        let mut text = vec![];
+        write(&[row()], &mut text).unwrap();
+        let text = String::from_utf8(text).unwrap();
+        let error = read(text.replace(",success,", ",triumph,").as_bytes()).unwrap_err().to_string();
+        assert!(error.contains("line: 2") && error.contains("triumph"), "{error}");
+        let error = read(text.replacen("ttc_s", "ttc", 1).as_bytes()).unwrap_err().to_string();
+        assert!(error.contains("unknown field `ttc`"), "{error}");
+    }
+}

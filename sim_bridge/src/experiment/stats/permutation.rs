@@ -1,0 +1,165 @@
+//! Permutation tests: how often chance alone would have given as much (Fisher 1935; Pitman 1937).
+
+use super::{Alternative, StatsError, differences, mean, sample, variance};
+use rand::seq::SliceRandom;
+use rand::{Rng, RngExt, SeedableRng};
+use rand_chacha::ChaCha8Rng;
+use serde::Serialize;
+
+/// Up to this many pairs that differ, all ways to swap them are tried: 65,536.
+const EXACT_PAIRS: usize = 16;
+
+/// What a permutation test found.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct Permutation {
+    /// The share of rearrangements that are at least as extreme as what was seen. The data as they are count as one, so
+    /// it is never 0 (Phipson and Smyth 2010).
+    pub p: f64,
+    /// How many rearrangements were tried.
+    pub tried: u64,
+    /// Whether these were all there are.
+    pub exact: bool,
+}
+
+/// A test of pairs: within each pair, which is first is left to chance. Exact for up to 16 pairs that differ,
+/// else by `draws` rearrangements from `seed`.
+///
+/// # Errors
+/// [`StatsError`] for fewer than two pairs.
+pub fn permute_paired(
+    first: &[f64],
+    second: &[f64],
+    alternative: Alternative,
+    draws: u32,
+    seed: u64,
+) -> Result<Permutation, StatsError> {
+    // A pair of equals adds nothing, whichever way round.
+    let differences: Vec<f64> = differences(first, second)?.into_iter().filter(|d| *d != 0.0).collect();
+    let seen: f64 = differences.iter().sum();
+    let extreme = AsExtreme::than(seen, alternative, differences.iter().map(|d| d.abs()).sum());
+    if differences.len() <= EXACT_PAIRS {
+        let all = 1_u64 << differences.len();
+        let signed = |swaps: u64| {
+            differences.iter().enumerate().map(|(i, d)| if swaps >> i & 1 == 1 { -d } else { *d }).sum::<f64>()
+        };
+        let hits = (0..all).filter(|swaps| extreme.is(signed(*swaps))).count();
+        return Ok(Permutation { p: hits as f64 / all as f64, tried: all, exact: true });
+    }
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    let mut swapped = || differences.iter().map(|d| if rng.random::<bool>() { -d } else { *d }).sum::<f64>();
+    Ok(sampled(draws, || extreme.is(swapped())))
+}
+
+/// A test of two samples: who belongs to which is left to chance, by `draws` rearrangements from `seed`. The statistic is
+/// Welch's t, so that unequal spreads alone are not taken for a difference (Janssen 1997).
+///
+/// # Errors
+/// [`StatsError`] for samples of fewer than two values.
+pub fn permute_two_samples(
+    first: &[f64],
+    second: &[f64],
+    alternative: Alternative,
+    draws: u32,
+    seed: u64,
+) -> Result<Permutation, StatsError> {
+    sample(first, 2)?;
+    sample(second, 2)?;
+    let mut all: Vec<f64> = first.iter().chain(second).copied().collect();
+    let extreme = AsExtreme::than(studentised(first, second), alternative, 1.0);
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    Ok(sampled(draws, || {
+        shuffle_front(&mut all, first.len(), &mut rng);
+        let (first, second) = all.split_at(first.len());
+        extreme.is(studentised(first, second))
+    }))
+}
+
+/// Leaves a random choice of values in front, which is all that a rearrangement needs.
+fn shuffle_front(values: &mut [f64], front: usize, rng: &mut impl Rng) {
+    let _ = values.partial_shuffle(rng, front);
+    // The chosen ones come to the end.
+    let end = values.len() - front;
+    values.rotate_left(end);
+}
+
+fn studentised(first: &[f64], second: &[f64]) -> f64 {
+    let part = |values: &[f64]| variance(values) / values.len() as f64;
+    let difference = mean(first) - mean(second);
+    if difference == 0.0 { 0.0 } else { difference / (part(first) + part(second)).sqrt() }
+}
+
+fn sampled(draws: u32, mut is_hit: impl FnMut() -> bool) -> Permutation {
+    let hits = (0..draws).filter(|_| is_hit()).count();
+    Permutation { p: (hits as f64 + 1.0) / (f64::from(draws) + 1.0), tried: draws.into(), exact: false }
+}
+
+/// Whether a statistic is at least as extreme as the one seen.
+struct AsExtreme {
+    seen: f64,
+    alternative: Alternative,
+    /// Sums of the same numbers in another order differ by rounding; that is no difference.
+    slack: f64,
+}
+
+impl AsExtreme {
+    fn than(seen: f64, alternative: Alternative, scale: f64) -> AsExtreme {
+        AsExtreme { seen, alternative, slack: 1e-12 * scale }
+    }
+
+    fn is(&self, statistic: f64) -> bool {
+        match self.alternative {
+            Alternative::TwoSided => statistic.abs() >= self.seen.abs() - self.slack,
+            Alternative::Greater => statistic >= self.seen - self.slack,
+            Alternative::Less => statistic <= self.seen + self.slack,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::samples::{SLEEP, UNEQUAL};
+    use super::super::{paired, welch};
+    use super::*;
+    use proptest::prelude::*;
+
+    #[test]
+    fn the_exact_test_agrees_with_the_published_one() {
+        // scipy 1.17: permutation_test(.., permutation_type="samples", n_resamples=inf).
+        let found = permute_paired(&SLEEP[0], &SLEEP[1], Alternative::TwoSided, 0, 0).unwrap();
+        assert_eq!((found.p, found.exact), (0.003_906_25, true));
+    }
+
+    #[test]
+    fn sampled_tests_come_near_the_t_tests_and_repeat_by_their_seed() {
+        let (first, second) = (&UNEQUAL[0], &UNEQUAL[1]);
+        let found = permute_two_samples(first, second, Alternative::TwoSided, 20_000, 7).unwrap();
+        let expected = welch(first, second, Alternative::TwoSided).unwrap().p;
+        assert!((found.p - expected).abs() < 0.005, "{found:?}, t-test {expected}");
+        assert_eq!(found, permute_two_samples(first, second, Alternative::TwoSided, 20_000, 7).unwrap());
+
+        let [a, b] = [0, 1].map(|side| SLEEP[side].repeat(2));
+        let found = permute_paired(&a, &b, Alternative::Less, 20_000, 7).unwrap();
+        assert!(!found.exact && found.p < 0.001, "{found:?}");
+        assert!(paired(&a, &b, Alternative::Less).unwrap().p < 0.001);
+    }
+
+    #[test]
+    fn pairs_that_are_all_equal_show_nothing() {
+        assert_eq!(permute_paired(&[1.0; 40], &[1.0; 40], Alternative::Greater, 9, 1).unwrap().p, 1.0);
+    }
+
+    proptest! {
+        #[test]
+        fn asking_the_other_way_round_gives_the_same_answer(
+            pairs in prop::collection::vec((0..9_i32, 0..9_i32), 2..12),
+        ) {
+            let (a, b): (Vec<f64>, Vec<f64>) = pairs.iter().map(|(a, b)| (f64::from(*a), f64::from(*b))).unzip();
+            let ask = |a: &[f64], b: &[f64], alternative| permute_paired(a, b, alternative, 0, 0).unwrap().p;
+            let (greater, less) = (ask(&a, &b, Alternative::Greater), ask(&b, &a, Alternative::Less));
+            prop_assert!((greater - less).abs() < 1e-12);
+            let both = ask(&a, &b, Alternative::TwoSided);
+            prop_assert!((both - ask(&b, &a, Alternative::TwoSided)).abs() < 1e-12);
+            prop_assert!(both > 0.0 && both <= 1.0);
+        }
+    }
+}

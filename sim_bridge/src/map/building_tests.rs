@@ -1,0 +1,171 @@
+//! Levels, doors and lifts: sound ones, and all that can be wrong with others.
+
+use super::*;
+use consort_protocol::units::Seconds;
+
+const CLINIC: &str = "
+name: clinic
+levels:
+  - { name: ground }
+  - { name: first, elevation_m: 4, walls: [[[0, 5], [9, 5]]] }
+walls: [[[0, 0], [9, 0]], [[0, 3], [9, 3]]]
+places:
+  - { name: Hall, kind: corridor, x_m: 0, y_m: 1 }
+  - { name: Ward, kind: room, x_m: 8, y_m: 1 }
+  - { name: Lift 0, kind: other, x_m: 0, y_m: 2 }
+  - { name: Lift 1, kind: other, x_m: 0, y_m: 2, level: first }
+  - { name: Station, kind: charger, x_m: 4, y_m: 2, level: first }
+lanes:
+  - { between: [Hall, Ward], speed_limit_mps: 0.5, facing: backward }
+  - { between: [Hall, Lift 0] }
+  - { between: [Lift 1, Station] }
+doors:
+  - { name: Near, on: [[Ward, Hall]], opening_s: 2.5, span: [[2, 0], [2, 2]] }
+  - { name: Middle, on: [[Hall, Ward]] }
+lifts:
+  - { name: Lift A, stops: [Lift 0, Lift 1], capacity: 2, opening_s: 3, speed_mps: 0.5 }
+";
+
+fn clinic() -> Map {
+    read(CLINIC, "clinic.yaml").unwrap()
+}
+
+fn place(name: &str) -> PlaceId {
+    PlaceId::new(name).unwrap()
+}
+
+fn seconds(value: f64) -> Seconds {
+    Seconds::new(value).unwrap()
+}
+
+fn problems(text: &str) -> Vec<String> {
+    read(text, "bad.yaml").unwrap_err().to_string().lines().map(str::to_owned).collect()
+}
+
+#[test]
+fn places_and_walls_are_on_the_levels_they_say_and_else_on_the_first() {
+    let map = clinic();
+    let level = |name| map.level_named(name).unwrap();
+    assert_eq!(map.levels()[1], Level { name: "first".into(), elevation_m: 4.0 });
+    assert_eq!(map.level_indices().collect::<Vec<_>>(), [level("ground"), level("first")]);
+    assert_eq!(map.level_of(&place("Hall")), Some(level("ground")));
+    assert_eq!(map.level_of(&place("Station")), Some(level("first")));
+    assert_eq!(map.place(&place("Station")).unwrap().kind, PlaceKind::Charger);
+    assert_eq!(map.walls_on(level("ground")).count(), 2);
+    assert_eq!(map.walls_on(level("first")).collect::<Vec<_>>(), [[(0.0, 5.0), (9.0, 5.0)]]);
+    assert_eq!(map.walls().len(), 3);
+    assert_eq!(map.lanes_on(level("first")).map(|lane| lane.to.as_str()).collect::<Vec<_>>(), ["Station"]);
+}
+
+#[test]
+fn a_map_without_levels_is_one_ground_floor() {
+    let map = shipped("hospital").unwrap();
+    assert_eq!(map.levels(), [Level { name: GROUND.into(), elevation_m: 0.0 }]);
+    assert_eq!(map.walls_on(LevelIndex::default()).count(), map.walls().len());
+}
+
+#[test]
+fn doors_are_met_in_the_order_of_the_way() {
+    let map = clinic();
+    let met = |from, to| -> Vec<(String, f64)> {
+        let doors = map.doors_on(&place(from), &place(to));
+        doors.iter().map(|met| (met.door.name.clone(), met.at)).collect()
+    };
+    assert_eq!(met("Hall", "Ward"), [("Near".to_owned(), 0.25), ("Middle".to_owned(), 0.5)]);
+    assert_eq!(met("Ward", "Hall"), [("Middle".to_owned(), 0.5), ("Near".to_owned(), 0.75)]);
+    assert_eq!(met("Hall", "Lift 0"), []);
+    assert_eq!(met("Hall", "Station"), []);
+    let near = map.door("Near").unwrap();
+    assert_eq!((near.opening, &near.lanes), (seconds(2.5), &vec![(place("Hall"), place("Ward"))]));
+    assert_eq!(map.door("Middle").unwrap().opening, seconds(3.0));
+}
+
+#[test]
+fn a_ride_takes_the_doors_twice_and_the_height_at_the_lifts_speed() {
+    let map = clinic();
+    let (low, high) = (place("Lift 0"), place("Lift 1"));
+    let ride = map.ride(&high, &low).unwrap();
+    assert_eq!((ride.lift.name.as_str(), ride.time, ride.lift.capacity), ("Lift A", seconds(14.0), 2));
+    assert_eq!(map.ride(&low, &low), None);
+    assert_eq!(map.ride(&low, &place("Hall")), None);
+    assert_eq!(map.lift_at(&low), map.lift("Lift A"));
+    assert_eq!(map.lift_at(&place("Hall")), None);
+}
+
+#[test]
+fn a_lane_keeps_its_speed_limit_and_the_way_robots_face() {
+    let map = clinic();
+    let lane = map.lane(&place("Ward"), &place("Hall")).unwrap();
+    assert_eq!((lane.speed_limit, lane.facing), (MetresPerSecond::new(0.5).ok(), Some(Facing::Backward)));
+    assert_eq!(lane.facing.map(Facing::reversed), Some(Facing::Forward));
+}
+
+#[test]
+fn what_is_written_is_read_back_the_same() {
+    let written: MapFile = serde_saphyr::from_str(CLINIC).unwrap();
+    let yaml = serde_saphyr::to_string(&written).unwrap();
+    assert_eq!(read(&yaml, "again.yaml").unwrap(), clinic());
+}
+
+#[test]
+fn without_its_lift_a_level_is_cut_off() {
+    let without = CLINIC.split("lifts:").next().unwrap();
+    assert_eq!(
+        problems(without),
+        [
+            "map bad.yaml: place \"Lift 1\" is cut off from the rest of the map",
+            "map bad.yaml: place \"Station\" is cut off from the rest of the map",
+        ]
+    );
+}
+
+#[test]
+fn all_that_is_wrong_with_levels_doors_and_lifts_is_said() {
+    let text = CLINIC
+        .replace("  - { name: first,", "  - { name: ground }\n  - { name: first,")
+        .replace("level: first }\nlanes", "level: firs }\nlanes")
+        .replace("speed_limit_mps: 0.5", "speed_limit_mps: 0")
+        .replace("[Lift 1, Station]", "[Hall, Lift 1]");
+    let text = text.split("doors:").next().unwrap().to_owned()
+        + "
+doors:
+  - { name: ' x', on: [[Hall, Lift 0]] }
+  - { name: None, on: [] }
+  - { name: Slow, on: [[Hall, Lift 0]], opening_s: -1 }
+  - { name: Slow, on: [[Hall, Lift 0]] }
+  - { name: Lost, on: [[Hall, Wart]] }
+  - { name: Astray, on: [[Lift 0, Ward]] }
+  - { name: Beside, on: [[Hall, Lift 0]], span: [[3, 0], [3, 2]] }
+lifts:
+  - { name: Low, stops: [Hall, Ward] }
+  - { name: Lost, stops: [Lift 0, Lift 9] }
+  - { name: Nobody, stops: [Lift 0, Lift 1], capacity: 0 }
+  - { name: Good, stops: [Lift 0, Lift 1] }
+  - { name: Taken, stops: [Lift 0, Lift 1] }
+  - { name: Still, stops: [Hall, Lift 1], speed_mps: 0 }
+";
+    assert_eq!(
+        problems(&text),
+        [
+            "level \"ground\" stands more than once",
+            "place \"Station\": there is no level \"firs\"; did you mean \"first\"?",
+            "lane between \"Hall\" and \"Ward\": speed limit is 0 m/s, allowed is a number above 0",
+            "lane between \"Hall\" and \"Lift 1\": its ends are on levels \"ground\" and \"first\"; only a lift joins levels",
+            "\" x\" cannot name a door: allowed are 1 to 64 characters, none of them a control character, without space at either end",
+            "door \"None\" is on no lane",
+            "door \"Slow\": opening_s is -1, allowed is a number from 0 to 3600",
+            "door \"Slow\" stands more than once",
+            "door \"Lost\": there is no lane between \"Hall\" and \"Wart\"; there is no place \"Wart\"; did you mean \"Ward\"?",
+            "door \"Astray\": there is no lane between \"Lift 0\" and \"Ward\"; lanes from \"Lift 0\" lead to \"Hall\"",
+            "door \"Beside\": lane between \"Hall\" and \"Lift 0\" does not lead between its posts",
+            "lift \"Low\" has stops on 1 level(s) only, needed are two or more",
+            "lift \"Lost\": there is no place \"Lift 9\"; did you mean \"Lift 0\"?",
+            "lift \"Nobody\": capacity is 0, allowed is a number of robots from 1",
+            "lift \"Taken\": place \"Lift 0\" is a stop of lift \"Good\" already",
+            "lift \"Taken\": place \"Lift 1\" is a stop of lift \"Good\" already",
+            "lift \"Still\": speed_mps is 0, allowed is a number from 0.01 to 100",
+            "lift \"Still\": place \"Lift 1\" is a stop of lift \"Good\" already",
+        ]
+        .map(|problem| format!("map bad.yaml: {problem}"))
+    );
+}

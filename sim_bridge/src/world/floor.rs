@@ -1,0 +1,191 @@
+//! The floor: what there is, what time it is, and what is due.
+//!
+//! Systems act on it and on nothing else. What a system asks of another it says in orders, which are carried out in turn
+//! once it has ended; so no system calls another.
+
+use super::journal::{Happening, Journal};
+use super::names::{PersonName, SampleId};
+use super::queue::{Queue, Ticket};
+use super::setup::{Durations, WorldLimits};
+use super::system::{Kind, System, Wake};
+use crate::map::Map;
+use consort_protocol::ids::RobotId;
+use consort_skills::actions::{ActionError, BodyEvent};
+use hecs::{Component, Entity, Ref, RefMut};
+use std::collections::{BTreeMap, VecDeque};
+
+/// What falls due at an instant.
+pub(crate) enum Due {
+    /// Say what was decided earlier.
+    Say(Box<BodyEvent>),
+    /// A robot's goal reaches its end.
+    GoalEnds(Entity),
+    /// A system, by its place among those of this world, wanted to be woken.
+    Wake(usize, Wake),
+}
+
+/// What a system asks of the world.
+pub(crate) enum Order {
+    /// Say it.
+    Say(BodyEvent),
+    /// Write it down.
+    Note(Happening),
+    /// The goal under way, if there is one, cannot go on.
+    BreakOff(Entity, ActionError),
+}
+
+/// A system at work: its place among those of this world, and what it may get at.
+struct AtWork {
+    place: usize,
+    name: &'static str,
+    reads: Vec<Kind>,
+    writes: Vec<Kind>,
+}
+
+/// See the [module](self).
+pub(crate) struct Floor {
+    pub(crate) map: Map,
+    /// Seconds since the world began.
+    pub(crate) now: f64,
+    pub(crate) robots: BTreeMap<RobotId, Entity>,
+    pub(crate) people: BTreeMap<PersonName, Entity>,
+    pub(crate) samples: BTreeMap<SampleId, Entity>,
+    pub(crate) durations: Durations,
+    pub(crate) limits: WorldLimits,
+    pub(crate) queue: Queue<Due>,
+    pub(crate) orders: VecDeque<Order>,
+    /// What happened and was not yet shown to the systems.
+    pub(crate) news: VecDeque<Happening>,
+    pub(super) journal: Journal,
+    store: hecs::World,
+    /// The entity whose components belong to the floor as a whole.
+    here: Entity,
+    at_work: Option<AtWork>,
+}
+
+impl Floor {
+    pub(super) fn new(map: Map, durations: Durations, limits: WorldLimits) -> Floor {
+        let mut store = hecs::World::new();
+        let here = store.spawn(());
+        Floor {
+            map,
+            now: 0.0,
+            robots: BTreeMap::new(),
+            people: BTreeMap::new(),
+            samples: BTreeMap::new(),
+            durations,
+            limits,
+            queue: Queue::new(),
+            orders: VecDeque::new(),
+            news: VecDeque::new(),
+            journal: Journal::default(),
+            store,
+            here,
+            at_work: None,
+        }
+    }
+
+    /// Lets a system, the one at `place`, do something; it is held to the components that it named.
+    pub(super) fn let_work<T>(&mut self, place: usize, system: &dyn System, work: impl FnOnce(&mut Floor) -> T) -> T {
+        // The lists are for the check alone.
+        let (reads, writes) = if cfg!(debug_assertions) { (system.reads(), system.writes()) } else { (vec![], vec![]) };
+        let before = self.at_work.replace(AtWork { place, name: system.name(), reads, writes });
+        let done = work(self);
+        self.at_work = before;
+        done
+    }
+
+    /// An entity without components.
+    pub(crate) fn spawn(&mut self) -> Entity {
+        self.store.spawn(())
+    }
+
+    /// Gives an entity a component, in the place of one of the same type if it has it.
+    pub(crate) fn give<T: Component>(&mut self, entity: Entity, component: T) {
+        self.check(Kind::of::<T>(), true);
+        self.store.insert_one(entity, component).expect("entities stay");
+    }
+
+    /// Reads a component of an entity that has it by construction.
+    pub(crate) fn get<T: Component>(&self, entity: Entity) -> Ref<'_, T> {
+        self.find(entity).unwrap_or_else(|| panic!("an entity was given no {}", Kind::of::<T>().name()))
+    }
+
+    /// Writes a component of an entity that has it by construction.
+    pub(crate) fn get_mut<T: Component>(&self, entity: Entity) -> RefMut<'_, T> {
+        self.find_mut(entity).unwrap_or_else(|| panic!("an entity was given no {}", Kind::of::<T>().name()))
+    }
+
+    /// Reads a component, if the entity has it.
+    pub(crate) fn find<T: Component>(&self, entity: Entity) -> Option<Ref<'_, T>> {
+        self.check(Kind::of::<T>(), false);
+        self.store.get::<&T>(entity).ok()
+    }
+
+    /// Writes a component, if the entity has it.
+    pub(crate) fn find_mut<T: Component>(&self, entity: Entity) -> Option<RefMut<'_, T>> {
+        self.check(Kind::of::<T>(), true);
+        self.store.get::<&mut T>(entity).ok()
+    }
+
+    /// Reads a component of the floor itself.
+    pub(crate) fn own<T: Component>(&self) -> Ref<'_, T> {
+        self.get(self.here)
+    }
+
+    /// Writes a component of the floor itself.
+    pub(crate) fn own_mut<T: Component>(&self) -> RefMut<'_, T> {
+        self.get_mut(self.here)
+    }
+
+    /// Gives the floor itself a component.
+    pub(crate) fn furnish<T: Component>(&mut self, component: T) {
+        self.give(self.here, component);
+    }
+
+    /// Whether the floor itself has a component: whether the system that brings it is one of this world's.
+    pub(crate) fn has<T: Component>(&self) -> bool {
+        self.store.satisfies::<&T>(self.here)
+    }
+
+    /// Has the system at work woken at an instant.
+    pub(crate) fn arrange(&mut self, time: f64, about: Entity, number: u64) -> Ticket {
+        let place = self.at_work.as_ref().expect("only systems arrange things").place;
+        self.queue.arrange(time, Due::Wake(place, Wake { about, number }))
+    }
+
+    /// The goal that a robot has under way, if any, cannot go on.
+    pub(crate) fn break_off(&mut self, robot: Entity, why: ActionError) {
+        self.orders.push_back(Order::BreakOff(robot, why));
+    }
+
+    /// Notes what happened once what was ordered before has been done.
+    pub(crate) fn note_then(&mut self, what: Happening) {
+        self.orders.push_back(Order::Note(what));
+    }
+
+    /// Tells the outside.
+    pub(crate) fn say(&mut self, event: BodyEvent) {
+        self.orders.push_back(Order::Say(event));
+    }
+
+    /// Writes down what happened, and shows it to all systems.
+    pub(crate) fn note(&mut self, what: Happening) {
+        self.journal.write(self.now, what.clone(), self.limits.history_kept);
+        self.news.push_back(what);
+    }
+
+    fn check(&self, kind: Kind, writes: bool) {
+        if let Some(at_work) = self.at_work.as_ref().filter(|_| cfg!(debug_assertions)) {
+            at_work.check(kind, writes);
+        }
+    }
+}
+
+impl AtWork {
+    fn check(&self, kind: Kind, writes: bool) {
+        let allowed = self.writes.contains(&kind) || !writes && self.reads.contains(&kind);
+        let does = if writes { "writes" } else { "reads" };
+        assert!(allowed, "system {} {does} {}, which it does not name", self.name, kind.name());
+    }
+}

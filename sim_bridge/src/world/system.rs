@@ -1,0 +1,118 @@
+//! What a system is: one thing that happens on the floor, in a file of its own.
+//!
+//! A system has no state: all it knows is in components of entities, or in components of the floor itself. It says which
+//! it reads and which it writes, and can get at no others ([`Floor`] sees to that wherever debug assertions are on). A world
+//! is made of the systems that its setup names; a new one is a file in `systems/` and a line in [`systems::ALL`].
+//!
+//! | it is asked | when |
+//! |---|---|
+//! | [`furnish`](System::furnish), [`equip`](System::equip) | the floor, or a robot on it, comes to be |
+//! | [`permit`](System::permit) | any goal is to begin |
+//! | [`begin`](System::begin), [`finish`](System::finish), [`halt`](System::halt) | a goal that it carries out begins, reaches its end, is broken off |
+//! | [`ask`](System::ask), [`dismiss`](System::dismiss) | somebody asks a person for something, or no longer does |
+//! | [`wake`](System::wake) | an instant has come that it arranged |
+//! | [`observe`](System::observe) | something happened, by whatever system |
+//!
+//! [`systems::ALL`]: super::systems::ALL
+
+use super::floor::Floor;
+use super::journal::Happening;
+use super::setup::{RobotBody, WorldSetup};
+use consort_skills::actions::{ActionError, Feedback, Goal, GoalId, PersonAsk};
+use hecs::{Component, Entity};
+use std::any::TypeId;
+
+/// A type of component.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) struct Kind {
+    id: TypeId,
+    name: &'static str,
+}
+
+impl Kind {
+    /// The type of `T`.
+    pub(crate) fn of<T: Component>() -> Kind {
+        Kind { id: TypeId::of::<T>(), name: std::any::type_name::<T>() }
+    }
+
+    /// Its name, without its path.
+    pub(crate) fn name(self) -> &'static str {
+        self.name.rsplit("::").next().unwrap_or(self.name)
+    }
+}
+
+/// The types named, as [`Kind`]s.
+macro_rules! kinds {
+    ($($component:ty),* $(,)?) => { vec![$($crate::world::system::Kind::of::<$component>()),*] };
+}
+pub(crate) use kinds;
+
+/// What a system arranged for an instant to come, for itself.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) struct Wake {
+    /// The entity it is about.
+    pub(crate) about: Entity,
+    /// Whatever the system tells its wakes apart by.
+    pub(crate) number: u64,
+}
+
+/// One thing that happens on the floor.
+pub(crate) trait System: Sync {
+    /// What setups call it.
+    fn name(&self) -> &'static str;
+
+    /// The components it looks at, beside those that it writes.
+    fn reads(&self) -> Vec<Kind>;
+
+    /// The components it changes.
+    fn writes(&self) -> Vec<Kind>;
+
+    /// Gives the floor itself what the system needs.
+    fn furnish(&self, _floor: &mut Floor, _setup: &WorldSetup) {}
+
+    /// Gives a new robot what the system needs.
+    fn equip(&self, _floor: &mut Floor, _robot: Entity, _body: &RobotBody) {}
+
+    /// Whether a robot may begin a goal as far as this system is concerned, whoever carries it out.
+    ///
+    /// # Errors
+    /// Why it may not.
+    fn permit(&self, _floor: &Floor, _robot: Entity, _goal: &Goal) -> Result<(), ActionError> {
+        Ok(())
+    }
+
+    /// Begins a goal: when it will end, or why it cannot begin; `None` if this system does not carry out such goals.
+    fn begin(&self, _floor: &mut Floor, _robot: Entity, _goal: &Goal) -> Option<Result<f64, ActionError>> {
+        None
+    }
+
+    /// The goal has come to its end: brings about what it is for, if it still can.
+    ///
+    /// # Errors
+    /// Why it cannot: nothing has changed then.
+    fn finish(&self, _floor: &mut Floor, _robot: Entity, _goal: &Goal) -> Result<(), ActionError> {
+        Ok(())
+    }
+
+    /// The goal under way is broken off: leaves everything as it is now.
+    fn halt(&self, _floor: &mut Floor, _robot: Entity, _goal: &Goal) {}
+
+    /// How far a goal under way has come: `usual` is what is known of any goal.
+    fn feedback(&self, _floor: &Floor, _robot: Entity, _goal: &Goal, usual: Feedback) -> Feedback {
+        usual
+    }
+
+    /// Takes an ask of a person; false if this system knows nothing of people.
+    fn ask(&self, _floor: &mut Floor, _id: GoalId, _ask: &PersonAsk) -> bool {
+        false
+    }
+
+    /// Withdraws an ask.
+    fn dismiss(&self, _floor: &mut Floor, _id: GoalId) {}
+
+    /// An instant that it arranged with [`Floor::arrange`].
+    fn wake(&self, _floor: &mut Floor, _wake: Wake) {}
+
+    /// Something happened.
+    fn observe(&self, _floor: &mut Floor, _what: &Happening) {}
+}

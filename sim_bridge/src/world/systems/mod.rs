@@ -1,0 +1,32 @@
+//! What can happen on a floor, a file each.
+
+mod arm;
+mod company;
+mod drawer;
+mod driving;
+pub(crate) mod people;
+pub(crate) mod power;
+mod waiting;
+
+use super::system::System;
+
+/// All systems that there are, in the order in which they hear of things.
+static ALL: [&dyn System; 7] = [
+    &driving::Driving,
+    &waiting::Waiting,
+    &company::Company,
+    &drawer::Drawer,
+    &arm::Arm,
+    &power::Power,
+    &people::People,
+];
+
+/// The names of all systems that there are, in the order in which they hear of things.
+pub fn system_names() -> impl Iterator<Item = &'static str> {
+    ALL.iter().map(|system| system.name())
+}
+
+/// The system of a name.
+pub(crate) fn of_name(name: &str) -> Option<&'static dyn System> {
+    ALL.into_iter().find(|system| system.name() == name)
+}
