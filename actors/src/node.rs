@@ -8,7 +8,7 @@
 use crate::allegiance::{Allegiance, ClusterBus};
 use crate::answer;
 use crate::attendant::{Attendant, AttendantSettings};
-use crate::autopilot::{self, Farewell, LeaveError, Leaver};
+use crate::autopilot::{Bootstrap, Farewell, LeaveError, Leaver};
 use crate::body::{Body, BodyLinkSettings, Host, HostSettings};
 use crate::bus::{BusError, Query, SharedBus, Stream};
 use crate::clock::Clock;
@@ -28,6 +28,7 @@ use consort_protocol::keys::{Key, Keys};
 use consort_protocol::knowledge::{Knowledge, Worker};
 use consort_protocol::lease::LeaseTerms;
 use consort_protocol::ledger::{Command, Ledger};
+use consort_protocol::message::Founder;
 use consort_protocol::mission::Domain;
 use consort_skills::actions::BodyHost;
 use consort_skills::descriptor::Estimator;
@@ -59,12 +60,12 @@ pub struct FleetSettings {
     /// After how long a held role none of whose steps ends, although it waits for nobody, is taken from its holder; zero for
     /// never.
     pub stall_after: Duration,
-    /// Nodes that may vote and must have met before the first election. All nodes that are started together count: a node
-    /// that has met so many founds the fleet's ledger, with those it has met.
+    /// Nodes that may vote and must have met, and agree on one of them, before it founds the fleet's ledger. If it is not more
+    /// than half of all, parts of the fleet that do not hear each other may found one each.
     pub bootstrap_expect: usize,
     /// How fast it notices and reacts.
     pub timing: Timing,
-    /// Voters that the autopilot aims at: odd, up to [`autopilot::VOTERS_MAX`].
+    /// Voters that the autopilot aims at: odd, up to [`crate::autopilot::VOTERS_MAX`].
     pub voters: usize,
     /// How long a voter must be gone until the autopilot replaces it.
     pub dead_after: Duration,
@@ -417,9 +418,19 @@ async fn assemble(
             // A root that has gone needs not be told.
             let _ = root.send_message(NodeMessage::LedgerFailed(problem));
         });
-        let founding = (replica.clone(), shared.clone(), fleet.bootstrap_expect, fleet.voters);
-        let (replica, knowledge, expect, target) = founding;
-        tasks.spawn(autopilot::bootstrap(node.clone(), replica, knowledge, expect, target));
+        let asked = bus.serve(&keys.write(&Key::Found(node.clone()))).await?;
+        let bootstrap = Bootstrap {
+            me: Founder { mobile: !settings.stationary, on_battery: !settings.mains_powered, node: node.clone() },
+            keys: keys.clone(),
+            bus: bus.clone(),
+            replica: replica.clone(),
+            knowledge: shared.clone(),
+            allegiance: allegiance.clone(),
+            expect: fleet.bootstrap_expect,
+            target: fleet.voters,
+            answers_within: times.window,
+        };
+        tasks.spawn(bootstrap.run(asked));
     }
 
     if let Some(host) = settings.host {

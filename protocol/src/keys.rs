@@ -22,6 +22,8 @@ pub enum Key {
     Swim(NodeId),
     /// `wire/raft/{member}/{call}`: consensus calls to a member, by its number.
     Raft(u64, RaftCall),
+    /// `wire/found/{node}`: before it founds a ledger, a node asks whether anybody knows better.
+    Found(NodeId),
     /// `wire/beacon`: the coordinator publishes that it coordinates.
     Beacon,
     /// `wire/bid/{robot}`: the coordinator asks for bids.
@@ -180,7 +182,7 @@ impl KeyKind {
                 ("swim", _) => KeyKind::Swim,
                 ("raft", Some("beat")) => KeyKind::RaftBeat,
                 ("raft", Some("append")) => KeyKind::RaftAppend,
-                ("raft", _) => KeyKind::Raft,
+                ("raft" | "found", _) => KeyKind::Raft,
                 ("beacon", _) => KeyKind::Beacon,
                 ("body", Some("state")) => KeyKind::BodyState,
                 ("body", _) => KeyKind::BodyCommand,
@@ -253,6 +255,11 @@ impl Keys {
         format!("{}/wire/raft/{member:016x}/*", self.prefix)
     }
 
+    /// Key expression that asks all nodes that may vote whether one may found a ledger.
+    pub fn any_found(&self) -> String {
+        format!("{}/wire/found/*", self.prefix)
+    }
+
     /// Key expression for all views.
     pub fn any_view(&self) -> String {
         format!("{}/view/**", self.prefix)
@@ -287,6 +294,7 @@ impl fmt::Display for Key {
             Key::Gossip(node) => write!(f, "wire/gossip/{node}"),
             Key::Swim(node) => write!(f, "wire/swim/{node}"),
             Key::Raft(member, call) => write!(f, "wire/raft/{member:016x}/{}", call.word()),
+            Key::Found(node) => write!(f, "wire/found/{node}"),
             Key::Beacon => f.write_str("wire/beacon"),
             Key::Bid(robot) => write!(f, "wire/bid/{robot}"),
             Key::Award(robot) => write!(f, "wire/award/{robot}"),
@@ -323,6 +331,7 @@ fn read(text: &str) -> Option<Key> {
         ["wire", "raft", member, call] if member.len() == 16 => {
             Key::Raft(u64::from_str_radix(member, 16).ok()?, RaftCall::read(call)?)
         }
+        ["wire", "found", node] => Key::Found(node.parse().ok()?),
         ["wire", "beacon"] => Key::Beacon,
         ["wire", "bid", robot] => Key::Bid(robot.parse().ok()?),
         ["wire", "award", robot] => Key::Award(robot.parse().ok()?),
@@ -363,6 +372,7 @@ mod tests {
             Key::Knowledge(node.clone()),
             Key::Gossip(node.clone()),
             Key::Swim(node.clone()),
+            Key::Found(node.clone()),
             Key::Beacon,
             Key::Bid(robot.clone()),
             Key::Award(robot.clone()),
@@ -430,7 +440,8 @@ mod tests {
         for text in [keys.any_bid(), keys.any_signal(), keys.write(&Key::Beacon), keys.write(&Key::Changed)] {
             assert!(keys.is_within_cluster(&text), "{text}");
         }
-        for text in [keys.any_knowledge(), keys.any_raft(7), keys.any_view(), "consort/warden/wire/beacon".to_owned()] {
+        let warden = "consort/warden/wire/beacon".to_owned();
+        for text in [keys.any_knowledge(), keys.any_raft(7), keys.any_found(), keys.any_view(), warden] {
             assert!(!keys.is_within_cluster(&text), "{text}");
         }
     }

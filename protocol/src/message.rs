@@ -4,6 +4,7 @@
 //! |---|---|---|---|---|
 //! | `wire/knowledge/{node}` | publish | node → all | [`Statement`] | – |
 //! | `wire/gossip/{node}` | query | node → node | [`Exchange`] | [`Exchange`] |
+//! | `wire/found/*` | query | founder → nodes that may vote | [`Founder`] | [`FoundingAnswer`] |
 //! | `wire/beacon` | publish | coordinator → all | [`Beacon`] | – |
 //! | `wire/bid/*` | query | coordinator → robots | [`CallForBids`](crate::auction::CallForBids) | [`Tender`](crate::auction::Tender) |
 //! | `wire/award/{robot}` | query | coordinator → robot | [`AwardNotice`] | [`AwardAnswer`] |
@@ -57,6 +58,30 @@ pub struct Exchange {
     pub digest: Digest,
     /// What the sender thinks the other lacks, as much as fits a message.
     pub records: Vec<Record>,
+}
+
+/// Asks whether its sender may found the fleet's ledger. Ordered by who is to keep a ledger rather: one that stays where it is
+/// before one that moves, one on mains power before one on a battery, then by name.
+#[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+pub struct Founder {
+    /// Whether it moves about.
+    pub mobile: bool,
+    /// Whether it lives on a battery.
+    pub on_battery: bool,
+    /// Its name.
+    pub node: NodeId,
+}
+
+/// What a node says to a [`Founder`].
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub enum FoundingAnswer {
+    /// It will found none for a while, and lets nobody else.
+    Agreed,
+    /// There is a ledger, or it has left it to somebody else to found one.
+    Refused {
+        /// Which, or who, in words.
+        reason: String,
+    },
 }
 
 /// The coordinator's sign of life.

@@ -12,8 +12,8 @@ use consort_protocol::ledger::{
     Branch, Command, Ledger, MissionState, Outcome, Priority, Recovery, Refused, Stranded, Submission,
 };
 use consort_protocol::message::{
-    AwardAnswer, AwardNotice, Beacon, Changed, Exchange, FailureKind, Live, LivePlan, Report, ReportAnswer, Said,
-    Statement, TaskFailure, Within,
+    AwardAnswer, AwardNotice, Beacon, Changed, Exchange, FailureKind, Founder, FoundingAnswer, Live, LivePlan, Report,
+    ReportAnswer, Said, Statement, TaskFailure, Within,
 };
 use consort_protocol::mission::{
     Body, Method, Mission, OnLoss, Order, OtherMethod, Role, RoleKind, TaskNode, TaskSpec,
@@ -444,6 +444,9 @@ proptest! {
         survives(&Within { cluster: Some(ClusterId(term)), said: vec![1, 2, 3] })?;
         survives(&Said { mission: mission.clone(), epoch, signals: signals.clone() })?;
         survives(&Beacon { node: node.clone(), term, voters, since_ms: term, cluster: (term % 2 == 0).then_some(ClusterId(term)) })?;
+        let founder = Founder { mobile: term % 2 == 0, on_battery: term % 3 == 0, node: node.clone() };
+        survives(&FoundingAnswer::Refused { reason: founder.node.to_string() })?;
+        survives(&founder)?;
         survives(&Changed { node, term })?;
         let live = LivePlan { mission, branch, plan, ended, holders, told: signals };
         survives(&Live { cluster: Some(ClusterId(term)), count: 1, plans: vec![live] })?;
@@ -470,6 +473,8 @@ proptest! {
         harmless::<Ledger>(&bytes);
         harmless::<Said>(&bytes);
         harmless::<Beacon>(&bytes);
+        harmless::<Founder>(&bytes);
+        harmless::<FoundingAnswer>(&bytes);
         harmless::<Changed>(&bytes);
         harmless::<Live>(&bytes);
     }

@@ -1,12 +1,17 @@
 //! Two halves of a fleet that founded a ledger each: nothing merges, both say so, and each goes on.
 
 use consort_protocol::event::Happening;
-use consort_protocol::ids::ClusterId;
+use consort_protocol::ids::{ClusterId, NodeId};
 use consort_protocol::keys::{ApiCall, Key};
 use consort_tests::{Stations, slug, tell};
+use rand::seq::SliceRandom as _;
+use rand::{RngExt as _, SeedableRng as _};
+use rand_chacha::ChaCha8Rng;
 use serde_json::Value;
+use std::cell::RefCell;
 use std::collections::BTreeSet;
 use std::time::Duration;
+use tokio::time::Instant;
 
 const ONE: [&str; 3] = ["aster", "basil", "clove"];
 const OTHER: [&str; 3] = ["daisy", "elder", "fennel"];
@@ -112,5 +117,95 @@ fn a_newcomer_that_two_clusters_court_belongs_to_one_of_them() {
             }
         }
         fleet.submit("gorse", "after").await;
+    });
+}
+
+const FIVE: [&str; 5] = ["aster", "basil", "clove", "daisy", "elder"];
+
+/// Five nodes that are started within milliseconds of one another, fixed and mobile ones, in an order and at distances in
+/// time that the seed draws. One after the other is linked to the rest, up to `link_up` after the first.
+async fn all_at_once(seed: u64, expect: usize, link_up: Duration) -> Stations {
+    let mut rng = ChaCha8Rng::seed_from_u64(seed);
+    let mut fleet = Stations::none(seed, expect);
+    let mut names = FIVE;
+    names.shuffle(&mut rng);
+    let unlinked = |names: &[&str]| names.iter().map(|name| [slug(name)]).collect::<Vec<[NodeId; 1]>>();
+    if !link_up.is_zero() {
+        fleet.network.partition(unlinked(&names));
+    }
+    for name in names {
+        tokio::time::sleep(Duration::from_micros(rng.random_range(0..5000))).await;
+        match rng.random_bool(0.5) {
+            true => fleet.start(name).await,
+            false => fleet.start_mobile(name).await,
+        }
+    }
+    if !link_up.is_zero() {
+        names.shuffle(&mut rng);
+        let began = Instant::now();
+        let mut at: Vec<Duration> = names.iter().map(|_| rng.random_range(Duration::ZERO..link_up)).collect();
+        at.sort();
+        for (linked, at) in at.into_iter().enumerate() {
+            tokio::time::sleep_until(began + at).await;
+            fleet.network.partition(unlinked(&names[linked + 1..]));
+        }
+        fleet.network.heal();
+    }
+    fleet
+}
+
+/// Tells how long it takes until all belong to one cluster. Nobody may ever belong to another.
+async fn one_cluster(fleet: &Stations) -> Duration {
+    let began = Instant::now();
+    let looks = |fleet: &Stations| {
+        let known: Vec<ClusterId> = clusters(fleet).into_iter().flatten().collect();
+        assert!(known.len() < 2, "seed {}: {known:?}", fleet.seed);
+        (known.len(), clusters(fleet).contains(&None))
+    };
+    fleet.until("all belong to one cluster", |fleet| looks(fleet) == (1, false)).await;
+    let took = began.elapsed();
+    let end = Instant::now() + Duration::from_secs(5);
+    fleet.until("nobody to found another", |fleet| looks(fleet) == (1, false) && Instant::now() >= end).await;
+    took
+}
+
+#[test]
+fn five_that_start_at_once_found_one_cluster_however_few_they_expect() {
+    for expect in [1, 2, 5] {
+        let took = RefCell::new(vec![]);
+        tell(0..60, async |seed| {
+            let fleet = all_at_once(seed, expect, Duration::ZERO).await;
+            took.borrow_mut().push(one_cluster(&fleet).await);
+        });
+        let mut took = took.into_inner();
+        took.sort_unstable();
+        // They listen for 600 ms; the question is one round trip.
+        assert!(took[30] < Duration::from_millis(700), "expecting {expect}: {took:?}");
+    }
+}
+
+#[test]
+fn five_whose_links_come_up_while_they_listen_found_one_cluster_however_few_they_expect() {
+    for expect in [1, 2, 5] {
+        tell(100..160, async |seed| {
+            let fleet = all_at_once(seed, expect, Duration::from_millis(550)).await;
+            one_cluster(&fleet).await;
+        });
+    }
+}
+
+#[test]
+fn a_node_that_comes_while_another_founds_does_not_found_as_well() {
+    // It would be the first of the two. It starts before the other has founded, and has listened until after.
+    tell(200..260, async |seed| {
+        let mut rng = ChaCha8Rng::seed_from_u64(seed);
+        let mut fleet = Stations::none(seed, 1);
+        fleet.start("elder").await;
+        tokio::time::sleep(Duration::from_millis(rng.random_range(0..620))).await;
+        fleet.network.partition([[slug("aster")]]);
+        fleet.start("aster").await;
+        tokio::time::sleep(Duration::from_millis(rng.random_range(0..590))).await;
+        fleet.network.heal();
+        one_cluster(&fleet).await;
     });
 }

@@ -12,9 +12,10 @@
 mod bootstrap;
 mod decide;
 mod departure;
+mod founding;
 mod perform;
 
-pub(crate) use bootstrap::bootstrap;
+pub(crate) use bootstrap::Bootstrap;
 pub use decide::{Change, Health, Member, View, decide};
 pub use departure::{Farewell, LeaveError, Leaver};
 pub use perform::Done;

@@ -30,10 +30,12 @@ pub struct FleetConfig {
     pub name: FleetId,
     /// The map: the name of one that is shipped (`hospital`, the default), or the path of a file.
     pub map: String,
-    /// Nodes that may vote and must have met before the ledger is founded, for the first time of all: as many as are
-    /// started together. A node that hears of a ledger of this fleet's name founds none, and listens for 0.6 s before it
-    /// founds one; but nodes that do not hear each other and expect too few found a ledger each, and the two never merge.
-    /// Default 1, for a start on one machine, one node after the other.
+    /// Nodes that may vote and must have met, and agree on one of them, before it founds the ledger, for the first time of all:
+    /// as many as are started together. A node that hears of a ledger of this fleet's name founds none; it listens for 0.6 s
+    /// before it founds one, and asks all that it can reach. So nodes that reach each other have one ledger, however few they
+    /// expect. Parts of a fleet that do not hear each other at all found one each if each has as many as are expected, and
+    /// the two never merge: only more than half of all nodes excludes that. Default 1, for a start on one machine, one node
+    /// after the other.
     pub bootstrap_expect: usize,
     /// How fast the fleet notices and reacts: `lan` (default) for wired machines, `wifi` for links that lose messages.
     pub timing: Timing,
