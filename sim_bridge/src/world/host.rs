@@ -78,6 +78,10 @@ impl BodyHost for World {
         self.goal_of(*self.robots.get(robot)?, id)
     }
 
+    fn asks(&self) -> Vec<GoalId> {
+        self.open_asks()
+    }
+
     fn answer(&self, id: GoalId) -> Option<Result<(), ActionError>> {
         self.answer_to(id)
     }

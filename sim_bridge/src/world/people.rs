@@ -195,6 +195,11 @@ impl World {
         }
     }
 
+    /// The asks that have not ended, earlier ones first.
+    pub(super) fn open_asks(&self) -> Vec<GoalId> {
+        self.asks.open.values().map(|ask| ask.id).collect()
+    }
+
     /// Whether an ask was lately withdrawn.
     pub(super) fn was_withdrawn(&self, id: GoalId) -> bool {
         self.asks.ended.get(&id).is_some_and(Option::is_none)
