@@ -239,9 +239,13 @@ fn command() -> impl Strategy<Value = Command> {
     prop_oneof![
         any::<u64>().prop_map(|cluster| Command::Found { cluster: ClusterId(cluster) }),
         submission().prop_map(|submission| Command::Submit(Box::new(submission))),
-        (name(), btree_map(name(), name(), 0..3), auction_record())
-            .prop_map(|(mission, holders, auction)| Command::Award { mission, holders, auction }),
-        (name(), auction_record()).prop_map(|(mission, auction)| Command::Defer { mission, auction }),
+        (name(), branch(), btree_map(name(), name(), 0..3), auction_record())
+            .prop_map(|(mission, branch, holders, auction)| Command::Award { mission, branch, holders, auction }),
+        (name(), branch(), auction_record()).prop_map(|(mission, branch, auction)| Command::Defer {
+            mission,
+            branch,
+            auction
+        }),
         (held(), any::<u64>(), any::<bool>()).prop_map(|((mission, role, epoch), incarnation, resumes)| {
             Command::Accept { mission, role, epoch, incarnation, resumes }
         }),
