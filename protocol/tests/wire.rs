@@ -443,13 +443,14 @@ proptest! {
     fn what_roles_and_coordinators_say_survives(
         mission in name::<MissionId>(), epoch in epoch(), signals in btree_set(signal(), 0..4), node in name::<NodeId>(),
         term in any::<u64>(), voters in btree_set(name::<NodeId>(), 0..4), plan in plan(),
-        ended in btree_set(any::<u32>(), 0..4), holders in holders(), branch in branch()
+        ended in btree_set(any::<u32>(), 0..4), holders in holders(), branch in branch(),
+        vacant in btree_set(name::<RoleId>(), 0..3)
     ) {
         survives(&Within { cluster: Some(ClusterId(term)), said: vec![1, 2, 3] })?;
         survives(&Said { mission: mission.clone(), epoch, signals: signals.clone() })?;
         survives(&Beacon { node: node.clone(), term, voters, since_ms: term, cluster: (term % 2 == 0).then_some(ClusterId(term)) })?;
         survives(&Changed { node, term })?;
-        let live = LivePlan { mission, branch, plan, ended, holders, told: signals };
+        let live = LivePlan { mission, branch, plan, ended, holders, vacant, told: signals };
         survives(&Live { cluster: Some(ClusterId(term)), count: 1, plans: vec![live] })?;
     }
 

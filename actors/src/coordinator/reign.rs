@@ -529,8 +529,8 @@ fn unmanaged(entry: &MissionEntry) -> Vec<LivePlan> {
     roles
         .filter_map(|(id, role)| {
             let (mission, plan) = (entry.id.clone(), entry.plan(id)?.clone());
-            let (branch, holders, told) = (entry.branch, entry.holdings(), entry.told(id));
-            Some(LivePlan { mission, branch, plan, ended: role.ended.clone(), holders, told })
+            let (branch, holders, vacant, told) = (entry.branch, entry.holdings(), entry.open_roles(), entry.told(id));
+            Some(LivePlan { mission, branch, plan, ended: role.ended.clone(), holders, vacant, told })
         })
         .collect()
 }
