@@ -239,9 +239,13 @@ fn command() -> impl Strategy<Value = Command> {
     prop_oneof![
         any::<u64>().prop_map(|cluster| Command::Found { cluster: ClusterId(cluster) }),
         submission().prop_map(|submission| Command::Submit(Box::new(submission))),
-        (name(), btree_map(name(), name(), 0..3), auction_record())
-            .prop_map(|(mission, holders, auction)| Command::Award { mission, holders, auction }),
-        (name(), auction_record()).prop_map(|(mission, auction)| Command::Defer { mission, auction }),
+        (name(), branch(), btree_map(name(), name(), 0..3), auction_record())
+            .prop_map(|(mission, branch, holders, auction)| Command::Award { mission, branch, holders, auction }),
+        (name(), branch(), auction_record()).prop_map(|(mission, branch, auction)| Command::Defer {
+            mission,
+            branch,
+            auction
+        }),
         (held(), any::<u64>(), any::<bool>()).prop_map(|((mission, role, epoch), incarnation, resumes)| {
             Command::Accept { mission, role, epoch, incarnation, resumes }
         }),
@@ -439,7 +443,8 @@ proptest! {
     fn what_roles_and_coordinators_say_survives(
         mission in name::<MissionId>(), epoch in epoch(), signals in btree_set(signal(), 0..4), node in name::<NodeId>(),
         term in any::<u64>(), voters in btree_set(name::<NodeId>(), 0..4), plan in plan(),
-        ended in btree_set(any::<u32>(), 0..4), holders in holders(), branch in branch()
+        ended in btree_set(any::<u32>(), 0..4), holders in holders(), branch in branch(),
+        vacant in btree_set(name::<RoleId>(), 0..3)
     ) {
         survives(&Within { cluster: Some(ClusterId(term)), said: vec![1, 2, 3] })?;
         survives(&Said { mission: mission.clone(), epoch, signals: signals.clone() })?;
@@ -448,7 +453,7 @@ proptest! {
         survives(&FoundingAnswer::Refused { reason: founder.node.to_string() })?;
         survives(&founder)?;
         survives(&Changed { node, term })?;
-        let live = LivePlan { mission, branch, plan, ended, holders, told: signals };
+        let live = LivePlan { mission, branch, plan, ended, holders, vacant, told: signals };
         survives(&Live { cluster: Some(ClusterId(term)), count: 1, plans: vec![live] })?;
     }
 

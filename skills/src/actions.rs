@@ -273,6 +273,10 @@ pub trait BodyHost: Send + Sync {
     /// What a goal of a robot, under way or lately ended, asks for; `None` if unknown.
     fn goal(&self, robot: &RobotId, id: GoalId) -> Option<Goal>;
 
+    /// The asks that have not ended, in the order in which they were made: for a host that is started anew while people are
+    /// asked.
+    fn asks(&self) -> Vec<GoalId>;
+
     /// What came of an ask; `None` for one that has not ended, was withdrawn, or ended long ago.
     fn answer(&self, id: GoalId) -> Option<Result<(), ActionError>>;
 

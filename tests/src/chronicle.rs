@@ -39,8 +39,8 @@ pub enum Entry {
     Acknowledged {
         /// The client.
         node: NodeId,
-        /// The request.
-        request: String,
+        /// The request's name, if the client gave it one.
+        request: Option<String>,
         /// The mission that it stands for.
         mission: MissionId,
     },
@@ -154,7 +154,10 @@ impl Chronicle {
             let mut what = match entry {
                 Entry::Told(event) => format!("{:?}", event.what),
                 Entry::Done { what, .. } => format!("*** {what}"),
-                Entry::Acknowledged { request, mission, .. } => format!("*** {request} acknowledged as {mission}"),
+                Entry::Acknowledged { request, mission, .. } => {
+                    let request = request.as_deref().unwrap_or("a request without a name");
+                    format!("*** {request} acknowledged as {mission}")
+                }
                 Entry::Believes { term, leads: Some(reign), .. } => format!("leads in reign {reign} (term {term})"),
                 Entry::Believes { term, leads: None, .. } => format!("does not lead (term {term})"),
                 Entry::Applied { .. } => return None,

@@ -79,6 +79,12 @@ impl Member {
         Member { skills: skills.to_vec(), ..self }
     }
 
+    /// The same robot with one more skill.
+    pub fn able_to(mut self, skill: &'static str) -> Member {
+        self.skills.push(skill);
+        self
+    }
+
     /// The same robot with a skill library of its own.
     pub fn trained(self, train: fn(&mut SkillLibrary)) -> Member {
         Member { trained: Some(train), ..self }

@@ -9,6 +9,7 @@ use consort_protocol::lease::{Ending, Epoch};
 use consort_protocol::ledger::{Branch, MissionState};
 use consort_protocol::message::{Report, ReportAnswer, Within};
 use consort_sim::world::Keeper;
+use consort_skills::actions::BodyHost;
 use consort_tests::{Fleet, Member, slug, tell};
 use serde_json::{Value, json};
 use std::collections::BTreeSet;
@@ -92,5 +93,67 @@ fn what_a_nurse_did_before_is_not_taken_for_what_she_does_in_the_recovery_branch
         assert_eq!((tasks["deposit"], tasks["deposit-2"], tasks["close-2"]), ((1, 1), (1, 1), (1, 1)), "{story}");
         assert_eq!(fleet.keeper(ROOM), Keeper::Drawer(slug("amber")), "{story}");
         assert_eq!(fleet.keeper(OTHER), Keeper::Drawer(slug("birch")), "{story}");
+    });
+}
+
+/// A mission of which the nurse's part waits for nothing that a robot says: she may be asked at once.
+fn at_her_leisure(room: &str) -> Value {
+    let mut of_robot = meeting("r1", room, "");
+    let deposit = of_robot.remove(3);
+    // It stands there with an open drawer for as long as she likes.
+    of_robot[3] = json!({ "task": "stay", "type": "wait", "roles": ["r1"], "parameters": { "seconds": "60" } });
+    json!({
+        "mission": "leisure", "roles": { "nurse": { "kind": "unmanaged" }, "r1": { "kind": "managed" } },
+        "root": { "task": "fetch", "method": "unordered", "tasks": [
+            deposit,
+            { "task": "come", "method": "sequential", "tasks": of_robot },
+        ] },
+    })
+}
+
+/// Nobody can take the role at first. She was asked at once, into the drawer of nobody; the answer failed the mission.
+#[test]
+fn a_nurse_is_asked_to_meet_a_robot_once_there_is_one_to_be_met() {
+    tell([731, 732], async |seed| {
+        let robots = vec![Member::carrier("gorse", "IC Room 4").able_to("wait")];
+        let mut fleet = Fleet::hospital(seed, robots, &["aster", "basil", "clove"], &[ROOM]).await;
+        fleet.coordinator().await;
+        fleet.kill("gorse").await;
+        let mission = submit(&mut fleet, at_her_leisure(ROOM)).await;
+        let asked = |fleet: &Fleet| fleet.happened(began("deposit"));
+        fleet.never("that she is asked for nobody", Duration::from_secs(10), asked).await;
+        assert_eq!(fleet.state(&mission).as_deref(), Some("pending"), "seed {seed}\n{}", fleet.tale());
+        fleet.start_robot("gorse").await;
+        fleet.until("that she is asked", SOON, asked).await;
+        fleet
+            .until("that gorse has the sample", SOON, |fleet| fleet.keeper(ROOM) == Keeper::Drawer(slug("gorse")))
+            .await;
+        let tasks = fleet.tasks(&mission);
+        assert_eq!(tasks["deposit"], (1, 1), "seed {seed}: {tasks:?}\n{}", fleet.tale());
+    });
+}
+
+/// The node beside the nurses dies while one is asked, and the mission is withdrawn meanwhile. Nobody knew of the ask any more:
+/// she was to hand her sample to the next robot for the mission that was over, and had none for its own.
+#[test]
+fn what_a_nurse_was_asked_for_a_mission_that_is_over_is_withdrawn_though_whoever_asked_is_gone() {
+    tell([741, 742], async |seed| {
+        let robots = vec![Member::carrier("amber", "IC Room 4").able_to("wait")];
+        let mut fleet = Fleet::hospital(seed, robots, &["post-1", "post-2", "post-3"], &[ROOM]).await;
+        fleet.coordinator().await;
+        let mission = submit(&mut fleet, at_her_leisure(ROOM)).await;
+        fleet.until("that she is asked", SOON, |fleet| fleet.happened(began("deposit"))).await;
+        let asks = |fleet: &Fleet| fleet.world.with(|world| world.asks());
+        fleet.until("that she has heard", SOON, move |fleet| !asks(fleet).is_empty()).await;
+        fleet.kill("world").await;
+        let answer = fleet.answer(ApiCall::Cancel, &json!({ "mission": mission, "by": "a nurse" })).await;
+        assert_eq!(answer["state"]["canceled"]["by"], "a nurse", "seed {seed}: {answer}");
+        assert_eq!(asks(&fleet).len(), 1, "seed {seed}: she was told by nobody");
+        fleet.start_world().await;
+        fleet.until("that she is told", Duration::from_secs(10), move |fleet| asks(fleet).is_empty()).await;
+
+        let next = fleet.submit("b", ROOM).await;
+        fleet.completes(&next).await;
+        assert_eq!(fleet.tasks(&next)["deposit"], (1, 1), "seed {seed}\n{}", fleet.tale());
     });
 }

@@ -3,6 +3,9 @@
 //! It follows the missions under way, runs each unmanaged role's local plan as far as the others' signals allow, asks the
 //! host of people to do the tasks in it, and tells the others when they have been done. One attendant in a fleet is
 //! enough, two do no harm: asks and signals have names of their own and repeating them changes nothing.
+//!
+//! It remembers nothing beyond its life. What it had asked is asked again by the next one, under the same id, if it is still
+//! wanted; else nobody repeats it, and the host of people withdraws it.
 
 mod asks;
 
@@ -234,7 +237,7 @@ impl AttendantState {
         for key in self.jobs.keys().filter(|key| !live.contains(key)).cloned().collect::<Vec<_>>() {
             self.put_down(myself, &key);
         }
-        for LivePlan { mission, branch, plan, ended, holders, told } in plans {
+        for LivePlan { mission, branch, plan, ended, holders, vacant, told } in plans {
             let key = (mission.clone(), plan.role.clone());
             match self.jobs.get(&key) {
                 // Said by a coordinator that has yet to learn of the recovery branch.
@@ -272,6 +275,7 @@ impl AttendantState {
                 self.jobs.insert(key.clone(), job);
             }
             if let Some(job) = self.jobs.get_mut(&key) {
+                job.sequencer.set_vacant(&vacant);
                 job.sequencer.hear_of(&told);
             }
             self.advance(myself, &key).await;

@@ -35,7 +35,8 @@ pub struct HostSettings {
     pub speed: f64,
     /// How often states are published while nothing changes. Default 500 ms.
     pub beat: Duration,
-    /// A body whose driver has been silent for this long stops where it is. Default 3 s.
+    /// A body whose driver has been silent for this long stops where it is, and an ask that nobody has repeated for as long
+    /// is withdrawn: longer than some beats of an attendant. Default 3 s.
     pub silence: Duration,
 }
 
@@ -64,6 +65,8 @@ pub struct HostState {
     /// World time when the host started.
     origin: WorldTime,
     bodies: BTreeMap<RobotId, BodyEntry>,
+    /// The asks that have not ended, and when they were last made.
+    asks: BTreeMap<GoalId, NodeTime>,
     number: u64,
     /// What the earliest wake-up under way is for.
     armed: Option<WorldTime>,
@@ -121,8 +124,10 @@ impl Actor for Host {
             entry.driver = (!entry.goals.is_empty()).then_some(now);
             bodies.insert(robot, entry);
         }
+        // People may be asked for attendants who speak to a former host, or who are gone.
+        let asks = world.asks().into_iter().map(|ask| (ask, now)).collect();
         let (started, origin, number) = (settings.clock.now(), world.now(), settings.clock.wall_ms() << 16);
-        Ok(HostState { settings, world, started, origin, bodies, number, armed: None, tasks })
+        Ok(HostState { settings, world, started, origin, bodies, asks, number, armed: None, tasks })
     }
 
     async fn handle(
@@ -142,6 +147,7 @@ impl Actor for Host {
             HostMessage::Due => state.armed = None,
             HostMessage::Beat => {
                 state.stop_the_undriven();
+                state.withdraw_the_unrepeated();
                 state.publish_all().await;
             }
         }
@@ -206,7 +212,10 @@ impl HostState {
     async fn ask(&mut self, query: Query) {
         let Some(ask) = answer::read::<PeopleAsk>(&query).await else { return };
         match ask.ask {
-            Some(what) => self.world.ask_person(ask.id, what),
+            Some(what) => {
+                self.world.ask_person(ask.id, what);
+                self.asks.insert(ask.id, self.settings.clock.now());
+            }
             None => self.world.dismiss_person(ask.id),
         }
         let events = self.advance();
@@ -233,6 +242,17 @@ impl HostState {
                     self.world.cancel(robot, id);
                 }
             }
+        }
+    }
+
+    /// What nobody repeats is wanted by nobody: the attendant who asked is gone, and the mission may be over. An attendant
+    /// who comes to want it again is told that it was withdrawn, and asks anew.
+    fn withdraw_the_unrepeated(&mut self) {
+        let (now, open) = (self.settings.clock.now(), self.world.asks());
+        self.asks.retain(|ask, _| open.contains(ask));
+        for (ask, _) in self.asks.iter().filter(|(_, made)| now.since(**made) > self.settings.silence) {
+            info!(ask = ask.0, "nobody repeats it: withdrawn");
+            self.world.dismiss_person(*ask);
         }
     }
 

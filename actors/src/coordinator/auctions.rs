@@ -7,8 +7,8 @@
 
 use super::actor::{CoordinatorMessage, CoordinatorSettings};
 use super::auctioneer;
-use super::duties::{Closed, Phase, Round, back_off, taken};
-use super::reign::{Reign, members, propose};
+use super::duties::{Closed, Phase, Round, back_off, may_be_called, taken};
+use super::reign::{Reign, lock, members, propose};
 use super::whereabouts::places;
 use crate::replica::ProposeError;
 use consort_protocol::auction::{
@@ -41,13 +41,17 @@ impl Reign {
         mission: &MissionId,
         now: NodeTime,
     ) {
-        let (number, hopeless) = self.rounds.get(mission).map_or((1, 0), |round| (round.number + 1, round.hopeless));
-        let roles = settings.replica.read(|ledger| {
+        let called = settings.replica.read(|ledger| {
             let entry = ledger.mission(mission)?;
             let plans = entry.open_roles().into_iter().map(|role| Some((role.clone(), entry.plan(&role)?.clone())));
-            plans.collect::<Option<BTreeMap<_, _>>>()
+            Some((entry.branch, plans.collect::<Option<BTreeMap<_, _>>>()?))
         });
-        let Some(roles) = roles.filter(|roles| !roles.is_empty()) else { return };
+        let Some((branch, roles)) = called.filter(|(_, roles)| !roles.is_empty()) else { return };
+        let former = self.rounds.get_mut(mission).map(|round| {
+            round.heed(branch, now);
+            (round.number + 1, round.hopeless)
+        });
+        let (number, hopeless) = former.unwrap_or((1, 0));
         let auction = AuctionId { mission: mission.clone(), term: self.term, round: number };
         let call = CallForBids { auction, ensemble: settings.ensemble.spec().name.clone(), roles };
         let expected: BTreeSet<RobotId> = members(settings, now).into_iter().map(RobotId::from).collect();
@@ -57,7 +61,7 @@ impl Reign {
             round: number,
             asked: expected.len(),
         });
-        self.rounds.insert(mission.clone(), Round { number, called: now, hopeless, phase: Phase::Calling });
+        self.rounds.insert(mission.clone(), Round { number, branch, called: now, hopeless, phase: Phase::Calling });
         let (bus, keys, window, to) = (settings.bus.clone(), settings.keys.clone(), settings.window, myself.clone());
         self.tasks.spawn(async move {
             let tenders = auctioneer::collect(bus, keys, call.clone(), expected.clone(), window).await;
@@ -97,7 +101,8 @@ impl Reign {
         }
         let now = settings.clock.now();
         let open = settings.replica.read(|ledger| {
-            let open = ledger.live().into_iter().filter(|entry| !entry.open_roles().is_empty());
+            let watch = lock(&self.watch);
+            let open = ledger.live().into_iter().filter(|entry| may_be_called(entry, &watch, now));
             open.map(|entry| entry.id.clone()).collect::<Vec<_>>()
         });
         let mut calling = false;
@@ -157,11 +162,11 @@ impl Reign {
         settings.events.tell(Happening::Closed { mission: mission.clone(), record: record.clone() });
         let Some(round) = self.rounds.get_mut(mission) else { return };
         round.hopeless = if hopeless.is_empty() { 0 } else { round.hopeless + 1 };
-        let given_up = round.hopeless >= HOPELESS_ROUNDS;
+        let (branch, given_up) = (round.branch, round.hopeless >= HOPELESS_ROUNDS);
         let command = match holders {
             Some(holders) => {
                 round.phase = Phase::Proposing(holders.clone());
-                Some(Command::Award { mission: mission.clone(), holders, auction: record })
+                Some(Command::Award { mission: mission.clone(), branch, holders, auction: record })
             }
             None => {
                 let since = settings.clock.now();
@@ -174,9 +179,10 @@ impl Reign {
                     let places = settings.replica.read(|ledger| places(&settings.knowledge, ledger.mission(mission)));
                     let cause = nobody_is_left(&hopeless, &record.entries);
                     let mission = mission.clone();
-                    propose(settings, &mut self.tasks, Command::Fail { mission, cause, branch: None, places });
+                    let fail = Command::Fail { mission, cause, branch: Some(branch), places };
+                    propose(settings, &mut self.tasks, fail);
                 }
-                news.then(|| Command::Defer { mission: mission.clone(), auction: record })
+                news.then(|| Command::Defer { mission: mission.clone(), branch, auction: record })
             }
         };
         let Some(command) = command else { return };

@@ -3,7 +3,7 @@
 use consort_protocol::auction::{CallForBids, RefusalReason, Tender};
 use consort_protocol::ids::{MissionId, RobotId, RoleId};
 use consort_protocol::lease::{Epoch, Watch};
-use consort_protocol::ledger::{Ledger, MissionEntry, RolePhase};
+use consort_protocol::ledger::{Branch, Ledger, MissionEntry, RolePhase};
 use consort_protocol::units::NodeTime;
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
@@ -13,12 +13,25 @@ use std::time::Duration;
 pub(super) struct Round {
     /// How many rounds this coordinator has called for the mission.
     pub(super) number: u32,
+    /// Of which branch's roles.
+    pub(super) branch: Branch,
     /// When this one was called.
     pub(super) called: NodeTime,
     /// How many rounds in a row have shown that nobody is left for some role.
     pub(super) hopeless: u32,
     /// Where this one stands.
     pub(super) phase: Phase,
+}
+
+impl Round {
+    /// The mission takes this branch. What was found about another branch's roles is void, and the next round is due: an
+    /// award of those would be refused, and nobody is left for them means nothing any more.
+    pub(super) fn heed(&mut self, branch: Branch, now: NodeTime) {
+        if self.branch != branch {
+            let phase = Phase::Waiting { until: now, since: now };
+            *self = Round { number: self.number, branch, called: self.called, hopeless: 0, phase };
+        }
+    }
 }
 
 /// Where a round stands.
@@ -92,9 +105,7 @@ pub(super) fn duties(ledger: &Ledger, memory: &Memory<'_>, now: NodeTime, wall_m
             Some(Phase::Waiting { until, .. }) => *until <= now,
             Some(Phase::Calling | Phase::Closed(_) | Phase::Proposing(_)) => false,
         };
-        // Those who were at work when the recovery branch was taken may be so until their leases have run out.
-        let left = entry.former.iter().all(|held| watch.is_over(held.epoch, &held.robot, now));
-        if due && left && !entry.open_roles().is_empty() {
+        if due && may_be_called(entry, watch, now) {
             duties.push(Duty::Call(entry.id.clone()));
         }
         for (role, held) in &entry.roles {
@@ -111,6 +122,13 @@ pub(super) fn duties(ledger: &Ledger, memory: &Memory<'_>, now: NodeTime, wall_m
         }
     }
     duties
+}
+
+/// Whether there are roles to be given out, and nobody acts in them any more: those who were at work when the recovery
+/// branch was taken may be so until their leases have run out.
+pub(super) fn may_be_called(entry: &MissionEntry, watch: &Watch, now: NodeTime) -> bool {
+    let left = entry.former.iter().all(|held| watch.is_over(held.epoch, &held.robot, now));
+    left && !entry.open_roles().is_empty()
 }
 
 fn past_deadline(entry: &MissionEntry) -> String {
@@ -160,4 +178,26 @@ pub(super) fn awards(ledger: &Ledger) -> BTreeSet<(Epoch, RobotId)> {
         awards.extend(entry.former.iter().map(|held| (held.epoch, held.robot.clone())));
     }
     awards
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_round_about_another_branchs_roles_is_void_and_the_next_one_is_due() {
+        let now = NodeTime::ZERO + Duration::from_secs(9);
+        let proposing = Phase::Proposing(BTreeMap::from([("r1".parse().unwrap(), "amber".parse().unwrap())]));
+        let round =
+            Round { number: 4, branch: Branch::Main, called: NodeTime::ZERO, hopeless: 2, phase: proposing.clone() };
+        let mut same = round.clone();
+        same.heed(Branch::Main, now);
+        assert_eq!(same, round);
+        let mut other = round.clone();
+        other.heed(Branch::Recovery, now);
+        let phase = Phase::Waiting { until: now, since: now };
+        // The number stays, lest a late answer to the void round be taken for one to the next.
+        let called = NodeTime::ZERO;
+        assert_eq!(other, Round { number: 4, branch: Branch::Recovery, called, hopeless: 0, phase });
+    }
 }

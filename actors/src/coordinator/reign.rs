@@ -47,7 +47,7 @@ pub(super) struct Reign {
     since: NodeTime,
     /// When this node began to coordinate, by its wall clock in milliseconds: no other reign of its term did then.
     since_wall_ms: u64,
-    watch: SharedWatch,
+    pub(super) watch: SharedWatch,
     pub(super) rounds: BTreeMap<MissionId, Round>,
     pace: Pace,
     /// Roles to be taken from holders that answer and do not get on, once their leases have run out.
@@ -236,7 +236,10 @@ impl Reign {
             self.told.retain(|(epoch, _), _| epochs.contains(epoch));
             self.stalled.retain(|(epoch, _), _| epochs.contains(epoch));
             self.seen.retain(|mission, _| ledger.mission(mission).is_some());
-            self.rounds.retain(|mission, _| ledger.mission(mission).is_some_and(|entry| !entry.state.is_end()));
+            self.rounds.retain(|mission, round| {
+                let entry = ledger.mission(mission).filter(|entry| !entry.state.is_end());
+                entry.inspect(|entry| round.heed(entry.branch, now)).is_some()
+            });
             self.failing.retain(|mission, _| ledger.mission(mission).is_some_and(|entry| !entry.state.is_end()));
             for Stalled { role, robot, epoch, cause } in self.pace.look(ledger, now) {
                 watch.let_go(epoch, &robot, now);
@@ -444,8 +447,8 @@ fn unmanaged(entry: &MissionEntry) -> Vec<LivePlan> {
     roles
         .filter_map(|(id, role)| {
             let (mission, plan) = (entry.id.clone(), entry.plan(id)?.clone());
-            let (branch, holders, told) = (entry.branch, entry.holdings(), entry.told(id));
-            Some(LivePlan { mission, branch, plan, ended: role.ended.clone(), holders, told })
+            let (branch, holders, vacant, told) = (entry.branch, entry.holdings(), entry.open_roles(), entry.told(id));
+            Some(LivePlan { mission, branch, plan, ended: role.ended.clone(), holders, vacant, told })
         })
         .collect()
 }

@@ -21,7 +21,8 @@ pub struct Sequencer {
     known: BTreeSet<StepIndex>,
     /// Who holds the mission's managed roles.
     holders: BTreeMap<RoleId, Holding>,
-    /// Roles that somebody has held, and the latest award of each: one that nobody holds now is being given to another.
+    /// Roles that somebody has held or is to hold, and the latest award of each, the default before the first: one that
+    /// nobody holds now is being given to somebody.
     cast: BTreeMap<RoleId, Epoch>,
     /// What this role has told others.
     said: BTreeSet<Signal>,
@@ -343,6 +344,13 @@ impl Sequencer {
         forgotten
     }
 
+    /// Takes in which managed roles nobody holds: some may never have been held. Who holds a role is told before.
+    pub fn set_vacant(&mut self, vacant: &BTreeSet<RoleId>) {
+        for role in vacant {
+            self.cast.entry(role.clone()).or_default();
+        }
+    }
+
     /// The robots alone.
     pub fn robots(&self) -> BTreeMap<RoleId, RobotId> {
         Holding::robots(&self.holders)
@@ -414,6 +422,27 @@ mod tests {
         assert_eq!(sequencer.next_move(), None);
         sequencer.set_holders(held(&[("r1", 5), ("arm", 6)]));
         assert!(matches!(sequencer.next_move(), Some(Move::Perform { spot: Spot::Step(0), .. })));
+    }
+
+    #[test]
+    fn a_task_that_names_a_role_which_nobody_has_held_yet_begins_once_somebody_does() {
+        let step = |named: &str| {
+            let spec = json!({ "type": "deposit", "roles": ["nurse"], "parameters": { "into_role": named } });
+            json!({ "action": { "Task": { "id": "deposit", "spec": spec } }, "after": [] })
+        };
+        let taken_up = |named| {
+            let plan = plan(json!({ "role": "nurse", "steps": [step(named)] }));
+            let mut sequencer = Sequencer::new(plan, &BTreeSet::new(), held(&[("arm", 5)])).unwrap();
+            sequencer.set_vacant(&BTreeSet::from(["r1".parse().unwrap()]));
+            sequencer
+        };
+        let mut waits = taken_up("r1");
+        assert_eq!(waits.next_move(), None);
+        assert!(!waits.set_holders(held(&[("arm", 5), ("r1", 6)])), "nobody has said anything before");
+        waits.set_vacant(&BTreeSet::new());
+        assert!(matches!(waits.next_move(), Some(Move::Perform { spot: Spot::Step(0), .. })));
+        let begins = |named| matches!(taken_up(named).next_move(), Some(Move::Perform { .. }));
+        assert!(begins("arm") && begins("r3"), "that role is held, and this one is none that anybody could hold");
     }
 
     #[test]

@@ -9,9 +9,19 @@ use consort_tests::chaos::mutants::{HUNTS, hunt};
 use consort_tests::chaos::scoreboard::{self, markdown};
 use consort_tests::chaos::{Cast, Kind, Many, Order, Outcome, Schedule, Violation, cast, generate, shrink};
 use indicatif::{ProgressBar, ProgressStyle};
+use std::fmt::Display;
 use std::ops::RangeInclusive;
 use std::path::{Path, PathBuf};
 use std::time::Instant;
+
+/// The ways of using it, each with the flags that go with it: shown whenever others were given.
+const USAGE: &str = "\
+consort chaos [--seeds FIRST..LAST] [--minutes MINUTES] [--nodes NODES] [--faults KIND,…] [--mutant NAME]
+                     [--jobs JOBS] [--json]
+       consort chaos --seed SEED [--schedule FILE | --faults KIND,…] [--minutes MINUTES] [--nodes NODES]
+                     [--mutant NAME] [--verbose] [--json]
+       consort chaos --scoreboard [--runs N] [--minutes MINUTES] [--save FILE] [--jobs JOBS] [--json]
+       consort chaos --mutants [--jobs JOBS] [--json]";
 
 /// Most runs that are made to cut a schedule down.
 const SHRINK_TRIES: usize = 300;
@@ -26,9 +36,11 @@ const SHRINK_TRIES: usize = 300;
 /// the fleet has to come to rest: one coordinator, every mission at an end, everybody known to everybody.
 ///
 /// It stops at the first seed for which something does not hold. It then says what, what happened before, and which of the
-/// faults it takes, having left out whatever could be spared; and how to repeat it.
+/// faults it takes, having left out whatever could be spared; and how to repeat it. With --json all of that is said on the
+/// standard error.
 #[derive(Debug, ClapArgs)]
 #[command(
+    override_usage = USAGE,
     group = ArgGroup::new("what").args(["seeds", "seed", "mutants", "scoreboard"]),
     after_long_help = "\
 Examples:
@@ -52,23 +64,24 @@ pub struct Args {
     /// One seed alone
     #[arg(long)]
     seed: Option<u64>,
+    // A flag that another one requires is let pass by clap beside what excludes that one, unless it excludes it itself.
     /// What is done, from a file (JSON), instead of what follows from the seed
-    #[arg(long, value_name = "FILE", requires = "seed")]
+    #[arg(long, value_name = "FILE", requires = "seed", conflicts_with_all = ["seeds", "mutants", "scoreboard"])]
     schedule: Option<PathBuf>,
     /// Simulated minutes of each run
-    #[arg(long, default_value_t = 5.0, value_parser = minutes)]
+    #[arg(long, default_value_t = 5.0, value_parser = minutes, conflicts_with = "mutants")]
     minutes: f64,
     /// Nodes of the fleet: an arm, and carriers and stations in equal parts; the host of the world comes on top
-    #[arg(long, default_value_t = 7, value_parser = nodes)]
+    #[arg(long, default_value_t = 7, value_parser = nodes, conflicts_with_all = ["mutants", "scoreboard"])]
     nodes: usize,
     /// Runs at the same time [default: one on each core]
-    #[arg(long)]
+    #[arg(long, conflicts_with = "seed")]
     jobs: Option<usize>,
     /// The kinds of faults [default: all]
-    #[arg(long, value_name = "KIND,…", value_delimiter = ',')]
+    #[arg(long, value_name = "KIND,…", value_delimiter = ',', conflicts_with_all = ["schedule", "mutants", "scoreboard"])]
     faults: Vec<Kind>,
     /// Have the fleet make a deliberate mistake (in programs built with the feature `mutants`)
-    #[arg(long, value_name = "NAME")]
+    #[arg(long, value_name = "NAME", conflicts_with_all = ["mutants", "scoreboard"])]
     mutant: Option<Mutant>,
     /// Look for every deliberate mistake, and print how many seeds it took and what found it
     #[arg(long)]
@@ -77,15 +90,15 @@ pub struct Args {
     #[arg(long)]
     scoreboard: bool,
     /// Write the scoreboard to a file, too (JSON)
-    #[arg(long, value_name = "FILE", requires = "scoreboard")]
+    #[arg(long, value_name = "FILE", requires = "scoreboard", conflicts_with_all = ["seeds", "seed", "mutants"])]
     save: Option<PathBuf>,
     /// Runs for each line of the scoreboard
-    #[arg(long, value_name = "N", default_value_t = 50, value_parser = clap::value_parser!(u64).range(1..), requires = "scoreboard")]
+    #[arg(long, value_name = "N", default_value_t = 50, value_parser = clap::value_parser!(u64).range(1..), requires = "scoreboard", conflicts_with_all = ["seeds", "seed", "mutants"])]
     runs: u64,
     /// Print what is done in the run
-    #[arg(long, requires = "seed")]
+    #[arg(long, requires = "seed", conflicts_with_all = ["seeds", "mutants", "scoreboard"])]
     verbose: bool,
-    /// Print JSON: a line for each run
+    /// Print JSON alone on the standard output: a line for each run or each deliberate mistake, one for the scoreboard
     #[arg(long)]
     json: bool,
 }
@@ -138,12 +151,27 @@ impl Args {
         self.jobs.unwrap_or_else(|| std::thread::available_parallelism().map_or(1, Into::into)).max(1)
     }
 
+    /// The flag from which, with the seed, a schedule follows.
+    fn faults_flag(&self) -> String {
+        let names: Vec<_> = self.faults.iter().map(|kind| kind.name()).collect();
+        if names.is_empty() { String::new() } else { format!(" --faults {}", names.join(",")) }
+    }
+
+    /// Says something to people: never between the lines of JSON, which programs read.
+    fn tell(&self, text: impl Display) -> Result<(), Failure> {
+        if self.json {
+            output::note(text);
+            return Ok(());
+        }
+        output::line(text)
+    }
+
     /// Makes the chosen mistake on the current thread.
     fn make_mistakes(&self) {
         mutants::choose(self.mutant).expect("it was chosen before");
     }
 
-    /// The flags that a run depends on besides its seed, where they are not the default.
+    /// The flags that a run depends on besides its seed and its schedule, where they are not the default.
     fn flags(&self) -> String {
         let mut flags = String::new();
         if self.minutes != 5.0 {
@@ -151,10 +179,6 @@ impl Args {
         }
         if self.nodes != 7 {
             flags.push_str(&format!(" --nodes {}", self.nodes));
-        }
-        if !self.faults.is_empty() {
-            let names: Vec<_> = self.faults.iter().map(|kind| kind.name()).collect();
-            flags.push_str(&format!(" --faults {}", names.join(",")));
         }
         if let Some(mutant) = self.mutant {
             flags.push_str(&format!(" --mutant {mutant}"));
@@ -228,7 +252,7 @@ fn one(args: &Args, seed: u64) -> Result<(), Failure> {
         None => args.generated(seed),
     };
     if args.verbose {
-        output::line(format_args!("{schedule}"))?;
+        args.tell(format_args!("{schedule}"))?;
     }
     let order = args.order(seed);
     let outcome = in_quiet(args, &order, &schedule);
@@ -347,8 +371,8 @@ fn broken(
     cut_down: bool,
 ) -> Result<(), Failure> {
     let at = violation.at_ms as f64 / 1000.0;
-    output::line(format_args!("seed {}: {} does not hold at {at:.3} s", order.seed, violation.invariant))?;
-    output::line(format_args!("  {}\n", violation.why))?;
+    args.tell(format_args!("seed {}: {} does not hold at {at:.3} s", order.seed, violation.invariant))?;
+    args.tell(format_args!("  {}\n", violation.why))?;
     let (smallest, last) = if cut_down {
         let bar = ProgressBar::new_spinner();
         let mut last = violation.clone();
@@ -365,18 +389,18 @@ fn broken(
     } else {
         (schedule.clone(), violation.clone())
     };
-    output::line(format_args!("What happened before:\n{}\n", last.tale.join("\n")))?;
+    args.tell(format_args!("What happened before:\n{}\n", last.tale.join("\n")))?;
     let (left, all) = (smallest.steps.len(), schedule.steps.len());
-    output::line(format_args!("What it takes ({left} of {all} steps; times in seconds):\n{smallest}"))?;
+    args.tell(format_args!("What it takes ({left} of {all} steps; times in seconds):\n{smallest}"))?;
     let repeat = format!("consort chaos --seed {}{}", order.seed, args.flags());
     if cut_down {
         let file = format!("chaos-{}.json", order.seed);
         let text = serde_json::to_string_pretty(&smallest).expect("a schedule is plain data");
         match std::fs::write(&file, text) {
-            Ok(()) => output::line(format_args!("Again, with these steps alone:\n  {repeat} --schedule {file}"))?,
+            Ok(()) => args.tell(format_args!("Again, with these steps alone:\n  {repeat} --schedule {file}"))?,
             Err(problem) => output::note(format_args!("{file} was not written: {problem}")),
         }
-        output::line(format_args!("Again, with all of them:\n  {repeat}"))?;
+        args.tell(format_args!("Again, with all of them:\n  {repeat}{}", args.faults_flag()))?;
     }
     Err(Failure::Unsuccessful(format!("{} does not hold for seed {}", violation.invariant, order.seed)))
 }

@@ -11,12 +11,17 @@ use rand::TryRng;
 use rand::rngs::SysRng;
 use serde_json::{Value, json};
 use std::collections::BTreeMap;
+use std::env;
 use std::time::Duration;
 
 /// Ask the fleet for a mission
 ///
 /// The request is answered once the mission is committed to the ledger; from then on it is not lost, whoever dies. The
-/// same --request again gets the same mission again, so that a request may be repeated safely.
+/// same --request again gets the same mission again, so that a request may be repeated safely: if no answer comes, the
+/// command says how.
+///
+/// With --json there is a line for the answer, which names the mission and the request; with --wait, once the mission has
+/// ended, a second one, for how it stands then.
 #[derive(Debug, clap::Args)]
 #[command(after_long_help = "\
 Examples:
@@ -43,7 +48,7 @@ pub struct Args {
     /// Wait until the mission has ended, and fail if it does not complete
     #[arg(long)]
     wait: bool,
-    /// Print JSON
+    /// Print JSON, one object a line
     #[arg(long)]
     json: bool,
     #[command(flatten)]
@@ -56,32 +61,66 @@ const LOOK: Duration = Duration::from_millis(500);
 /// Runs the command.
 ///
 /// # Errors
-/// As [`Client::api`]; [`Failure::Unsuccessful`] if the mission is waited for and does not complete.
+/// As [`Client::api`], with what repeats the request if it was not answered; [`Failure::Unsuccessful`] if the mission is
+/// waited for and does not complete.
 pub fn run(args: Args) -> Result<(), Failure> {
     let mission = source::mission_request(&args.mission)?;
     let parameters: BTreeMap<&str, &str> = args.parameters.iter().map(|(k, v)| (k.as_str(), v.as_str())).collect();
-    let request = args.request.as_ref().map_or_else(by_chance, ToString::to_string);
-    let mut request = json!({ "mission": mission, "parameters": parameters, "request": request });
+    let name = args.request.as_ref().map_or_else(by_chance, ToString::to_string);
+    let mut request = json!({ "mission": mission, "parameters": parameters, "request": name });
     request["priority"] = json!(args.priority.get());
     if let Some(deadline) = args.deadline {
         request["deadline_s"] = json!(deadline);
     }
     running::runtime()?.block_on(async {
         let mut client = Client::open(&args.client).await?;
-        let answer = client.api(ApiCall::Submit, &request).await?;
-        let Some(id) = answer.get("mission").and_then(Value::as_str) else {
-            return Err(Failure::Unsuccessful(format!("the coordinator answered {answer}")));
-        };
-        if args.json && !args.wait {
-            output::line(&answer)?;
-        } else if !args.json {
-            let again = answer.get("again") == Some(&Value::Bool(true));
-            output::line(format_args!("{id}{}", if again { " (asked for before)" } else { "" }))?;
-        }
-        let ended = if args.wait { wait(&mut client, id, args.json).await } else { Ok(()) };
+        let ended = submit(&mut client, &args, &name, &request).await;
         client.close().await;
         ended
     })
+}
+
+async fn submit(client: &mut Client, args: &Args, name: &str, request: &Value) -> Result<(), Failure> {
+    let again = || again(env::args_os().map(|word| word.to_string_lossy().into_owned()), args.request.is_none(), name);
+    let mut answer = client.api(ApiCall::Submit, request).await.map_err(|failure| match failure {
+        Failure::Unreached(problem) => Failure::Unreached(format!(
+            "{problem}\nWhether request {name} was taken is not known. It can be repeated safely, for it gets one mission \
+             however often it is made:\n  {}",
+            again()
+        )),
+        other => other,
+    })?;
+    let Some(id) = answer.get("mission").and_then(Value::as_str).map(str::to_owned) else {
+        return Err(Failure::Unsuccessful(format!("the coordinator answered {answer}")));
+    };
+    if args.json {
+        answer["request"] = json!(name);
+        output::line(&answer)?;
+    } else {
+        let before = answer.get("again") == Some(&Value::Bool(true));
+        output::line(format_args!("{id}{}", if before { " (asked for before)" } else { "" }))?;
+    }
+    if !args.wait {
+        return Ok(());
+    }
+    wait(client, &id, args.json).await.map_err(|failure| match failure {
+        Failure::Unreached(problem) => Failure::Unreached(format!(
+            "{problem}\n{id} was acknowledged, and is not lost; how it ends was not heard. To wait for it again:\n  {}",
+            again()
+        )),
+        other => other,
+    })
+}
+
+/// The command line that makes the same request again: the given words and, unless they have it, the request's name.
+fn again(words: impl Iterator<Item = String>, nameless: bool, name: &str) -> String {
+    let mut words: Vec<String> = words.collect();
+    if nameless {
+        // Right behind the command's own name, where no other flag waits for its value.
+        let behind = words.iter().position(|word| word == "submit").map_or(words.len(), |at| at + 1);
+        words.splice(behind..behind, ["--request".to_owned(), name.to_owned()]);
+    }
+    shlex::try_join(words.iter().map(String::as_str)).expect("the words of a command line hold no NUL")
 }
 
 fn priority(text: &str) -> Result<Priority, String> {
@@ -122,5 +161,25 @@ async fn wait(client: &mut Client, id: &str, in_json: bool) -> Result<(), Failur
         let why = why.map(|why| format!(" ({why})")).unwrap_or_default();
         client.waiting().say(format_args!("{id} {state}{why}: {} of {} steps", number("done"), number("steps")));
         tokio::time::sleep(LOOK).await;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::again;
+
+    fn line(words: &[&str], nameless: bool) -> String {
+        again(words.iter().map(|word| (*word).to_owned()), nameless, "cli-7")
+    }
+
+    #[test]
+    fn the_line_that_repeats_a_request_names_it_once_and_can_be_given_to_a_shell() {
+        let words = ["consort", "submit", "lab-samples", "--set", "room=IC Room 6", "--connect", "tcp/[::1]:7447"];
+        assert_eq!(
+            line(&words, true),
+            "consort submit --request cli-7 lab-samples --set 'room=IC Room 6' --connect 'tcp/[::1]:7447'"
+        );
+        let words = ["./consort", "submit", "--request", "cli-7", "--", "Nia's file.yaml"];
+        assert_eq!(line(&words, false), r#"./consort submit --request cli-7 -- "Nia's file.yaml""#);
     }
 }

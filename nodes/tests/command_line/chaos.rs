@@ -1,4 +1,7 @@
-use super::support::{run, written};
+use super::support::{consort, run, written};
+use consort_protocol::mutants::{self, Mutant};
+use serde_json::Value;
+use std::path::PathBuf;
 
 #[test]
 fn a_run_is_told_in_json_and_is_the_same_each_time() {
@@ -6,9 +9,9 @@ fn a_run_is_told_in_json_and_is_the_same_each_time() {
     let (one, other) = (run(&args), run(&args));
     assert_eq!(one.code, Some(0), "{}{}", one.out, one.err);
     assert_eq!(one.out, other.out);
-    let outcome: serde_json::Value = serde_json::from_str(&one.out).expect("a line of JSON");
+    let outcome: Value = serde_json::from_str(&one.out).expect("a line of JSON");
     assert_eq!(outcome["seed"], 7);
-    assert_eq!(outcome["violation"], serde_json::Value::Null);
+    assert_eq!(outcome["violation"], Value::Null);
     assert_eq!(outcome["tally"]["lost"], 0);
 }
 
@@ -26,4 +29,81 @@ fn seeds_are_a_first_and_a_last() {
     let ran = run(&["chaos", "--seeds", "9..1"]);
     assert_eq!(ran.code, Some(2));
     assert!(ran.err.contains("\"9..1\" is not FIRST..LAST, as in 1..1000"), "{}", ran.err);
+}
+
+#[test]
+fn flags_that_a_mode_does_not_heed_are_refused_with_those_that_it_does() {
+    let mutants = "consort chaos --mutants [--jobs JOBS] [--json]";
+    let scoreboard = "consort chaos --scoreboard [--runs N] [--minutes MINUTES] [--save FILE] [--jobs JOBS] [--json]";
+    let one = "consort chaos --seed SEED [--schedule FILE | --faults KIND,…]";
+    for (mode, expected, others) in [
+        (&["--mutants"][..], mutants, &["--seeds 1..3", "--seed 3", "--scoreboard", "--minutes 1", "--nodes 5"][..]),
+        (&["--mutants"], mutants, &["--faults loss", "--mutant double-vote", "--runs 3", "--save x.json", "--verbose"]),
+        (&["--scoreboard"], scoreboard, &["--seeds 1..3", "--seed 3", "--nodes 5", "--faults loss", "--verbose"]),
+        (&["--scoreboard"], scoreboard, &["--mutant double-vote", "--schedule x.json"]),
+        (&["--seed", "3"], one, &["--seeds 1..3", "--jobs 2", "--runs 3", "--save x.json"]),
+        (&["--seed", "3", "--schedule", "x.json"], one, &["--faults loss"]),
+        (&["--seeds", "1..3"], "consort chaos [--seeds FIRST..LAST]", &["--verbose", "--schedule x.json", "--runs 3"]),
+    ] {
+        for other in others {
+            let args: Vec<&str> = ["chaos"].iter().chain(mode).copied().chain(other.split(' ')).collect();
+            let ran = run(&args);
+            assert_eq!((ran.code, ran.out.as_str()), (Some(2), ""), "{args:?}: {}", ran.err);
+            assert!(ran.err.contains(expected), "{args:?}: {}", ran.err);
+            let flag = other.split(' ').next().expect("a flag");
+            assert!(ran.err.contains(flag), "{args:?}: {}", ran.err);
+        }
+    }
+}
+
+fn lines_of_json(out: &str) -> Vec<Value> {
+    let line = |line: &str| serde_json::from_str(line).unwrap_or_else(|problem| panic!("{problem}: {line}"));
+    out.lines().map(line).collect()
+}
+
+#[test]
+fn in_json_nothing_else_is_said_on_the_standard_output() {
+    let steps = r#"{"steps": [{"at_ms": 600, "act": "partition", "groups": [["client"]], "for_ms": 100}]}"#;
+    let file = written("parted.json", steps);
+    let small = ["--nodes", "4", "--minutes", "0.5", "--json"];
+    for (mode, told) in [
+        (&["--seed", "7", "--verbose"][..], true),
+        (&["--seed", "7", "--verbose", "--schedule", &file], true),
+        (&["--seeds", "7..8"], false),
+    ] {
+        let ran = run(&[&["chaos"], mode, &small].concat());
+        assert_eq!(ran.code, Some(0), "{mode:?}: {}{}", ran.out, ran.err);
+        assert!(lines_of_json(&ran.out).iter().all(|outcome| outcome["seed"].is_u64()), "{}", ran.out);
+        assert_eq!(!ran.err.is_empty(), told, "what is done in the run is told elsewhere: {}", ran.err);
+    }
+    let ran = run(&["chaos", "--scoreboard", "--runs", "1", "--minutes", "0.5", "--json"]);
+    assert_eq!(ran.code, Some(0), "{}{}", ran.out, ran.err);
+    let [rows] = &lines_of_json(&ran.out)[..] else { panic!("one line: {}", ran.out) };
+    assert!(rows.as_array().is_some_and(|rows| rows.iter().all(|row| row["fault"].is_string())), "{rows}");
+}
+
+#[test]
+fn a_violation_is_a_line_of_json_and_what_is_said_to_repeat_it_does() {
+    if mutants::choose(Some(Mutant::WaitSkipped)).is_err() {
+        return; // nothing here makes mistakes: a build of this package alone
+    }
+    let folder = PathBuf::from(env!("CARGO_TARGET_TMPDIR")).join("violation");
+    std::fs::create_dir_all(&folder).expect("cargo's own folder");
+    let run = |words: &[&str]| {
+        let ran = consort(words).current_dir(&folder).output().expect("the binary starts");
+        let text = |bytes| String::from_utf8(bytes).expect("the binary writes UTF-8");
+        let (out, err) = (text(ran.stdout), text(ran.stderr));
+        assert_eq!(ran.status.code(), Some(1), "{words:?}: {out}{err}");
+        let [outcome] = &lines_of_json(&out)[..] else { panic!("one line: {out}") };
+        assert_eq!(outcome["violation"]["invariant"], "signals", "{outcome}");
+        err
+    };
+    let mode = ["--seed", "3", "--nodes", "5", "--minutes", "1", "--mutant", "wait-skipped", "--faults", "loss"];
+    let err = run(&[&["chaos"], &mode[..], &["--json"]].concat());
+    let again: Vec<&str> = err.lines().filter_map(|line| line.strip_prefix("  consort ")).collect();
+    let [alone, all] = again[..] else { panic!("two lines: {err}") };
+    assert!(alone.ends_with(" --schedule chaos-3.json") && all.ends_with(" --faults loss"), "{again:?}");
+    for line in again {
+        run(&line.split(' ').chain(["--json"]).collect::<Vec<_>>());
+    }
 }

@@ -1,8 +1,8 @@
 //! What is asked of a fleet, and how it is refused or put off.
 
 use super::support::{Running, consort, free_address, run};
-use serde_json::Value;
-use std::io::{BufRead, BufReader};
+use serde_json::{Value, json};
+use std::io::{BufRead, BufReader, Read};
 use std::process::Stdio;
 
 /// A station of its own fleet, without robots, which listens there.
@@ -100,4 +100,72 @@ fn while_nobody_coordinates_the_command_says_so_and_asks_again_until_somebody_do
     assert_eq!((ran.code, ran.out.as_str()), (Some(3), ""), "{}", ran.err);
     assert!(ran.err.contains("consort: no coordinator, and none did in 4 s; linked to "), "{}", ran.err);
     assert!(ran.err.contains("Are as many nodes up that may vote as its bootstrap_expect says"), "{}", ran.err);
+}
+
+/// The words of the line by which a request may be repeated, as the command says it.
+fn said_to_repeat(err: &str) -> Vec<String> {
+    let line = err.lines().skip_while(|line| !line.contains("can be repeated safely")).nth(1);
+    shlex::split(line.unwrap_or_else(|| panic!("not said: {err}"))).expect("a line for a shell")
+}
+
+#[test]
+fn a_request_that_nobody_answers_can_be_made_again_as_the_command_says_and_gets_one_mission() {
+    let address = free_address();
+    let _first = station(&address, &["--bootstrap-expect", "2"]);
+    let asked = ["submit", "lab-samples", "--set", "room=IC Room 6", "--json", "--connect", &address, "--timeout", "2"];
+    let ran = run(&asked);
+    assert_eq!((ran.code, ran.out.as_str()), (Some(3), ""), "{}", ran.err);
+    let again = said_to_repeat(&ran.err);
+    let flag = again.iter().position(|word| word == "--request").unwrap_or_else(|| panic!("no name: {again:?}"));
+    let name = &again[flag + 1];
+    assert!(ran.err.contains(&format!("Whether request {name} was taken is not known")), "{}", ran.err);
+    let mut words = again[1..].to_vec();
+    words.drain(flag - 1..=flag);
+    assert_eq!(words, asked, "but for its name it is what was asked");
+
+    let args = ["station", "--name", "s2", "--bootstrap-expect", "2", "--connect", &address];
+    let _second = Running(consort(&args).stderr(Stdio::null()).spawn().expect("the binary starts"));
+    let mut words: Vec<&str> = again[1..].iter().map(String::as_str).collect();
+    *words.last_mut().expect("the time-out") = "60";
+    for before in [false, true] {
+        let ran = run(&words);
+        assert_eq!(ran.code, Some(0), "{}", ran.err);
+        let answer: Value = serde_json::from_str(&ran.out).unwrap_or_else(|problem| panic!("{problem}: {}", ran.out));
+        assert_eq!(answer, json!({ "mission": "lab-samples-1", "again": before, "request": name }));
+    }
+}
+
+fn lines_of_json(out: &str) -> Vec<Value> {
+    let line = |line: &str| serde_json::from_str(line).unwrap_or_else(|problem| panic!("{problem}: {line}"));
+    out.lines().map(line).collect()
+}
+
+#[test]
+fn in_json_whoever_waits_is_told_the_mission_however_the_wait_ends() {
+    let address = free_address();
+    let mut station = station(&address, &[]);
+    let args = ["submit", "lab-samples", "--request", "a", "--wait", "--json", "--connect", &address, "--timeout", "5"];
+    let ran = run(&[&args[..], &["--deadline", "0.5"]].concat());
+    assert_eq!(ran.code, Some(1), "{}", ran.err);
+    let [acknowledged, ended] = &lines_of_json(&ran.out)[..] else { panic!("two lines: {}", ran.out) };
+    assert_eq!(*acknowledged, json!({ "mission": "lab-samples-1", "again": false, "request": "a" }));
+    assert_eq!((&ended["mission"], &ended["state"]), (&json!("lab-samples-1"), &json!("failed")), "{ended}");
+
+    // The whole fleet is gone while somebody waits.
+    let args = args.map(|word| if word == "a" { "b" } else { word });
+    let waiting = consort(&args).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().expect("the binary starts");
+    let mut waiting = Running(waiting);
+    let mut out = BufReader::new(waiting.0.stdout.take().expect("it is piped")).lines();
+    let first = out.next().expect("a line").expect("it writes UTF-8");
+    let expected = json!({ "mission": "lab-samples-2", "again": false, "request": "b" });
+    assert_eq!(lines_of_json(&first), [expected]);
+    station.0.kill().expect("a child of ours");
+    assert!(out.next().is_none(), "nothing else is said there");
+    assert_eq!(waiting.0.wait().expect("a child of ours").code(), Some(3));
+    let mut err = String::new();
+    waiting.0.stderr.take().expect("it is piped").read_to_string(&mut err).expect("it writes UTF-8");
+    assert!(err.contains("lab-samples-2 was acknowledged, and is not lost"), "{err}");
+    let line = err.lines().last().expect("a line");
+    let again = shlex::split(line).unwrap_or_else(|| panic!("not for a shell: {line}"));
+    assert_eq!(again[1..], args, "it has a name already");
 }

@@ -38,6 +38,8 @@ pub enum Command {
     Award {
         /// The mission.
         mission: MissionId,
+        /// Of which branch's roles: a role may have the same name in both.
+        branch: Branch,
         /// Who gets which open role: all of them, and no others.
         holders: BTreeMap<RoleId, RobotId>,
         /// How it came about.
@@ -47,6 +49,8 @@ pub enum Command {
     Defer {
         /// The mission.
         mission: MissionId,
+        /// Of which branch's roles.
+        branch: Branch,
         /// Why.
         auction: AuctionRecord,
     },
@@ -98,7 +102,7 @@ pub enum Command {
         mission: MissionId,
         /// Why, in words.
         cause: String,
-        /// In which branch that is so; `None` if whichever is taken.
+        /// In which branch that is so; `None` if whichever is taken, as for a deadline.
         branch: Option<Branch>,
         /// Where its robots were last known to be.
         places: BTreeMap<RobotId, PlaceId>,
@@ -250,8 +254,8 @@ impl Ledger {
         let done = match command {
             Command::Found { cluster } => Ok(self.found(cluster)),
             Command::Submit(submission) => return self.submit(*submission),
-            Command::Award { mission, holders, auction } => self.award(&mission, holders, auction, at),
-            Command::Defer { mission, auction } => self.defer(&mission, auction),
+            Command::Award { mission, branch, holders, auction } => self.award(&mission, branch, holders, auction, at),
+            Command::Defer { mission, branch, auction } => self.defer(&mission, branch, auction),
             Command::Accept { mission, role, epoch, incarnation, resumes } => {
                 self.accept(&mission, &role, epoch, incarnation, resumes)
             }
@@ -365,11 +369,12 @@ impl Ledger {
     fn award(
         &mut self,
         mission: &MissionId,
+        branch: Branch,
         holders: BTreeMap<RoleId, RobotId>,
         auction: AuctionRecord,
         at: Epoch,
     ) -> Result<Outcome, Refused> {
-        let open = self.live_mission(mission)?.open_roles();
+        let open = self.in_branch(mission, branch)?.open_roles();
         if open.is_empty() || !holders.keys().eq(open.iter()) {
             return Err(Refused::NotOpen { mission: mission.clone(), open });
         }
@@ -406,8 +411,8 @@ impl Ledger {
         Ok(Outcome::Awarded { epoch: at })
     }
 
-    fn defer(&mut self, mission: &MissionId, auction: AuctionRecord) -> Result<Outcome, Refused> {
-        self.live_mission(mission)?.auction = Some(auction);
+    fn defer(&mut self, mission: &MissionId, branch: Branch, auction: AuctionRecord) -> Result<Outcome, Refused> {
+        self.in_branch(mission, branch)?.auction = Some(auction);
         Ok(Outcome::Done)
     }
 
@@ -468,9 +473,8 @@ impl Ledger {
         branch: Option<Branch>,
         places: &BTreeMap<RobotId, PlaceId>,
     ) -> Result<Outcome, Refused> {
-        let taken = self.live_mission(mission)?.branch;
-        if branch.is_some_and(|branch| branch != taken) {
-            return Err(Refused::Branch { mission: mission.clone(), taken });
+        if let Some(branch) = branch {
+            self.in_branch(mission, branch)?;
         }
         self.end(mission, MissionState::Failed { cause }, places)
     }
@@ -482,6 +486,15 @@ impl Ledger {
                 Err(Refused::Over { mission: mission.clone(), state: entry.state.clone() })
             }
             Some(entry) => Ok(entry),
+        }
+    }
+
+    /// A mission that has not ended, and of which this branch is taken.
+    fn in_branch(&mut self, mission: &MissionId, branch: Branch) -> Result<&mut MissionEntry, Refused> {
+        let entry = self.live_mission(mission)?;
+        match entry.branch {
+            taken if taken != branch => Err(Refused::Branch { mission: mission.clone(), taken }),
+            _ => Ok(entry),
         }
     }
 

@@ -27,6 +27,8 @@ pub struct LivePlan {
     pub ended: BTreeSet<StepIndex>,
     /// Who holds the managed roles.
     pub holders: BTreeMap<RoleId, Holding>,
+    /// The managed roles that nobody holds: tasks that name one of them wait.
+    pub vacant: BTreeSet<RoleId>,
     /// What other roles have told this one, as far as the ledger knows.
     pub told: BTreeSet<Signal>,
 }
@@ -95,6 +97,7 @@ mod tests {
             plan: LocalPlan::of(nurse, vec![step]),
             ended: BTreeSet::new(),
             holders: BTreeMap::new(),
+            vacant: BTreeSet::new(),
             told: BTreeSet::new(),
         }
     }

@@ -57,7 +57,7 @@ fn held(mission: &Mission, division: &Division) -> Ledger {
         AuctionRecord { auction, at_ms: 0, entries: vec![], omitted: 0, chosen: BTreeMap::new(), failure: None };
     let roles = ledger.mission(&mission).unwrap().open_roles();
     let holders = roles.iter().map(|role| (role.clone(), RobotId::new(role.as_str()).unwrap())).collect();
-    ledger.apply(AWARD, Command::Award { mission: mission.clone(), holders, auction });
+    ledger.apply(AWARD, Command::Award { mission: mission.clone(), branch: Branch::Main, holders, auction });
     for role in roles {
         ledger.apply(
             AWARD,

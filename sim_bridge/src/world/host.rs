@@ -118,6 +118,10 @@ impl BodyHost for World {
         self.goal_of(*self.floor.robots.get(robot)?, id)
     }
 
+    fn asks(&self) -> Vec<GoalId> {
+        if self.floor.has::<Asks>() { self.floor.own::<Asks>().unended() } else { vec![] }
+    }
+
     fn answer(&self, id: GoalId) -> Option<Result<(), ActionError>> {
         if self.floor.has::<Asks>() { self.floor.own::<Asks>().answer(id) } else { None }
     }

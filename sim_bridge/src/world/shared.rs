@@ -68,6 +68,10 @@ impl BodyHost for SharedWorld {
         self.lock().goal(robot, id)
     }
 
+    fn asks(&self) -> Vec<GoalId> {
+        self.lock().asks()
+    }
+
     fn answer(&self, id: GoalId) -> Option<Result<(), ActionError>> {
         self.lock().answer(id)
     }

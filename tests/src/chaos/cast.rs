@@ -18,6 +18,9 @@ pub const ROOMS: [&str; 12] = [
     "PC Room 7",
 ];
 
+/// The missions that clients ask for: with a branch for the loss of the sample, and without.
+pub const MISSIONS: [&str; 2] = ["lab-samples", "lab-samples-watched"];
+
 const STATIONS: [&str; 6] = ["aster", "basil", "clove", "dill", "elder", "flax"];
 const CARRIERS: [(&str, &str); 6] = [
     ("garnet", "Dock"),
@@ -83,6 +86,6 @@ impl Cast {
     /// Its robots as the harness starts them.
     pub fn members(&self) -> Vec<Member> {
         let place = |name: &str| CARRIERS.iter().find(|(known, _)| *known == name).map_or("Dock", |(_, place)| place);
-        self.carriers.iter().map(|name| Member::carrier(name, place(name)).charged(1.0)).collect()
+        self.carriers.iter().map(|name| Member::carrier(name, place(name)).able_to("wait").charged(1.0)).collect()
     }
 }

@@ -1,10 +1,11 @@
 //! Schedules drawn from a seed.
 
-use super::cast::{ARM, Cast, ROOMS, WORLD};
+use super::cast::{ARM, Cast, MISSIONS, ROOMS, WORLD};
 use super::schedule::{Act, Fate, Kind, Mishap, Schedule, Step};
 use rand::seq::{IndexedMutRandom, IndexedRandom, SliceRandom};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
+use std::ops::Range;
 use std::time::Duration;
 
 /// Share of a run after which no fault is in force any more.
@@ -12,6 +13,9 @@ pub const LIFTED: f64 = 0.7;
 
 /// When the first fault may come: the fleet has been founded by then, as a rule.
 const FIRST_MS: u64 = 4_000;
+
+/// How long a carrier is away whose role is to be given to another: longer than lease and grace.
+const AWAY_MS: Range<u64> = 15_000..30_000;
 
 /// A schedule with faults of these kinds, for a fleet that runs so long.
 pub fn generate(seed: u64, cast: &Cast, minutes: f64, kinds: &[Kind]) -> Schedule {
@@ -28,6 +32,12 @@ pub fn generate(seed: u64, cast: &Cast, minutes: f64, kinds: &[Kind]) -> Schedul
             let kind = *kinds.choose(&mut draw.chance).expect("there are some");
             draw.fault(kind);
         }
+    }
+    // From a chance of its own, so that whatever is drawn beyond does not change the times and faults above.
+    draw.chance = ChaCha8Rng::seed_from_u64(seed ^ 0xa5_4ed0_0d1f);
+    draw.vary();
+    if kinds.contains(&Kind::Partition) {
+        draw.lose_at_work();
     }
     Schedule { steps: draw.steps }.in_order()
 }
@@ -52,12 +62,44 @@ impl Draw<'_> {
             let at_ms = self.chance.random_range(1_000..self.end_ms * 9 / 10);
             let request = format!("r{number}");
             let priority = *[0, 0, 0, 10, -10].choose(&mut self.chance).expect("five");
-            let act = Act::Submit { request: request.clone(), room: (*room).to_owned(), priority };
+            let (request_name, mission) = (request.clone(), MISSIONS[0].to_owned());
+            let (room, unnamed, deadline_s) = ((*room).to_owned(), false, None);
+            let act = Act::Submit { request: request_name, unnamed, mission, room, priority, deadline_s };
             self.steps.push(Step { at_ms, act });
             if self.chance.random_bool(0.1) {
                 let at_ms = self.chance.random_range(at_ms..self.end_ms);
                 self.steps.push(Step { at_ms, act: Act::Cancel { request } });
             }
+        }
+    }
+
+    /// Some of the requests are for missions with a recovery branch, some have no name, some have a deadline.
+    fn vary(&mut self) {
+        let chance = &mut self.chance;
+        for step in &mut self.steps {
+            if let Act::Submit { unnamed, mission, deadline_s, .. } = &mut step.act {
+                *unnamed = chance.random_bool(0.15);
+                *mission = MISSIONS[usize::from(chance.random_bool(0.4))].to_owned();
+                // Some pass while the mission waits, some while it is under way, most never.
+                *deadline_s = chance.random_bool(0.2).then(|| chance.random_range(10..=180));
+            }
+        }
+    }
+
+    /// As often as not a carrier is away with its body right after something was asked for, which it may have been given to do,
+    /// for long enough that another one is given it. Else few seeds have a role that passes from one to another.
+    fn lose_at_work(&mut self) {
+        let asked = self.steps.iter().filter(|step| step.act.submits().is_some()).map(|step| step.at_ms);
+        let latest = self.end_ms.saturating_sub(AWAY_MS.end);
+        let asked: Vec<u64> = asked.filter(|at_ms| (FIRST_MS..latest).contains(at_ms)).collect();
+        if self.chance.random_bool(0.5)
+            && let Some(asked) = asked.choose(&mut self.chance)
+        {
+            let at_ms = asked + self.chance.random_range(300..4_000);
+            let for_ms = self.chance.random_range(AWAY_MS).min(self.end_ms - at_ms);
+            let nodes = self.cast.nodes().into_iter().map(str::to_owned).collect();
+            let groups = self.stray(nodes);
+            self.steps.push(Step { at_ms, act: Act::Partition { groups, for_ms } });
         }
     }
 
@@ -246,6 +288,21 @@ mod tests {
                 assert!(over <= 210_050, "seed {seed}: {step}");
             }
         }
+    }
+
+    #[test]
+    fn requests_are_of_all_kinds_and_most_have_a_name_and_no_deadline() {
+        let cast = Cast::of(7);
+        let steps = (0..200).flat_map(|seed| generate(seed, &cast, 5.0, &Kind::FAULTS).steps);
+        let mut counts = [0; 5];
+        for step in steps {
+            if let Act::Submit { unnamed, mission, priority, deadline_s, .. } = step.act {
+                let kinds = [true, unnamed, mission == MISSIONS[1], priority != 0, deadline_s.is_some()];
+                counts.iter_mut().zip(kinds).for_each(|(count, is)| *count += u32::from(is));
+            }
+        }
+        let [all, others @ ..] = counts;
+        assert!(others.into_iter().all(|some| some * 10 > all && some * 2 < all), "{counts:?}");
     }
 
     #[test]

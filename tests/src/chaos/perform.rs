@@ -67,7 +67,16 @@ impl Hand {
     /// Begins step `number`.
     pub(super) async fn begin(&mut self, fleet: &mut Fleet, number: usize, act: &Act) {
         match act {
-            Act::Submit { request, room, priority } => self.submit(fleet, request, room, *priority),
+            Act::Submit { request, unnamed, mission, room, priority, deadline_s } => {
+                let mut asked = json!({ "mission": mission, "parameters": { "room": room }, "priority": priority });
+                if !unnamed {
+                    asked["request"] = json!(request);
+                }
+                if let Some(seconds) = deadline_s {
+                    asked["deadline_s"] = json!(seconds);
+                }
+                self.submit(fleet, request, asked);
+            }
             Act::Cancel { request } => self.cancel(fleet, request),
             Act::Crash { node, disk, .. } => {
                 let node = if node == "coordinator" {
@@ -231,31 +240,39 @@ impl Hand {
 
     /// People come for what is stranded in robots' hands: robots that hold something are given no other work until then.
     pub(super) fn send_rescuers(&self, fleet: &Fleet) {
-        let (client, key) = (fleet.client.clone(), fleet.keys.write(&Key::Api(ApiCall::Rescued)));
-        let acknowledged = self.acknowledged.clone();
+        let client = fleet.client.clone();
+        let key = |call| fleet.keys.write(&Key::Api(call));
+        let (list, rescued) = (key(ApiCall::List), key(ApiCall::Rescued));
         tokio::spawn(async move {
             loop {
-                let missions: Vec<String> = acknowledged.borrow().values().cloned().collect();
-                for mission in missions {
-                    // Most need no rescue, and say so.
-                    ask(&client, &key, &json!({ "mission": mission, "by": "chaos" })).await;
+                // Also what was asked for without a name and never acknowledged.
+                let answers = ask(&client, &list, &Value::Null).await;
+                let mut stranded: Vec<Value> = vec![];
+                for mission in answers.iter().filter_map(|answer| answer["missions"].as_array()).flatten() {
+                    if mission["state"] == "needs_rescue" {
+                        stranded.push(mission["mission"].clone());
+                    }
+                }
+                for mission in stranded {
+                    ask(&client, &rescued, &json!({ "mission": mission, "by": "chaos" })).await;
                 }
                 tokio::time::sleep(RESCUE_EVERY).await;
             }
         });
     }
 
-    fn submit(&self, fleet: &Fleet, request: &str, room: &str, priority: i64) {
+    fn submit(&self, fleet: &Fleet, request: &str, asked: Value) {
         let (client, key) = (fleet.client.clone(), fleet.keys.write(&Key::Api(ApiCall::Submit)));
         let (chronicle, acknowledged, request) =
             (fleet.chronicle.clone(), self.acknowledged.clone(), request.to_owned());
-        let asked = json!({ "mission": "lab-samples", "parameters": { "room": room }, "request": request, "priority": priority });
+        let named = asked.get("request").is_some();
         tokio::spawn(async move {
             loop {
                 for answer in ask(&client, &key, &asked).await {
                     if let Some(mission) = answer["mission"].as_str() {
                         let (node, mission_id) = (slug("client"), slug(mission));
-                        chronicle.add(Entry::Acknowledged { node, request: request.clone(), mission: mission_id });
+                        let name = named.then(|| request.clone());
+                        chronicle.add(Entry::Acknowledged { node, request: name, mission: mission_id });
                         acknowledged.send_modify(|known| drop(known.insert(request, mission.to_owned())));
                         return;
                     }

@@ -1,6 +1,6 @@
 //! What is done to a fleet and when, as plain data: written to a file, cut down, and done again.
 
-use super::cast::{ARM, Cast, ROOMS};
+use super::cast::{ARM, Cast, MISSIONS, ROOMS};
 use crate::disk::Torn;
 use serde::{Deserialize, Serialize};
 use std::fmt::{self, Display};
@@ -31,11 +31,21 @@ pub enum Act {
     Submit {
         /// The request's own name.
         request: String,
+        /// Whether the client keeps that name to itself. Each time that it asks is a request of its own then, so that what it
+        /// asked for may be done more than once.
+        #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+        unnamed: bool,
+        /// What is asked for.
+        #[serde(default = "plain")]
+        mission: String,
         /// The room.
         room: String,
         /// How urgent it is: higher is served first.
         #[serde(default)]
         priority: i64,
+        /// In how many seconds it should be done.
+        #[serde(default, skip_serializing_if = "Option::is_none")]
+        deadline_s: Option<u32>,
     },
     /// A client withdraws what was asked for, once it was acknowledged, again and again until it is answered.
     Cancel {
@@ -125,6 +135,10 @@ pub enum Act {
         /// How often, one after the other.
         times: u32,
     },
+}
+
+fn plain() -> String {
+    MISSIONS[0].to_owned()
 }
 
 /// What a crash leaves of a disk.
@@ -299,7 +313,10 @@ impl Schedule {
         };
         for step in &self.steps {
             match &step.act {
-                Act::Submit { room, .. } => one_of(step, room, &ROOMS, &[])?,
+                Act::Submit { room, mission, .. } => {
+                    one_of(step, room, &ROOMS, &[])?;
+                    one_of(step, mission, &MISSIONS, &[])?;
+                }
                 Act::Cancel { .. } | Act::Blackout { .. } => {}
                 Act::Crash { node, .. } => one_of(step, node, &nodes, &["coordinator"])?,
                 Act::Pause { node, .. } | Act::SlowDisk { node, .. } => one_of(step, node, &nodes, &[])?,
@@ -365,8 +382,10 @@ impl Display for Act {
             Fate::Empty => "its disk lost",
         };
         match self {
-            Act::Submit { request, room, priority } => {
-                write!(f, "request {request}: the sample of {room}, priority {priority}")
+            Act::Submit { request, unnamed, mission, room, priority, deadline_s } => {
+                let unnamed = if *unnamed { ", which is not named" } else { "" };
+                write!(f, "request {request}{unnamed}: {mission} from {room}, priority {priority}")?;
+                deadline_s.map_or(Ok(()), |seconds| write!(f, ", within {seconds} s"))
             }
             Act::Cancel { request } => write!(f, "request {request} is withdrawn"),
             Act::Crash { node, disk, for_ms } => write!(f, "{node} crashes, {}, down {}", fate(disk), For(*for_ms)),

@@ -50,7 +50,7 @@ fn ledger(lost: bool) -> (Ledger, MissionId) {
     let (r1, amber) = (RoleId::new("r1").unwrap(), RobotId::new("amber").unwrap());
     let holders = BTreeMap::from([(r1.clone(), amber)]);
     assert_eq!(
-        ledger.apply(at(2), Command::Award { mission: mission.clone(), holders, auction }),
+        ledger.apply(at(2), Command::Award { mission: mission.clone(), branch: Branch::Main, holders, auction }),
         Outcome::Awarded { epoch: at(2) }
     );
     if lost {

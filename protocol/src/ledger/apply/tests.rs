@@ -75,7 +75,7 @@ impl Log {
 
     fn award(&mut self, mission: &MissionId, arm: &str, r1: &str) -> Outcome {
         let holders = BTreeMap::from([(role("lab_arm"), robot(arm)), (role("r1"), robot(r1))]);
-        self.apply(Command::Award { mission: mission.clone(), holders, auction: record() })
+        self.apply(Command::Award { mission: mission.clone(), branch: Branch::Main, holders, auction: record() })
     }
 
     fn ended(&mut self, mission: &MissionId, who: &str, epoch: Epoch, ended: &[StepIndex]) -> Outcome {
@@ -139,7 +139,8 @@ fn all_open_roles_are_filled_or_none() {
     let mut log = Log::new();
     let mission = log.submit("a");
     let holders = BTreeMap::from([(role("r1"), robot("ada"))]);
-    let outcome = log.apply(Command::Award { mission: mission.clone(), holders, auction: record() });
+    let outcome =
+        log.apply(Command::Award { mission: mission.clone(), branch: Branch::Main, holders, auction: record() });
     let open = BTreeSet::from([role("lab_arm"), role("r1")]);
     assert_eq!(outcome, Outcome::Refused(Refused::NotOpen { mission: mission.clone(), open }));
     log.award(&mission, "arm", "ada");
@@ -157,7 +158,7 @@ fn a_released_role_is_given_anew_under_a_later_epoch_and_the_former_holder_is_no
     assert_eq!(log.0.mission(&mission).unwrap().open_roles(), BTreeSet::from([role("lab_arm")]));
 
     let holders = BTreeMap::from([(role("lab_arm"), robot("bob"))]);
-    let award = Command::Award { mission: mission.clone(), holders, auction: record() };
+    let award = Command::Award { mission: mission.clone(), branch: Branch::Main, holders, auction: record() };
     assert_eq!(log.apply(award), Outcome::Awarded { epoch: epoch(5) });
     let held = Some(epoch(5));
     let stale = Outcome::Refused(Refused::Epoch { mission: mission.clone(), role: role("lab_arm"), held });

@@ -89,12 +89,20 @@ impl Log {
     }
 
     fn award(&mut self, holders: &[(&str, &str)]) -> Outcome {
+        let branch = self.entry().branch;
+        self.award_in(branch, holders)
+    }
+
+    fn award_in(&mut self, branch: Branch, holders: &[(&str, &str)]) -> Outcome {
+        let (mission, auction) = (self.2.clone(), self.record());
+        let holders = holders.iter().map(|(of, who)| (role(of), robot(who))).collect();
+        self.apply(Command::Award { mission, branch, holders, auction })
+    }
+
+    fn record(&self) -> AuctionRecord {
         let mission = self.2.clone();
         let auction = AuctionId { mission: mission.clone(), term: 1, round: 1 };
-        let auction =
-            AuctionRecord { auction, at_ms: 0, entries: vec![], omitted: 0, chosen: BTreeMap::new(), failure: None };
-        let holders = holders.iter().map(|(of, who)| (role(of), robot(who))).collect();
-        self.apply(Command::Award { mission, holders, auction })
+        AuctionRecord { auction, at_ms: 0, entries: vec![], omitted: 0, chosen: BTreeMap::new(), failure: None }
     }
 
     fn hold(&mut self, holders: &[(&str, &str)]) -> Epoch {
@@ -450,4 +458,50 @@ fn what_a_person_did_in_the_mission_is_not_counted_in_its_recovery_branch() {
     assert_eq!(log.0, before, "and nothing has changed");
     assert_eq!(log.ended_in(Branch::Recovery, "nurse", Epoch::default(), 0..1), Outcome::Done);
     assert_eq!(log.entry().roles[&role("nurse")].ended, [0].into());
+}
+
+#[test]
+fn what_an_auction_of_the_mission_came_to_is_not_counted_in_its_recovery_branch_nor_the_other_way_round() {
+    // Both branches ask for an arm; the mission's is lost while another one is sought for it.
+    let text = std::fs::read_to_string("missions/lab-samples.yaml").unwrap()
+        + "recovery: { task: hand_over, type: wait, roles: [lab_arm], parameters: { seconds: \"5\" } }\n";
+    let mut log = Log::of(&MissionTemplate::parse(&text, Format::Yaml).unwrap());
+    let auction = |log: &Log, branch| {
+        let (mission, auction, places) = (log.2.clone(), log.record(), BTreeMap::new());
+        let cause = "nobody is left for lab_arm".to_owned();
+        [
+            Command::Award {
+                mission: mission.clone(),
+                branch,
+                holders: [(role("lab_arm"), robot("other"))].into(),
+                auction: auction.clone(),
+            },
+            Command::Defer { mission: mission.clone(), branch, auction },
+            Command::Fail { mission, cause, branch: Some(branch), places },
+        ]
+    };
+    let refuses = |log: &mut Log, branch, taken| {
+        let before = log.0.clone();
+        for command in auction(log, branch) {
+            let refused = Outcome::Refused(Refused::Branch { mission: log.2.clone(), taken });
+            assert_eq!(log.apply(command.clone()), refused, "{command:?}");
+            assert_eq!(log.0, before, "and nothing has changed");
+        }
+    };
+    log.hold(&[("r1", "amber"), ("lab_arm", "arm")]);
+    log.ended("r1", epoch(2), 0..8);
+    log.ended("nurse", Epoch::default(), 0..2);
+    log.lose("lab_arm", epoch(2), false);
+    assert_eq!(log.entry().open_roles(), [role("lab_arm")].into());
+    refuses(&mut log, Branch::Recovery, Branch::Main);
+
+    log.lose("r1", epoch(2), false);
+    assert_eq!((log.entry().branch, log.entry().open_roles()), (Branch::Recovery, [role("lab_arm")].into()));
+    refuses(&mut log, Branch::Main, Branch::Recovery);
+    let [award, defer, fail] = auction(&log, Branch::Recovery);
+    for command in [defer, award, fail] {
+        let outcome = log.apply(command);
+        assert!(!matches!(outcome, Outcome::Refused(_)), "{outcome:?}");
+    }
+    assert_eq!(log.entry().state.word(), "needs_rescue");
 }

@@ -93,6 +93,11 @@ impl Asks {
         }
     }
 
+    /// Those that have not ended, earlier ones first.
+    pub(crate) fn unended(&self) -> Vec<GoalId> {
+        self.open.values().map(|ask| ask.id).collect()
+    }
+
     /// Whether an ask was lately withdrawn.
     pub(crate) fn was_withdrawn(&self, id: GoalId) -> bool {
         self.ended.get(&id).is_some_and(Option::is_none)

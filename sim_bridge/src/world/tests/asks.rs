@@ -74,7 +74,9 @@ fn a_dismissed_nurse_keeps_her_sample() {
     let mut world = ready();
     world.ask_person(GoalId(7), deposit("r1"));
     world.advance(at(5.0));
+    assert_eq!(world.asks(), [GoalId(7)]);
     world.dismiss_person(GoalId(7));
+    assert_eq!(world.asks(), []);
     assert_eq!(world.advance(at(99.0)), []);
     assert_eq!(keepers(&world)[1], Keeper::Person("Bea".into()));
     world.ask_person(GoalId(8), deposit("r1"));

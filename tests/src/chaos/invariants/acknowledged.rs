@@ -1,16 +1,19 @@
-//! A mission that was acknowledged is there, once, for whoever coordinates from then on.
+//! A mission that was acknowledged is there, once, for whoever coordinates from then on. A request that the client gave no
+//! name is one of its own, each time that it is made.
 
 use super::Invariant;
 use crate::{Entry, Fleet, slug};
 use consort_protocol::ids::{MissionId, NodeId};
 use consort_protocol::ledger::Ledger;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
 
 #[derive(Default)]
 pub(super) struct Acknowledged {
     /// By request.
     missions: BTreeMap<String, MissionId>,
+    /// Those of requests without a name.
+    nameless: BTreeSet<MissionId>,
 }
 
 impl Acknowledged {
@@ -27,6 +30,9 @@ impl Acknowledged {
                         "{request} was acknowledged as {mission}; {node}, who leads, has {found} for it"
                     ));
                 }
+            }
+            if let Some(lost) = self.nameless.iter().find(|mission| ledger.mission(mission).is_none()) {
+                return Err(format!("{lost} was acknowledged; {node}, who leads, does not have it"));
             }
             once_each(ledger)
         })
@@ -50,7 +56,14 @@ impl Invariant for Acknowledged {
 
     fn see(&mut self, _: Duration, entry: &Entry, fleet: &Fleet) -> Result<(), String> {
         match entry {
-            Entry::Acknowledged { request, mission, .. } => match self.missions.get(request) {
+            Entry::Acknowledged { request: None, mission, .. } => {
+                let asked_for = self.missions.values().any(|known| known == mission);
+                if asked_for || !self.nameless.insert(mission.clone()) {
+                    return Err(format!("{mission} was acknowledged to a request without a name, and to another one"));
+                }
+                Ok(())
+            }
+            Entry::Acknowledged { request: Some(request), mission, .. } => match self.missions.get(request) {
                 Some(known) if known != mission => {
                     Err(format!("{request} was acknowledged as {known} and then as {mission}"))
                 }

@@ -2,14 +2,15 @@
 //!
 //! A wait is passed only after what it waits for was said, by somebody who was active in that role then (which
 //! [`under_lease`](super::under_lease) sees to). When a mission was carried out, nothing that was said in it is unheard, but by
-//! a role that was taken from its holder when only cleaning up was left of it.
+//! a role that was taken from its holder when only cleaning up was left of it. What was said before a recovery branch was taken
+//! is of no account then.
 
 use super::Invariant;
 use crate::{Entry, Fleet};
 use consort_protocol::event::Happening;
 use consort_protocol::ids::{MissionId, RoleId};
 use consort_protocol::ledger::{Ledger, MissionEntry, MissionState};
-use consort_protocol::plan::Signal;
+use consort_protocol::plan::{Signal, Step, StepAction};
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
 
@@ -24,6 +25,12 @@ fn cut_short(entry: &MissionEntry, role: &RoleId) -> bool {
     let steps = entry.plan(role).map_or(0, |plan| plan.steps.len());
     let ended = entry.roles.get(role).map_or(0, |role| role.ended.len());
     ended < steps && entry.releases.iter().any(|released| released.role == *role)
+}
+
+/// Whether the plans that were carried out have it: those of a recovery branch do not have what was said before.
+fn concerns(entry: &MissionEntry, signal: &Signal) -> bool {
+    let says = |step: &Step| matches!(&step.action, StepAction::Send(of) if of == signal);
+    entry.plan(&signal.from).is_some_and(|plan| plan.steps.iter().any(says))
 }
 
 impl Invariant for Signals {
@@ -60,9 +67,8 @@ impl Invariant for Signals {
             let heard = self.heard.get(mission);
             let unheard = said.iter().filter(|signal| !heard.is_some_and(|heard| heard.contains(signal)));
             for signal in unheard {
-                if fleet.ledger(|ledger| ledger.mission(mission).is_some_and(|entry| cut_short(entry, &signal.to)))
-                    != Some(true)
-                {
+                let excused = |entry: &MissionEntry| cut_short(entry, &signal.to) || !concerns(entry, signal);
+                if fleet.ledger(|ledger| ledger.mission(mission).is_some_and(excused)) != Some(true) {
                     return Err(format!("{mission} was carried out, and nobody heard {signal:?}"));
                 }
             }
