@@ -1,7 +1,7 @@
 //! What happens on the floor.
 //!
 //! Bodies, people and samples are entities of an [entity-component store](hecs); what they are is in their components,
-//! what happens to them in [systems](system), each a file. A setup says which systems a world has.
+//! what happens to them in *systems*, each a file. A setup says which systems a world has.
 //!
 //! ```text
 //!            start, cancel, ask_person            advance(to)
