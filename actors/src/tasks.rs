@@ -4,6 +4,7 @@ use crate::bus::Stream;
 use ractor::{ActorRef, Message};
 use std::future::Future;
 use std::time::Duration;
+use tokio::sync::watch;
 use tokio::task::JoinSet;
 
 /// Tasks that are aborted when this is dropped: an actor keeps them in its state.
@@ -53,6 +54,20 @@ impl Tasks {
                 }
             }
         });
+    }
+
+    /// Sends an actor a message whenever what is watched has changed.
+    pub(crate) fn on_change<T, M>(
+        &mut self,
+        mut watched: watch::Receiver<T>,
+        to: &ActorRef<M>,
+        make: impl Fn() -> M + Send + 'static,
+    ) where
+        T: Send + Sync + 'static,
+        M: Message,
+    {
+        let to = to.clone();
+        self.spawn(async move { while watched.changed().await.is_ok() && to.cast(make()).is_ok() {} });
     }
 
     /// Sends an actor one message later.

@@ -191,7 +191,7 @@ fn a_change_is_heard_at_once_and_repaired_where_it_was_lost() {
 fn saying_the_same_again_makes_no_new_version() {
     virtually(async {
         let fleet = Fleet::of(2, 1, 0.0).await;
-        sleep(millis(500)).await;
+        fleet.until("both meet", secs(1), Fleet::everybody_knows_everybody).await;
         let before = fleet.node(0).stamp_of(&name(0));
         fleet.node(0).gossip.update(knowledge(0)).unwrap();
         sleep(millis(500)).await;
@@ -468,7 +468,6 @@ fn the_dead_are_forgotten_and_a_later_incarnation_is_welcome() {
         virtually(async {
             let mut fleet = Fleet::of(4, seed, 0.0).await;
             fleet.until("all meet", secs(1), Fleet::everybody_knows_everybody).await;
-            sleep(secs(3)).await;
             fleet.crash(2);
             sleep(secs(10)).await;
             // Fallen silent: still known, and known to be old.
@@ -567,8 +566,9 @@ fn nonsense_is_counted_and_changes_nothing() {
         let question = keys.write(&Key::Gossip(name(0)));
         let mut answers = stranger.query(&question, Bytes::from_static(b"?"), secs(1)).await.unwrap();
         assert!(answers.recv().await.is_none());
-        sleep(millis(100)).await;
-        assert_eq!(fleet.node(0).shared.counters().malformed, 7);
+        let malformed = |fleet: &Fleet| fleet.node(0).shared.counters().malformed;
+        fleet.until("all of it is counted", millis(100), |fleet| malformed(fleet) >= 7).await;
+        assert_eq!(malformed(&fleet), 7);
         assert_eq!(fleet.node(0).stamp_of(&name(1)).unwrap().incarnation, before.incarnation);
         assert!(fleet.node(0).stamp_of(&name(1)).unwrap().version <= before.version + 1);
         assert!(fleet.everybody_knows_everybody());
@@ -640,7 +640,6 @@ fn a_supervisor_hears_that_the_bus_has_closed() {
         let (supervisor, _) = Actor::spawn(None, Supervisor, ends).await.unwrap();
         let mut fleet = Fleet::of(0, 1, 0.0).await;
         fleet.start_linked(0, 1, Some(supervisor.get_cell())).await;
-        sleep(secs(1)).await;
         fleet.network.crash(&name(0));
         let problem = ended.recv().await.unwrap();
         assert!(problem.starts_with("the bus brings no more"), "{problem}");

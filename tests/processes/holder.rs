@@ -13,8 +13,9 @@ fn with(mut table: Table, key: &str, value: impl Into<toml::Value>) -> Table {
     table
 }
 
-/// Two robots that can carry; a station keeps the ledger. Leases are short, so that a lost robot is soon replaced.
-fn hospital() -> Fleet {
+/// Two robots that can carry, and an arm, which have met; a station keeps the ledger. Leases are short, so that a lost robot
+/// is soon replaced.
+fn hospital() -> (Fleet, Client) {
     let lease: Table = "lease_ms = 1500\ngrace_ms = 500".parse().expect("TOML");
     let file = with(with(example("fleet"), "name", "relay"), "bootstrap_expect", 1);
     let mut fleet = Fleet::new(&with(file, "lease", lease));
@@ -28,18 +29,18 @@ fn hospital() -> Fleet {
     fleet.start("robot", robot.clone(), &["world", "station-1"]);
     fleet.start("robot", with(with(robot, "name", "bob"), "place", "PC Room 4"), &["world", "station-1"]);
     fleet.start("robot", with(example("arm"), "may_vote", false), &["world", "station-1"]);
-    fleet
-}
-
-#[test]
-fn the_role_of_a_robot_that_dies_before_it_has_told_anybody_is_carried_out_by_another() {
-    let mut fleet = hospital();
-    let mut client = Client::open(&fleet.address("world"), "relay");
+    let client = Client::open(&fleet.address("world"), "relay");
     until("both carriers and the arm are members", LONG, || {
         let members = client.view("fleet")["ensembles"][0]["nodes"].clone();
         let members = members.as_array()?.iter().filter(|entry| entry["member"] == true).count();
         (members == 3).then_some(())
     });
+    (fleet, client)
+}
+
+#[test]
+fn the_role_of_a_robot_that_dies_before_it_has_told_anybody_is_carried_out_by_another() {
+    let (mut fleet, mut client) = hospital();
     let asked = r#"{"mission": "lab-samples", "parameters": {"room": "IC Room 6"}}"#;
     let mission = client.ask("api/submit", asked)["mission"].as_str().expect("a mission").to_owned();
     let is = |event: &Value, name: &str| event["event"] == name && event["mission"] == mission.as_str();
@@ -73,13 +74,7 @@ fn the_role_of_a_robot_that_dies_before_it_has_told_anybody_is_carried_out_by_an
 
 #[test]
 fn a_robot_that_dies_with_the_sample_leaves_a_mission_that_a_person_closes_with_a_command() {
-    let mut fleet = hospital();
-    let mut client = Client::open(&fleet.address("world"), "relay");
-    until("both carriers and the arm are members", LONG, || {
-        let members = client.view("fleet")["ensembles"][0]["nodes"].clone();
-        let members = members.as_array()?.iter().filter(|entry| entry["member"] == true).count();
-        (members == 3).then_some(())
-    });
+    let (mut fleet, mut client) = hospital();
     let submit = ["submit", "lab-samples", "--request", "order-1", "--priority", "5", "--deadline", "3600"];
     let said = fleet.run(&submit, "world").expect(0).stdout;
     assert_eq!(said, "lab-samples-1\n");

@@ -88,15 +88,31 @@ impl Fleet {
     /// As [`submit`](Fleet::submit), and gives the whole answer.
     pub async fn submit_and_read(&self, request: &str, room: &str) -> Value {
         let asked = json!({ "mission": "lab-samples", "parameters": { "room": room }, "request": request });
-        for _ in 0..200 {
-            if let Some(answer) = self.ask(ApiCall::Submit, &asked).await
-                && answer["mission"].is_string()
-            {
-                return answer;
+        self.seen(&format!("the acknowledgement of request {request}"), Duration::from_secs(300), async |fleet| {
+            fleet.ask(ApiCall::Submit, &asked).await.filter(|answer| answer["mission"].is_string())
+        })
+        .await
+    }
+
+    /// Lets virtual time pass until `look` sees something, which it is asked for ten times a second: for what only a question
+    /// tells. What the fleet tells by itself is awaited by [`until`](Fleet::until).
+    ///
+    /// # Panics
+    /// When it has not within `limit`; the message tells what was awaited, the seed, and all that happened.
+    pub async fn seen<T>(&self, what: &str, limit: Duration, mut look: impl AsyncFnMut(&Fleet) -> Option<T>) -> T {
+        let deadline = self.elapsed() + limit;
+        loop {
+            if let Some(seen) = look(self).await {
+                return seen;
             }
+            assert!(
+                self.elapsed() < deadline,
+                "seed {}: {what} was not to be seen within {limit:?}\n{}",
+                self.seed,
+                self.tale()
+            );
             tokio::time::sleep(Duration::from_millis(100)).await;
         }
-        panic!("seed {}: request {request} was not acknowledged\n{}", self.seed, self.tale());
     }
 
     /// The presence tokens that a client who comes now sees, without the fleet's prefix.

@@ -3,26 +3,21 @@
 use crate::chronicle::{Chronicle, Entry};
 use crate::member::Member;
 use crate::slug;
-use consort_actors::autopilot;
+use crate::ward::ward;
 use consort_actors::bus::{LinkModel, VirtualBus, VirtualNetwork};
 use consort_actors::clock::Clock;
 use consort_actors::node::{FleetSettings, HostPart, NodeHandle, NodeSettings, RobotPart};
 use consort_actors::store::Store;
-use consort_actors::timing::Timing;
-use consort_protocol::auction::Limits;
-use consort_protocol::ensemble::{Ensemble, EnsembleSpec};
 use consort_protocol::event::Happening;
-use consort_protocol::ids::{EnsembleId, FleetId, NodeId, TaskType};
+use consort_protocol::ids::NodeId;
 use consort_protocol::keys::Keys;
-use consort_protocol::lease::LeaseTerms;
-use consort_protocol::mission::Domain;
 use consort_sim::map::{self, Map};
 use consort_sim::world::{JournalEntry, Person, SharedWorld, World, WorldSetup};
 use consort_skills::descriptor::DescriptorRegistry;
 use consort_skills::environment::{Edge, Environment, Routes, TopologicalMap};
 use consort_skills::library::SkillLibrary;
 use serde_json::Value;
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::time::Duration;
 use tokio::task::AbortHandle;
@@ -94,29 +89,15 @@ impl Fleet {
             });
         }
         let world = SharedWorld::new(World::new(setup).expect("the test's own world"));
-        let fleet: FleetId = slug("ward");
-        let skills: BTreeSet<TaskType> = ["operate_drawer", "pick_up"].into_iter().map(slug).collect();
-        let spec = EnsembleSpec::with_any_skill_of(slug::<EnsembleId>("logistics"), skills);
-        let settings = FleetSettings {
-            fleet: fleet.clone(),
-            ensemble: Arc::new(Ensemble::compile(spec).expect("the test's own ensemble")),
-            domain: Arc::new(Domain::hospital()),
-            limits: Limits::default(),
-            terms: LeaseTerms::default(),
-            window: Duration::from_millis(200),
-            stall_after: Duration::from_secs(15 * 60),
-            bootstrap_expect: all.iter().filter(|member| !member.late).count() + stations.len(),
-            timing: Timing::Lan,
-            voters: autopilot::VOTERS,
-            dead_after: Timing::Lan.times().dead_after,
-        };
+        let present = all.iter().filter(|member| !member.late).count();
+        let settings = ward(&["operate_drawer", "pick_up"], present + stations.len());
         let client = network.bus(slug("client"));
         let mut fleet = Fleet {
             seed,
             network,
             world: world.clone(),
             chronicle: Chronicle::new(),
-            keys: Keys::new(&fleet),
+            keys: Keys::new(&settings.fleet),
             settings,
             members: all.into_iter().map(|member| (member.name, member)).collect(),
             nodes: BTreeMap::new(),

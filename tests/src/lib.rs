@@ -9,6 +9,7 @@ mod fleet;
 mod look;
 mod member;
 mod stations;
+mod ward;
 
 pub use chronicle::{Chronicle, Entry, Spell};
 pub use fleet::{Adjust, Fleet, topology};

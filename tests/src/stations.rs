@@ -1,20 +1,16 @@
 //! A fleet of stations on virtual time: enough to see who keeps the ledger and who coordinates.
 
 use crate::slug;
+use crate::ward::ward;
 use consort_actors::autopilot::VOTERS;
 use consort_actors::bus::{Bus as _, LinkModel, VirtualBus, VirtualNetwork};
 use consort_actors::clock::Clock;
 use consort_actors::node::{FleetSettings, NodeHandle, NodeSettings};
 use consort_actors::replica::Leadership;
 use consort_actors::store::Store;
-use consort_actors::timing::Timing;
-use consort_protocol::auction::Limits;
-use consort_protocol::ensemble::{Ensemble, EnsembleSpec};
 use consort_protocol::event::{Event, Happening};
-use consort_protocol::ids::{ClusterId, EnsembleId, FleetId, NodeId, TaskType};
+use consort_protocol::ids::{ClusterId, NodeId};
 use consort_protocol::keys::{ApiCall, Key, Keys};
-use consort_protocol::lease::LeaseTerms;
-use consort_protocol::mission::Domain;
 use serde_json::{Value, json};
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::{Arc, Mutex};
@@ -39,27 +35,12 @@ pub struct Stations {
 impl Stations {
     /// A network and nobody on it. `expect` nodes are to meet before the ledger is founded.
     pub fn none(seed: u64, expect: usize) -> Stations {
-        let fleet: FleetId = slug("ward");
-        let skills: BTreeSet<TaskType> = [slug("pick_up")].into();
-        let spec = EnsembleSpec::with_any_skill_of(slug::<EnsembleId>("logistics"), skills);
-        let settings = FleetSettings {
-            fleet: fleet.clone(),
-            ensemble: Arc::new(Ensemble::compile(spec).expect("the test's own ensemble")),
-            domain: Arc::new(Domain::hospital()),
-            limits: Limits::default(),
-            terms: LeaseTerms::default(),
-            window: Duration::from_millis(200),
-            stall_after: Duration::from_secs(15 * 60),
-            bootstrap_expect: expect,
-            timing: Timing::Lan,
-            voters: VOTERS,
-            dead_after: Timing::Lan.times().dead_after,
-        };
+        let settings = ward(&["pick_up"], expect);
         Stations {
             seed,
             network: VirtualNetwork::new(seed, LinkModel::LAN),
             nodes: BTreeMap::new(),
-            keys: Keys::new(&fleet),
+            keys: Keys::new(&settings.fleet),
             settings,
             stores: BTreeMap::new(),
             events: Arc::default(),

@@ -1,5 +1,6 @@
 //! A mission is withdrawn, however far it has come.
 
+use crate::usual::began;
 use consort_protocol::event::Happening;
 use consort_protocol::ids::MissionId;
 use consort_protocol::keys::ApiCall;
@@ -17,10 +18,6 @@ async fn fleet(seed: u64) -> Fleet {
     let mut fleet = Fleet::hospital(seed, robots, &["aster", "basil", "clove"], &[ROOM]).await;
     assert_eq!(fleet.coordinator().await.as_str(), "aster", "seed {seed}: who coordinates");
     fleet
-}
-
-fn began(task: &'static str) -> impl Fn(&Happening) -> bool {
-    move |what| matches!(what, Happening::TaskBegan { task: of, .. } if of.as_str() == task)
 }
 
 fn halted(mission: &MissionId) -> impl Fn(&Happening) -> bool {
@@ -88,15 +85,11 @@ fn while_nobody_coordinates() {
         fleet.until("the way to the room", SOON, |fleet| fleet.happened(began("navto_room"))).await;
         fleet.kill("aster").await;
         let asked = json!({ "mission": mission, "by": "Nia" });
-        let mut answer = None;
-        for _ in 0..200 {
-            answer = fleet.ask(ApiCall::Cancel, &asked).await.filter(|answer| answer.get("retry_after_ms").is_none());
-            if answer.is_some() {
-                break;
-            }
-            tokio::time::sleep(Duration::from_millis(100)).await;
-        }
-        assert_eq!(answer.expect("an answer")["state"], json!({ "canceled": { "by": "Nia" } }), "seed {seed}");
+        let settled = async |fleet: &Fleet| {
+            fleet.ask(ApiCall::Cancel, &asked).await.filter(|answer| answer.get("retry_after_ms").is_none())
+        };
+        let answer = fleet.seen("an answer of the next coordinator", SOON, settled).await;
+        assert_eq!(answer["state"], json!({ "canceled": { "by": "Nia" } }), "seed {seed}");
         fleet.until("both to halt", SOON, |fleet| fleet.chronicle.count(halted(&mission)) == 2).await;
         stands_still(&mut fleet).await;
     });

@@ -1,5 +1,6 @@
 //! What is said under an award that is no longer in force is not listened to.
 
+use crate::usual::began;
 use consort_actors::allegiance::{Allegiance, ClusterBus};
 use consort_actors::bus::{Bus, Delivery, Encoding};
 use consort_protocol::codec;
@@ -31,9 +32,8 @@ async fn told_too_early(seed: u64, epoch: impl Fn(Epoch) -> Epoch) -> (Fleet, Mi
     let mut fleet = Fleet::hospital(seed, vec![Member::carrier("gorse", "IC Room 4")], &["aster"], &[ROOM]).await;
     fleet.coordinator().await;
     let mission = fleet.submit("a", ROOM).await;
-    let opens =
-        |what: &Happening| matches!(what, Happening::TaskBegan { task, .. } if task.as_str() == "open_drawer_lab");
-    fleet.until("the drawer to be opened", SOON, |fleet| fleet.happened(opens)).await;
+    let opens = began("open_drawer_lab");
+    fleet.until("the drawer to be opened", SOON, |fleet| fleet.happened(&opens)).await;
     let held = fleet.ledger(|ledger| ledger.mission(&mission)?.roles.get(&slug("lab_arm"))?.holder.clone());
     let epoch = epoch(held.flatten().expect("the arm holds its role").epoch);
     let said = Said { mission: mission.clone(), epoch, signals: BTreeSet::from([picked_up()]) };

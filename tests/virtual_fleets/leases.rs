@@ -1,5 +1,6 @@
 //! A role has one active holder at most, whatever the network does.
 
+use crate::usual::{began, released};
 use consort_protocol::event::Happening;
 use consort_protocol::ids::{MissionId, NodeId};
 use consort_protocol::lease::{Ending, LeaseTerms};
@@ -14,16 +15,8 @@ const SOON: Duration = Duration::from_secs(60);
 /// How often a robot looks after its lease.
 const BEAT: Duration = Duration::from_millis(260);
 
-fn began(task: &'static str) -> impl Fn(&Happening) -> bool {
-    move |what| matches!(what, Happening::TaskBegan { task: of, .. } if of.as_str() == task)
-}
-
 fn suspended(what: &Happening) -> bool {
     matches!(what, Happening::Suspended { .. })
-}
-
-fn released(what: &Happening) -> bool {
-    matches!(what, Happening::Released { .. })
 }
 
 fn replaced(what: &Happening) -> bool {

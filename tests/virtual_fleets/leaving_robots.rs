@@ -1,7 +1,7 @@
 //! Robots that leave while they hold a role: for good, or for a while.
 
+use crate::usual::{began, released, why_released};
 use consort_actors::node::NodeSettings;
-use consort_protocol::event::Happening;
 use consort_protocol::ids::MissionId;
 use consort_protocol::lease::LeaseTerms;
 use consort_protocol::ledger::MissionState;
@@ -12,17 +12,6 @@ use std::time::Duration;
 
 const ROOM: &str = "IC Room 6";
 const SOON: Duration = Duration::from_secs(60);
-
-fn began(task: &'static str) -> impl Fn(&Happening) -> bool {
-    move |what| matches!(what, Happening::TaskBegan { task: of, .. } if of.as_str() == task)
-}
-
-fn released(what: &Happening) -> Option<String> {
-    match what {
-        Happening::Released { role, cause, .. } => Some(format!("{role}: {cause}")),
-        _ => None,
-    }
-}
 
 /// `gorse` holds the role and is at this task; `fern` could take over; the arm and the stations keep the ledger.
 async fn under_way(seed: u64, task: &'static str) -> (Fleet, MissionId) {
@@ -37,11 +26,11 @@ async fn under_way(seed: u64, task: &'static str) -> (Fleet, MissionId) {
 
 /// Waits until the coordinator's view no longer has such a node.
 async fn no_more(fleet: &Fleet, what: &str, limit: Duration, is: impl Fn(&Value) -> bool) {
-    let deadline = fleet.elapsed() + limit;
-    while fleet.view("fleet").await["fleet"]["nodes"].as_array().expect("a list").iter().any(&is) {
-        assert!(fleet.elapsed() < deadline, "seed {}: {what} after {limit:?}", fleet.seed);
-        tokio::time::sleep(Duration::from_millis(100)).await;
-    }
+    let gone = async |fleet: &Fleet| {
+        let views = fleet.view("fleet").await;
+        (!views["fleet"]["nodes"].as_array().expect("a list").iter().any(&is)).then_some(())
+    };
+    fleet.seen(what, limit, gone).await;
 }
 
 #[test]
@@ -53,7 +42,7 @@ fn a_robot_that_leaves_for_good_gives_its_role_back_and_is_forgotten() {
         let left = fleet.elapsed();
         assert_eq!((&said["role_given_back"], &said["successor"]), (&json!(true), &json!(null)), "seed {seed}: {said}");
         // By its own word, and long before its silence would have been noticed.
-        let causes: Vec<_> = fleet.happenings().iter().filter_map(released).collect();
+        let causes: Vec<_> = fleet.happenings().iter().filter_map(why_released).collect();
         assert_eq!(
             causes,
             ["r1: gorse as r1 could not do navto_room: it leaves the fleet"],
@@ -67,14 +56,17 @@ fn a_robot_that_leaves_for_good_gives_its_role_back_and_is_forgotten() {
             })
             .await;
         let is_gorse = |node: &Value| node["node"] == "gorse";
-        no_more(&fleet, "gorse is alive", Duration::from_secs(3), |node| is_gorse(node) && node["alive"] == true).await;
+        no_more(&fleet, "that gorse is not alive", Duration::from_secs(3), |node| {
+            is_gorse(node) && node["alive"] == true
+        })
+        .await;
         let place = fleet.position("gorse");
         fleet.completes(&mission).await;
         assert_eq!(fleet.position("gorse"), place, "seed {seed}: it stands still");
         fleet.sample_delivered(ROOM);
         fleet.one_role_one_robot();
         // It is in no view any more, once it is forgotten.
-        no_more(&fleet, "gorse is shown", SOON, is_gorse).await;
+        no_more(&fleet, "that gorse is forgotten", SOON, is_gorse).await;
         assert!(!fleet.present().await.iter().any(|token| token.contains("gorse")), "seed {seed}");
     });
 }
@@ -106,7 +98,7 @@ fn a_robot_that_is_stopped_for_a_while_goes_on_if_it_is_back_in_time() {
         fleet.restart("gorse").await;
         fleet.completes(&mission).await;
         assert_eq!(fleet.holder(&mission, "r1").expect("held").as_str(), "gorse", "seed {seed}");
-        assert!(!fleet.happened(|what| released(what).is_some()), "seed {seed}\n{}", fleet.tale());
+        assert!(!fleet.happened(released), "seed {seed}\n{}", fleet.tale());
         fleet.sample_delivered(ROOM);
         fleet.one_role_one_robot();
     });
@@ -118,7 +110,7 @@ fn a_robot_that_is_stopped_and_stays_away_is_replaced_after_its_lease() {
         let (mut fleet, mission) = under_way(seed, "navto_room").await;
         let stopped = fleet.elapsed();
         fleet.stop("gorse").await;
-        fleet.until("a release", SOON, |fleet| fleet.happened(|what| released(what).is_some())).await;
+        fleet.until("a release", SOON, |fleet| fleet.happened(released)).await;
         let (terms, waited) = (LeaseTerms::default(), fleet.elapsed() - stopped);
         assert!(waited >= terms.grace + terms.lease / 2, "seed {seed}: after {waited:?}\n{}", fleet.tale());
         fleet.completes(&mission).await;
@@ -171,7 +163,7 @@ fn a_robot_whose_leave_is_refused_in_the_middle_of_a_mission_keeps_its_role() {
         let said = fleet.asked_to_leave("gorse").await;
         assert!(must_stay(&said), "seed {seed}: {said}");
         fleet.completes(&mission).await;
-        assert!(!fleet.happened(|what| released(what).is_some()), "seed {seed}\n{}", fleet.tale());
+        assert!(!fleet.happened(released), "seed {seed}\n{}", fleet.tale());
         assert_eq!(fleet.spells_of(&mission, "r1").len(), 1, "seed {seed}\n{}", fleet.tale());
         fleet.sample_delivered(ROOM);
         fleet.one_role_one_robot();

@@ -27,4 +27,5 @@ mod supervision;
 mod takeover;
 mod takeover_everywhere;
 mod takeover_of_holders;
+mod usual;
 mod views;

@@ -1,5 +1,6 @@
 //! A robot whose notebook cannot be written promises nothing that it could not keep after a crash.
 
+use crate::usual::began;
 use async_trait::async_trait;
 use consort_actors::node::NodeSettings;
 use consort_actors::store::Notebook;
@@ -125,9 +126,8 @@ fn a_role_that_is_on_record_is_carried_out_although_the_notebook_breaks() {
         let broken = Arc::new(AtomicBool::new(false));
         let mut fleet = fleet(seed, &broken).await;
         let mission = fleet.submit("a", ROOMS[0]).await;
-        let drives =
-            |what: &Happening| matches!(what, Happening::TaskBegan { task, .. } if task.as_str() == "navto_room");
-        fleet.until("the way to the room", SOON, |fleet| fleet.happened(drives)).await;
+        let drives = began("navto_room");
+        fleet.until("the way to the room", SOON, |fleet| fleet.happened(&drives)).await;
         broken.store(true, Ordering::SeqCst);
         assert_eq!(carried_out(&mut fleet, &mission, ROOMS[0]).await, "gorse", "seed {seed}\n{}", fleet.tale());
         fleet.each_task_once(&mission);

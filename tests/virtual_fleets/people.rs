@@ -1,8 +1,8 @@
 //! What people are asked to do, and what is said for them, while robots are lost and replaced.
 
+use crate::usual::began;
 use consort_actors::bus::Bus;
 use consort_protocol::codec;
-use consort_protocol::event::Happening;
 use consort_protocol::ids::MissionId;
 use consort_protocol::keys::{ApiCall, Key};
 use consort_protocol::lease::{Ending, Epoch};
@@ -17,10 +17,6 @@ use std::time::Duration;
 const ROOM: &str = "IC Room 6";
 const OTHER: &str = "PC Room 2";
 const SOON: Duration = Duration::from_secs(60);
-
-fn began(task: &'static str) -> impl Fn(&Happening) -> bool {
-    move |what| matches!(what, Happening::TaskBegan { task: of, .. } if of.as_str() == task)
-}
 
 async fn submit(fleet: &mut Fleet, mission: Value) -> MissionId {
     let answer = fleet.answer(ApiCall::Submit, &json!({ "mission": mission, "request": "a" })).await;

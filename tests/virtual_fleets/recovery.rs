@@ -1,5 +1,6 @@
 //! What a robot cannot carry to its end another one does, where that helps.
 
+use crate::usual::began;
 use consort_protocol::event::Happening;
 use consort_protocol::ids::{MissionId, TaskId};
 use consort_protocol::message::FailureKind;
@@ -78,9 +79,8 @@ fn a_bid_that_was_only_just_taken_is_not_given_back() {
 fn a_robot_that_came_back_having_forgotten_its_role_is_replaced_before_custody() {
     tell([531], async |seed| {
         let (mut fleet, mission) = submitted(seed, Member::carrier("gorse", "IC Room 4")).await;
-        let drives =
-            |what: &Happening| matches!(what, Happening::TaskBegan { task, .. } if task.as_str() == "navto_room");
-        fleet.until("the way to the room", SOON, |fleet| fleet.happened(drives)).await;
+        let drives = began("navto_room");
+        fleet.until("the way to the room", SOON, |fleet| fleet.happened(&drives)).await;
         fleet.kill("gorse").await;
         fleet.start_robot("gorse").await;
         fleet.completes(&mission).await;
@@ -95,9 +95,8 @@ fn a_robot_that_came_back_having_forgotten_its_role_is_replaced_before_custody()
 fn a_robot_that_came_back_having_forgotten_that_it_carries_the_sample_needs_rescue() {
     tell([541, 542], async |seed| {
         let (mut fleet, mission) = submitted(seed, Member::carrier("gorse", "IC Room 4")).await;
-        let drives =
-            |what: &Happening| matches!(what, Happening::TaskBegan { task, .. } if task.as_str() == "navto_lab");
-        fleet.until("the way to the laboratory", SOON, |fleet| fleet.happened(drives)).await;
+        let drives = began("navto_lab");
+        fleet.until("the way to the laboratory", SOON, |fleet| fleet.happened(&drives)).await;
         fleet.kill("gorse").await;
         fleet.start_robot("gorse").await;
         let story = |fleet: &Fleet| format!("seed {seed}\n{}", fleet.tale());

@@ -1,5 +1,6 @@
 //! What clients ask for, and what they get.
 
+use crate::usual::{began, fleet};
 use consort_protocol::event::Happening;
 use consort_protocol::keys::ApiCall;
 use consort_protocol::lease::Ending;
@@ -10,13 +11,6 @@ use std::time::Duration;
 const SEEDS: [u64; 2] = [91, 92];
 const ROOM: &str = "IC Room 6";
 const SOON: Duration = Duration::from_secs(60);
-
-async fn fleet(seed: u64) -> Fleet {
-    let robots = vec![Member::carrier("fern", "Dock"), Member::carrier("gorse", "IC Room 4")];
-    let mut fleet = Fleet::hospital(seed, robots, &["aster", "basil", "clove"], &[ROOM]).await;
-    assert_eq!(fleet.coordinator().await.as_str(), "aster", "seed {seed}: who coordinates");
-    fleet
-}
 
 /// Nobody can do it: all carriers are nearly empty.
 async fn tired_fleet(seed: u64) -> Fleet {
@@ -33,7 +27,7 @@ fn missions(fleet: &Fleet) -> Option<usize> {
 #[test]
 fn a_repeated_request_gets_the_first_answer_again_whoever_coordinates() {
     tell(SEEDS, async |seed| {
-        let mut fleet = fleet(seed).await;
+        let mut fleet = fleet(seed, ROOM).await;
         let first = fleet.submit_and_read("my-7", ROOM).await;
         assert_eq!(first, json!({ "mission": "lab-samples-1", "again": false }), "seed {seed}");
         let again = json!({ "mission": "lab-samples-1", "again": true });
@@ -50,7 +44,7 @@ fn a_repeated_request_gets_the_first_answer_again_whoever_coordinates() {
 #[test]
 fn an_answer_that_was_lost_with_its_coordinator_is_given_by_the_next() {
     tell(SEEDS, async |seed| {
-        let mut fleet = fleet(seed).await;
+        let mut fleet = fleet(seed, ROOM).await;
         fleet.network.cut("aster".parse().expect("a name"), "client".parse().expect("a name"));
         let asked = json!({ "mission": "lab-samples", "parameters": { "room": ROOM }, "request": "my-7" });
         let answer = fleet.ask(ApiCall::Submit, &asked).await;
@@ -70,7 +64,7 @@ fn an_answer_that_was_lost_with_its_coordinator_is_given_by_the_next() {
 #[test]
 fn a_request_that_cannot_be_understood_says_what_would_be_and_changes_nothing() {
     tell(SEEDS, async |seed| {
-        let fleet = fleet(seed).await;
+        let fleet = fleet(seed, ROOM).await;
         let cases: [(ApiCall, &str, &[&str]); 8] = [
             (ApiCall::Submit, "{", &["an example is", "lab-samples"]),
             (ApiCall::Submit, "", &["an example is"]),
@@ -117,11 +111,10 @@ fn a_mission_canceled_while_it_waits_is_never_begun() {
 #[test]
 fn a_mission_canceled_under_way_stops_its_robots_and_frees_them() {
     tell(SEEDS, async |seed| {
-        let mut fleet = fleet(seed).await;
+        let mut fleet = fleet(seed, ROOM).await;
         let mission = fleet.submit("a", ROOM).await;
-        let began =
-            |what: &Happening| matches!(what, Happening::TaskBegan { task, .. } if task.as_str() == "navto_room");
-        fleet.until("the way to the room", SOON, |fleet| fleet.happened(began)).await;
+        let began = began("navto_room");
+        fleet.until("the way to the room", SOON, |fleet| fleet.happened(&began)).await;
         let robot = fleet.holder(&mission, "r1").expect("held").to_string();
         fleet.answer(ApiCall::Cancel, &json!({ "mission": mission })).await;
         let halted = |what: &Happening| matches!(what, Happening::Halted { reason: Ending::Canceled, .. });
@@ -129,16 +122,12 @@ fn a_mission_canceled_under_way_stops_its_robots_and_frees_them() {
         fleet.comes_to_rest(&robot).await;
         let place = fleet.position(&robot);
         for who in [robot.as_str(), "lab-arm"] {
-            let mut free = false;
-            for _ in 0..30 {
-                let views = fleet.view(&format!("robot/{who}")).await;
-                free = views[&format!("robot/{who}")]["robot"]["availability"] == "free";
-                if free {
-                    break;
-                }
-                tokio::time::sleep(Duration::from_millis(100)).await;
-            }
-            assert!(free, "seed {seed}: {who}\n{}", fleet.tale());
+            let name = format!("robot/{who}");
+            let free = async |fleet: &Fleet| {
+                let views = fleet.view(&name).await;
+                (views[&name]["robot"]["availability"] == "free").then_some(())
+            };
+            fleet.seen(&format!("{who} free"), Duration::from_secs(3), free).await;
         }
         assert_eq!(fleet.position(&robot), place, "seed {seed}: it stands still");
         let begun = fleet.tasks(&mission);
@@ -156,7 +145,7 @@ fn a_mission_canceled_under_way_stops_its_robots_and_frees_them() {
 #[test]
 fn missions_can_be_listed_and_looked_at_one_by_one() {
     tell(SEEDS, async |seed| {
-        let mut fleet = fleet(seed).await;
+        let mut fleet = fleet(seed, ROOM).await;
         assert_eq!(fleet.answer(ApiCall::List, &Value::Null).await, json!({ "missions": [] }), "seed {seed}");
         let mission = fleet.submit("my-7", ROOM).await;
         fleet.completes(&mission).await;

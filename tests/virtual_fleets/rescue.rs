@@ -1,5 +1,6 @@
 //! A robot is lost with the sample in its drawer.
 
+use crate::usual::began;
 use consort_protocol::event::Happening;
 use consort_protocol::ids::MissionId;
 use consort_protocol::keys::ApiCall;
@@ -13,10 +14,6 @@ const ROOM: &str = "IC Room 6";
 const SOON: Duration = Duration::from_secs(60);
 const SKILLS: [&str; 6] =
     ["navigation", "approach_person", "authenticate_person", "operate_drawer", "approach_robot", "wait"];
-
-fn began(task: &'static str) -> impl Fn(&Happening) -> bool {
-    move |what| matches!(what, Happening::TaskBegan { task: of, .. } if of.as_str() == task)
-}
 
 /// `amber` drives to the laboratory with the sample, and is killed.
 async fn lost_on_its_way(seed: u64, kind: &str) -> (Fleet, MissionId) {

@@ -1,5 +1,6 @@
 //! A robot's node that crashes and comes back goes on where it was, if its role is still its own.
 
+use crate::usual::{began, released};
 use consort_protocol::event::Happening;
 use consort_protocol::ids::MissionId;
 use consort_sim::world::{Happening as InWorld, JournalEntry, Keeper};
@@ -10,14 +11,6 @@ use std::time::Duration;
 
 const ROOM: &str = "IC Room 6";
 const SOON: Duration = Duration::from_secs(60);
-
-fn began(task: &'static str) -> impl Fn(&Happening) -> bool {
-    move |what| matches!(what, Happening::TaskBegan { task: of, .. } if of.as_str() == task)
-}
-
-fn released(what: &Happening) -> bool {
-    matches!(what, Happening::Released { .. })
-}
 
 fn resumed(what: &Happening) -> bool {
     matches!(what, Happening::Resumed { .. })
@@ -50,11 +43,8 @@ fn done_once(fleet: &Fleet, mission: &MissionId, begun_twice: &[&str]) {
 
 /// Waits until a robot's notebook is empty.
 async fn page_torn_out(fleet: &Fleet, robot: &str) {
-    let deadline = fleet.elapsed() + SOON;
-    while fleet.notebook(robot).await.is_some() {
-        assert!(fleet.elapsed() < deadline, "seed {}: {robot} keeps its page\n{}", fleet.seed, fleet.tale());
-        tokio::time::sleep(Duration::from_millis(10)).await;
-    }
+    let what = format!("the empty notebook of {robot}");
+    fleet.seen(&what, SOON, async |fleet| fleet.notebook(robot).await.is_none().then_some(())).await;
 }
 
 #[test]
@@ -175,37 +165,30 @@ async fn interrupted(seed: u64, nth: usize, robot: &'static str, away: Duration)
     true
 }
 
+/// Tells of a crash after so many happenings, more and more, until the mission is over before; says how often it was not.
+fn at_any_step(step: usize, seed: impl Fn(u64) -> u64, story: impl AsyncFn(u64, usize, Duration) -> bool) -> usize {
+    for (kills, nth) in (0..).step_by(step).enumerate() {
+        let (number, went_on) = (nth as u64, Cell::new(true));
+        let away = Duration::from_millis(40 + (number * 379) % 3000);
+        tell([seed(number)], async |seed| went_on.set(story(seed, nth, away).await));
+        if !went_on.get() {
+            return kills;
+        }
+    }
+    unreachable!("every mission ends")
+}
+
 #[test]
 fn a_carrier_may_crash_at_any_step() {
-    let went_on = Cell::new(true);
-    let mut kills = 0;
-    for nth in (0..).step_by(3) {
-        tell([340 + nth as u64 % 7], async |seed| {
-            let away = Duration::from_millis(40 + (nth as u64 * 379) % 3000);
-            went_on.set(interrupted(seed, nth, "gorse", away).await);
-        });
-        if !went_on.get() {
-            break;
-        }
-        kills += 1;
-    }
+    let kills =
+        at_any_step(3, |nth| 340 + nth % 7, async |seed, nth, away| interrupted(seed, nth, "gorse", away).await);
     assert!(kills > 10, "the mission was over after {kills} kills");
 }
 
 #[test]
 fn an_arm_may_crash_at_any_step() {
-    let went_on = Cell::new(true);
-    let mut kills = 0;
-    for nth in (0..).step_by(2) {
-        tell([350 + nth as u64 % 7], async |seed| {
-            let away = Duration::from_millis(40 + (nth as u64 * 379) % 3000);
-            went_on.set(interrupted(seed, nth, "lab-arm", away).await);
-        });
-        if !went_on.get() {
-            break;
-        }
-        kills += 1;
-    }
+    let kills =
+        at_any_step(2, |nth| 350 + nth % 7, async |seed, nth, away| interrupted(seed, nth, "lab-arm", away).await);
     assert!(kills > 15, "the mission was over after {kills} kills");
 }
 
@@ -234,7 +217,7 @@ fn what_the_body_did_while_its_robot_was_dead_is_not_done_again() {
 
 /// Kills the node that hosts bodies and people after the `nth` happening since the request and brings it back; false when the
 /// mission was over before.
-async fn world_interrupted(seed: u64, nth: usize) -> bool {
+async fn world_interrupted(seed: u64, nth: usize, away: Duration) -> bool {
     let room = "PC Room 8";
     let robots = vec![Member::carrier("gorse", room).at_speed(1.5)];
     let mut fleet = Fleet::hospital(seed, robots, &["aster", "basil", "clove", "dill"], &[room]).await;
@@ -247,7 +230,7 @@ async fn world_interrupted(seed: u64, nth: usize) -> bool {
         return false;
     }
     fleet.kill("world").await;
-    tokio::time::sleep(Duration::from_millis(40 + (nth as u64 * 379) % 3000)).await;
+    tokio::time::sleep(away).await;
     fleet.start_world().await;
     fleet.completes(&mission).await;
     let story = format!("seed {seed}: the world's node killed after {nth} things\n{}", fleet.tale());
@@ -261,13 +244,6 @@ async fn world_interrupted(seed: u64, nth: usize) -> bool {
 
 #[test]
 fn what_people_have_done_and_said_survives_the_node_that_speaks_for_them() {
-    let (went_on, mut kills) = (Cell::new(true), 0);
-    for nth in (0..).step_by(4) {
-        tell([360 + nth as u64 % 5], async |seed| went_on.set(world_interrupted(seed, nth).await));
-        if !went_on.get() {
-            break;
-        }
-        kills += 1;
-    }
+    let kills = at_any_step(4, |nth| 360 + nth % 5, world_interrupted);
     assert!(kills > 8, "the mission was over after {kills} kills");
 }

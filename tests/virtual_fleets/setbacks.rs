@@ -1,5 +1,6 @@
 //! Skills that fail, crash or come to no end are tried again before anybody else is asked for help.
 
+use crate::usual::began;
 use consort_protocol::event::Happening;
 use consort_skills::bt::{Cause, Leaf, LeafContext, Manifest, NodeKind, Status};
 use consort_skills::library::SkillLibrary;
@@ -156,8 +157,8 @@ fn a_canceled_mission_leaves_the_body_at_rest_and_the_drawer_as_it_was() {
             let mut fleet = Fleet::hospital(seed, robots, &["aster"], &[ROOM]).await;
             fleet.coordinator().await;
             let mission = fleet.submit("a", ROOM).await;
-            let at_it = |what: &Happening| matches!(what, Happening::TaskBegan { task: of, .. } if of.as_str() == task);
-            fleet.until(task, SOON, |fleet| fleet.happened(at_it)).await;
+            let at_it = began(task);
+            fleet.until(task, SOON, |fleet| fleet.happened(&at_it)).await;
             let answer = fleet.answer(ApiCall::Cancel, &serde_json::json!({ "mission": mission, "by": "test" })).await;
             let put_down = |what: &Happening| matches!(what, Happening::Halted { mission: of, .. } if *of == mission);
             fleet

@@ -1,6 +1,7 @@
 //! A robot that holds a role, answers and renews, and ends no step: in time the role is taken from it.
 
 use super::setbacks::{Mishap, mishaps, stumbles_in_company};
+use crate::usual::{began, released, why_released};
 use consort_protocol::event::Happening;
 use consort_protocol::ids::MissionId;
 use consort_protocol::lease::LeaseTerms;
@@ -14,17 +15,6 @@ const SOON: Duration = Duration::from_secs(60);
 /// Longer than any step of a robot that is at work, and shorter than the robot's own patience with a task that takes somebody
 /// else: ten minutes in the world, of which ten pass in a second.
 const STALL_AFTER: Duration = Duration::from_secs(25);
-
-fn released(what: &Happening) -> Option<String> {
-    match what {
-        Happening::Released { role, cause, .. } => Some(format!("{role}: {cause}")),
-        _ => None,
-    }
-}
-
-fn began(task: &'static str) -> impl Fn(&Happening) -> bool {
-    move |what| matches!(what, Happening::TaskBegan { task: of, .. } if of.as_str() == task)
-}
 
 /// `gorse` is near and wins; at the task named it stands still for ever. `fern` could take over.
 async fn stands_still(seed: u64, stall_after: Duration, at: &'static str) -> (Fleet, MissionId) {
@@ -53,7 +43,7 @@ fn a_role_that_makes_no_progress_is_taken_from_its_holder_and_carried_out_by_ano
     tell([1101, 1102, 1103], async |seed| {
         let (mut fleet, mission) = stands_still(seed, STALL_AFTER, "approach_nurse").await;
         let stood = fleet.elapsed();
-        let given_up = |fleet: &Fleet| fleet.happened(|what| released(what).is_some());
+        let given_up = |fleet: &Fleet| fleet.happened(released);
         fleet.until("the role to be released", STALL_AFTER * 2, given_up).await;
         let waited = fleet.elapsed() - stood;
         // It is renewed no more, and loses the role when its lease has certainly run out.
@@ -64,7 +54,7 @@ fn a_role_that_makes_no_progress_is_taken_from_its_holder_and_carried_out_by_ano
         let halted = |what: &Happening| matches!(what, Happening::Halted { .. });
         fleet.until("gorse to put its role down", SOON, |fleet| fleet.happened(halted)).await;
         fleet.completes(&mission).await;
-        let causes: Vec<_> = fleet.happenings().iter().filter_map(released).collect();
+        let causes: Vec<_> = fleet.happenings().iter().filter_map(why_released).collect();
         assert_eq!(causes, ["r1: gorse as r1 ended no step for 25 s"], "seed {seed}\n{}", fleet.tale());
         assert_eq!(fleet.holder(&mission, "r1").expect("held").as_str(), "fern", "seed {seed}\n{}", fleet.tale());
         let own = |what: &Happening| matches!(what, Happening::TaskFailed { .. } | Happening::TaskRetried { .. });
@@ -92,7 +82,7 @@ fn a_robot_that_makes_no_progress_with_the_sample_in_its_drawer_needs_rescue() {
 fn with_a_time_of_zero_a_holder_is_left_to_its_own_patience() {
     tell([1121], async |seed| {
         let (mut fleet, mission) = stands_still(seed, Duration::ZERO, "approach_nurse").await;
-        let given_up = |fleet: &Fleet| fleet.happened(|what| released(what).is_some());
+        let given_up = |fleet: &Fleet| fleet.happened(released);
         fleet.never("a release", STALL_AFTER * 2, given_up).await;
         // After its ten minutes the robot itself breaks the task off, and does it on the second attempt.
         fleet.completes(&mission).await;

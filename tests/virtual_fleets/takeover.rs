@@ -3,6 +3,7 @@
 //! In a fleet with the stations `aster`, `basil` and `clove`, the voters are these three, the arm and `fern`, the first
 //! of the robots by name; `aster` founds the ledger. None of the nodes that may coordinate first holds a role that way.
 
+use crate::usual::{began, fleet};
 use consort_protocol::event::Happening;
 use consort_protocol::ids::MissionId;
 use consort_protocol::ledger::MissionState;
@@ -14,14 +15,6 @@ const ROOM: &str = "IC Room 6";
 const SOON: Duration = Duration::from_secs(60);
 
 /// `fern` is far away and `gorse` near, so that `gorse` carries.
-async fn fleet(seed: u64) -> Fleet {
-    let robots = vec![Member::carrier("fern", "Dock"), Member::carrier("gorse", "IC Room 4")];
-    let mut fleet = Fleet::hospital(seed, robots, &["aster", "basil", "clove"], &[ROOM]).await;
-    let coordinator = fleet.coordinator().await;
-    assert_eq!(coordinator.as_str(), "aster", "seed {seed}: who coordinates first");
-    fleet
-}
-
 fn called(what: &Happening) -> bool {
     matches!(what, Happening::Called { .. })
 }
@@ -47,7 +40,7 @@ async fn carried_out_once(fleet: &mut Fleet, mission: &MissionId) {
 #[test]
 fn killed_as_soon_as_the_request_is_acknowledged_it_leaves_the_auction_to_the_next() {
     tell(SEEDS, async |seed| {
-        let mut fleet = fleet(seed).await;
+        let mut fleet = fleet(seed, ROOM).await;
         let mission = fleet.submit("a", ROOM).await;
         fleet.kill("aster").await;
         let awards = fleet.chronicle.count(awarded);
@@ -59,7 +52,7 @@ fn killed_as_soon_as_the_request_is_acknowledged_it_leaves_the_auction_to_the_ne
 #[test]
 fn killed_while_bids_come_in_it_leaves_a_new_auction_to_the_next() {
     tell(SEEDS, async |seed| {
-        let mut fleet = fleet(seed).await;
+        let mut fleet = fleet(seed, ROOM).await;
         // A member that is not heard holds the auction open.
         fleet.network.mute("fern".parse().expect("a name"));
         let mission = fleet.submit("a", ROOM).await;
@@ -79,7 +72,7 @@ fn killed_while_bids_come_in_it_leaves_a_new_auction_to_the_next() {
 #[test]
 fn killed_when_the_award_is_committed_and_nobody_knows_it_leaves_the_award_in_force() {
     tell(SEEDS, async |seed| {
-        let mut fleet = fleet(seed).await;
+        let mut fleet = fleet(seed, ROOM).await;
         let mission = fleet.submit("a", ROOM).await;
         let held = |fleet: &Fleet| fleet.holder(&mission, "r1").is_some();
         fleet.until("an award", SOON, held).await;
@@ -106,10 +99,10 @@ fn killed_at_any_point_of_the_execution_it_is_not_missed() {
     let points = ["navto_room", "authenticate_nurse", "deposit", "navto_lab", "pick_up_sample", "close_drawer_lab"];
     tell(21..27, async |seed| {
         let point = points[usize::try_from(seed - 21).expect("a small number")];
-        let mut fleet = fleet(seed).await;
+        let mut fleet = fleet(seed, ROOM).await;
         let mission = fleet.submit("a", ROOM).await;
-        let began = |what: &Happening| matches!(what, Happening::TaskBegan { task, .. } if task.as_str() == point);
-        fleet.until(&format!("the beginning of {point}"), SOON, |fleet| fleet.happened(began)).await;
+        let began = began(point);
+        fleet.until(&format!("the beginning of {point}"), SOON, |fleet| fleet.happened(&began)).await;
         fleet.kill("aster").await;
         carried_out_once(&mut fleet, &mission).await;
         assert_eq!(fleet.chronicle.count(called), 1, "seed {seed}: calls\n{}", fleet.tale());
@@ -126,7 +119,6 @@ fn five_voters_survive_two_coordinators_killed_in_one_mission() {
         let mut fleet = Fleet::hospital(seed, robots, &stations, &[ROOM]).await;
         assert_eq!(fleet.coordinator().await.as_str(), "aster", "seed {seed}: who coordinates first");
         let mission = fleet.submit("a", ROOM).await;
-        let began = |task: &'static str| move |what: &Happening| matches!(what, Happening::TaskBegan { task: of, .. } if of.as_str() == task);
         fleet.until("the way to the room", SOON, |fleet| fleet.happened(began("navto_room"))).await;
         fleet.kill("aster").await;
         fleet.until("the deposit", SOON, |fleet| fleet.happened(began("deposit"))).await;

@@ -1,5 +1,6 @@
 //! The coordinator that is killed holds a role itself.
 
+use crate::usual::{began, released};
 use consort_protocol::event::Happening;
 use consort_protocol::ids::MissionId;
 use consort_protocol::lease::LeaseTerms;
@@ -10,14 +11,6 @@ use std::time::Duration;
 const SEEDS: [u64; 3] = [31, 32, 33];
 const ROOM: &str = "IC Room 6";
 const SOON: Duration = Duration::from_secs(60);
-
-fn began(task: &'static str) -> impl Fn(&Happening) -> bool {
-    move |what| matches!(what, Happening::TaskBegan { task: of, .. } if of.as_str() == task)
-}
-
-fn released(what: &Happening) -> bool {
-    matches!(what, Happening::Released { .. })
-}
 
 /// All five are voters; `amber` founds the ledger, and is near the room, so that it also wins the role.
 async fn led_by_a_carrier(seed: u64) -> (Fleet, MissionId) {

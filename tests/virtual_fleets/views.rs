@@ -1,7 +1,8 @@
 //! What anybody can see of a fleet.
 
+use crate::usual::{began, fleet};
 use consort_protocol::event::Happening;
-use consort_tests::{Fleet, Member, tell};
+use consort_tests::{Fleet, tell};
 use serde_json::json;
 use std::collections::BTreeSet;
 use std::time::Duration;
@@ -10,23 +11,19 @@ const SEEDS: [u64; 2] = [121, 122];
 const ROOM: &str = "IC Room 6";
 const SOON: Duration = Duration::from_secs(60);
 
-async fn fleet(seed: u64) -> Fleet {
-    let robots = vec![Member::carrier("fern", "Dock"), Member::carrier("gorse", "IC Room 4")];
-    let mut fleet = Fleet::hospital(seed, robots, &["aster", "basil", "clove"], &[ROOM]).await;
-    assert_eq!(fleet.coordinator().await.as_str(), "aster", "seed {seed}: who coordinates");
-    fleet
-}
-
 #[test]
 fn every_view_is_answered_once_and_says_how_things_stand() {
     tell(SEEDS, async |seed| {
-        let mut fleet = fleet(seed).await;
+        let mut fleet = fleet(seed, ROOM).await;
         let mission = fleet.submit("a", ROOM).await;
-        let began = |what: &Happening| matches!(what, Happening::TaskBegan { task, .. } if task.as_str() == "deposit");
-        fleet.until("the deposit", SOON, |fleet| fleet.happened(began)).await;
-        // The fleet's records come by gossip.
-        tokio::time::sleep(Duration::from_secs(2)).await;
-        let views = fleet.view("**").await;
+        let began = began("deposit");
+        fleet.until("the deposit", SOON, |fleet| fleet.happened(&began)).await;
+        // What robots say of themselves comes by gossip.
+        let told = async |fleet: &Fleet| {
+            let views = fleet.view("**").await;
+            (views["robot/gorse"]["robot"]["availability"]["holding"]["role"] == "r1").then_some(views)
+        };
+        let views = fleet.seen("gorse's word that it holds r1", Duration::from_secs(2), told).await;
         let names: Vec<&str> = views.keys().map(String::as_str).collect();
         let expected = [
             "auctions",
@@ -66,7 +63,6 @@ fn every_view_is_answered_once_and_says_how_things_stand() {
         let gorse = &views["robot/gorse"];
         let held = (&gorse["holds"]["mission"], &gorse["holds"]["role"]);
         assert_eq!(held, (&json!(mission), &json!("r1")), "seed {seed}: {gorse}");
-        assert_eq!(gorse["robot"]["availability"]["holding"]["role"], "r1", "seed {seed}: {gorse}");
         assert_eq!(views["robot/fern"]["holds"], json!(null), "seed {seed}");
         assert_eq!(views["robot/fern"]["robot"]["availability"], "free", "seed {seed}");
 
@@ -92,7 +88,7 @@ fn every_view_is_answered_once_and_says_how_things_stand() {
 #[test]
 fn presence_follows_life_and_office() {
     tell(SEEDS, async |seed| {
-        let mut fleet = fleet(seed).await;
+        let mut fleet = fleet(seed, ROOM).await;
         let nodes = ["aster", "basil", "clove", "fern", "gorse", "lab-arm", "world"];
         let expected = |coordinator: &str, gone: &[&str]| {
             let nodes = nodes.iter().filter(|node| !gone.contains(node)).map(|node| format!("node/{node}"));

@@ -35,7 +35,7 @@ pub struct BodyLinkSettings {
     /// Ids of goals begin here: different for each life of the node, so that no id is used twice.
     pub first_goal: u64,
     /// How often the host is told that the driver is there, while the body has something to do or the host does not answer;
-    /// a body at rest is looked after once a second. Raised: a lost command is repeated later. Default 300 ms.
+    /// a body at rest is asked only when its last answer is 0.8 s old. Raised: a lost command is repeated later. Default 300 ms.
     pub beat: Duration,
 }
 
@@ -210,6 +210,22 @@ impl RobotActions for Body {
 }
 
 impl Mirror {
+    /// Nothing was heard yet; ids of goals begin with `next`.
+    fn new(next: u64) -> Mirror {
+        Mirror {
+            next,
+            telemetry: None,
+            heard_at: None,
+            since: Instant::now(),
+            number: 0,
+            goals: BTreeMap::new(),
+            done: BTreeMap::new(),
+            attempt: Attempt::default(),
+            unanswered: vec![],
+            changed: watch::Sender::new(0),
+        }
+    }
+
     /// Orders a goal to end. If the order to begin it was not answered, it is not repeated: the host may hear of the goal
     /// only now, long after it ceased to be wanted.
     fn call_off(&mut self, goal: GoalId) {
@@ -282,19 +298,8 @@ impl Actor for BodyLink {
         myself: ActorRef<Self::Msg>,
         (settings, hand_out): Self::Arguments,
     ) -> Result<Self::State, ActorProcessingErr> {
-        let mirror = Mirror {
-            next: settings.first_goal,
-            telemetry: None,
-            heard_at: None,
-            since: Instant::now(),
-            number: 0,
-            goals: BTreeMap::new(),
-            done: BTreeMap::new(),
-            attempt: Attempt::default(),
-            unanswered: vec![],
-            changed: watch::channel(0).0,
-        };
-        let body = Body { mirror: Arc::new(Mutex::new(mirror)), orders: myself.clone(), seen: None };
+        let body =
+            Body { mirror: Arc::new(Mutex::new(Mirror::new(settings.first_goal))), orders: myself.clone(), seen: None };
         let mut tasks = Tasks::default();
         let state_key = settings.keys.write(&Key::Body(settings.robot.clone(), BodyCall::State));
         tasks.forward(settings.bus.subscribe(&state_key).await?, &myself, BodyLinkMessage::State);
@@ -378,21 +383,6 @@ mod tests {
     use consort_protocol::units::{BatteryShare, Seconds, WorldTime};
     use consort_skills::actions::Feedback;
 
-    fn mirror() -> Mirror {
-        Mirror {
-            next: 100,
-            telemetry: None,
-            heard_at: None,
-            since: Instant::now(),
-            number: 0,
-            goals: BTreeMap::new(),
-            done: BTreeMap::new(),
-            attempt: Attempt::default(),
-            unanswered: vec![],
-            changed: watch::Sender::new(0),
-        }
-    }
-
     fn executing() -> GoalStatus {
         let distance_remaining = consort_protocol::units::Metres::ZERO;
         GoalStatus::Executing(Feedback { distance_remaining, time_remaining: Seconds::ZERO })
@@ -412,7 +402,7 @@ mod tests {
 
     #[test]
     fn what_an_earlier_attempt_at_the_task_has_done_is_done_once_for_each_time() {
-        let mut mirror = mirror();
+        let mut mirror = Mirror::new(100);
         let pick_up = |from: &str| Goal::PickUp { from: from.parse().unwrap() };
         // Goal 5 is of a task that has ended; 6 and 7 are of a former life, and 101 of this one.
         let done = [(5, "amber"), (6, "birch"), (7, "amber"), (101, "amber")];
@@ -430,7 +420,7 @@ mod tests {
 
     #[test]
     fn what_a_former_life_set_going_is_called_off() {
-        let mut mirror = mirror();
+        let mut mirror = Mirror::new(100);
         assert!(mirror.take(state(1, &[(6, GoalStatus::Succeeded), (7, executing())])));
         assert_eq!(mirror.unanswered, [Order::Cancel { id: GoalId(7) }]);
         assert!(!mirror.goals[&GoalId(7)].is_final());
@@ -441,7 +431,7 @@ mod tests {
 
     #[test]
     fn a_host_that_started_anew_has_lost_what_was_under_way_and_not_what_it_has_yet_to_hear_of() {
-        let mut mirror = mirror();
+        let mut mirror = Mirror::new(100);
         mirror.goals = BTreeMap::from([(GoalId(100), executing()), (GoalId(101), GoalStatus::Sent)]);
         mirror.unanswered = vec![Order::Start { id: GoalId(101), goal: Goal::Wait { time: Seconds::ZERO } }];
         assert!(!mirror.take(state(1, &[(100, executing())])));

@@ -154,14 +154,9 @@ impl Actor for Coordinator {
         settings: Self::Arguments,
     ) -> Result<Self::State, ActorProcessingErr> {
         let mut tasks = Tasks::default();
-        let (mut leadership, to) = (settings.replica.leadership(), myself.clone());
-        tasks.spawn(async move {
-            while to.cast(CoordinatorMessage::Leadership).is_ok() && leadership.changed().await.is_ok() {}
-        });
-        let (mut applied, to) = (settings.replica.applied(), myself.clone());
-        tasks.spawn(
-            async move { while applied.changed().await.is_ok() && to.cast(CoordinatorMessage::Ledger).is_ok() {} },
-        );
+        tasks.on_change(settings.replica.leadership(), &myself, || CoordinatorMessage::Leadership);
+        tasks.on_change(settings.replica.applied(), &myself, || CoordinatorMessage::Ledger);
+        myself.cast(CoordinatorMessage::Leadership)?;
         let requests = settings.bus.serve(&settings.keys.any_api()).await?;
         tasks.forward(requests, &myself, CoordinatorMessage::Api);
         let beacons = settings.bus.subscribe(&settings.keys.write(&Key::Beacon)).await?;
@@ -176,77 +171,62 @@ impl Actor for Coordinator {
         message: Self::Msg,
         state: &mut Self::State,
     ) -> Result<(), ActorProcessingErr> {
-        if let CoordinatorMessage::Leadership = message {
-            return Ok(state.follow_leadership(&myself).await?);
-        }
-        if let CoordinatorMessage::Beacon(sample) = &message {
-            if let Ok(beacon) = codec::decode::<Beacon>(&sample.payload)
-                && beacon.node != state.settings.node
-            {
-                state.heard = Some((beacon.node, state.settings.clock.now()));
-            }
-            return Ok(());
-        }
-        let Some(reign) = &mut state.reign else {
-            match message {
-                CoordinatorMessage::Api(query) => {
-                    if let Some(query) = state.put_off(query).await {
-                        let to = myself.clone();
-                        state.tasks.spawn(async move {
-                            tokio::time::sleep(SECOND_THOUGHT).await;
-                            // A coordinator that has stopped has nothing to say.
-                            let _ = to.cast(CoordinatorMessage::Unanswered(query));
-                        });
-                    }
-                }
-                CoordinatorMessage::Unanswered(query) => drop(state.put_off(query).await),
-                _ => {}
-            }
-            return Ok(());
-        };
         let settings = &state.settings;
-        match message {
-            CoordinatorMessage::Leadership | CoordinatorMessage::Beacon(_) => {}
-            CoordinatorMessage::Ledger => reign.attend(settings, &myself),
-            CoordinatorMessage::Beat => {
-                reign.say_so(settings).await;
-                reign.follow_members(settings);
-                reign.look_abroad(settings);
-                reign.keep_keepers(settings, &myself);
-                reign.attend(settings, &myself);
-            }
-            CoordinatorMessage::Keepers(done) => {
+        match (message, &mut state.reign) {
+            (CoordinatorMessage::Leadership, _) => state.follow_leadership(&myself).await?,
+            (CoordinatorMessage::Beacon(sample), _) => state.hear_of_another(&sample),
+            (CoordinatorMessage::Api(query), None) => state.leave_to_another(&myself, query).await,
+            (CoordinatorMessage::Unanswered(query), None) => drop(state.put_off(query).await),
+            (_, None) => {} // of a reign that is over
+            (CoordinatorMessage::Ledger, Some(reign)) => reign.attend(settings, &myself),
+            (CoordinatorMessage::Beat, Some(reign)) => reign.beat(settings, &myself).await,
+            (CoordinatorMessage::Keepers(done), Some(reign)) => {
                 reign.keepers_changed(settings, done);
                 // Whoever leaves waits to hear that nobody counts on it any more.
                 reign.say_so(settings).await;
             }
-            CoordinatorMessage::Closed { call, expected, tenders } => {
+            (CoordinatorMessage::Closed { call, expected, tenders }, Some(reign)) => {
                 reign.close(settings, &myself, *call, expected, tenders);
             }
-            CoordinatorMessage::Decided { auction, outcome } => {
+            (CoordinatorMessage::Decided { auction, outcome }, Some(reign)) => {
                 reign.decided(settings, &auction, outcome);
                 reign.attend(settings, &myself);
             }
-            CoordinatorMessage::Noticed { mission, role, robot, epoch, answer } => {
+            (CoordinatorMessage::Noticed { mission, role, robot, epoch, answer }, Some(reign)) => {
                 if let AwardAnswer::Declined(why) = answer {
                     let cause = format!("{robot} declined: {why}");
                     reign.give_up(settings, mission, role, &robot, epoch, cause, false);
                 }
             }
-            CoordinatorMessage::Report(query) => reign.report(settings, query).await,
-            CoordinatorMessage::Live(query) => reign.live(settings, query).await,
-            CoordinatorMessage::Api(query) => reign.api(settings, query),
-            CoordinatorMessage::Unanswered(query) => {
+            (CoordinatorMessage::Report(query), Some(reign)) => reign.report(settings, query).await,
+            (CoordinatorMessage::Live(query), Some(reign)) => reign.live(settings, query).await,
+            (CoordinatorMessage::Api(query), Some(reign)) => reign.api(settings, query),
+            (CoordinatorMessage::Unanswered(query), Some(_)) => {
                 // Whether the former coordinator has carried it out, only the same request again can tell.
                 answer::json(&query, &query.key, &retry(String::new())).await;
             }
-            CoordinatorMessage::View(query) => reign.view(settings, &query).await,
+            (CoordinatorMessage::View(query), Some(reign)) => reign.view(settings, &query).await,
         }
         Ok(())
     }
 }
 
 impl CoordinatorState {
+    fn hear_of_another(&mut self, sample: &Sample) {
+        if let Ok(beacon) = codec::decode::<Beacon>(&sample.payload)
+            && beacon.node != self.settings.node
+        {
+            self.heard = Some((beacon.node, self.settings.clock.now()));
+        }
+    }
+
+    /// Leaves a request to whoever coordinates, and looks at it again in a moment if this node has nothing to say to it now.
+    async fn leave_to_another(&mut self, myself: &ActorRef<CoordinatorMessage>, query: Query) {
+        if let Some(query) = self.put_off(query).await {
+            self.tasks.after(SECOND_THOUGHT, myself, CoordinatorMessage::Unanswered(query));
+        }
+    }
+
     /// Answers a request while this node does not coordinate, if it is for this node to answer; else gives it back.
     async fn put_off(&self, query: Query) -> Option<Query> {
         let CoordinatorSettings { node, replica, knowledge, .. } = &self.settings;

@@ -18,6 +18,7 @@ mod auctioneer;
 mod auctions;
 mod duties;
 mod interregnum;
+mod news;
 mod pace;
 mod reign;
 mod reports;

@@ -3,10 +3,11 @@
 use super::actor::{CoordinatorMessage, CoordinatorSettings};
 use super::api::Desk;
 use super::duties::{Duty, Memory, Phase, Round, awards, duties};
+use super::news::Seen;
 use super::pace::{Pace, Stalled};
-use super::reports;
+use super::reports::Clerk;
 use super::view::Window;
-use super::whereabouts::{place, places};
+use super::whereabouts::{foreign, place, places};
 use crate::answer;
 use crate::autopilot::{Autopilot, Done, perform};
 use crate::bus::{BusError, Delivery, Encoding, Query, Token};
@@ -17,9 +18,9 @@ use consort_protocol::codec;
 use consort_protocol::event::Happening;
 use consort_protocol::ids::{ClusterId, MissionId, NodeId, RobotId, RoleId};
 use consort_protocol::keys::Key;
-use consort_protocol::lease::{Award, Ending, Epoch, Holding, Watch};
-use consort_protocol::ledger::{Branch, Command, MissionEntry, MissionState, Outcome, Released, RoleEntry, RolePhase};
-use consort_protocol::message::{AwardAnswer, AwardNotice, Beacon, Changed, Live, LivePlan, Report};
+use consort_protocol::lease::{Award, Epoch, Watch};
+use consort_protocol::ledger::{Command, MissionEntry, Outcome};
+use consort_protocol::message::{AwardAnswer, AwardNotice, Beacon, Live, LivePlan, Report};
 use consort_protocol::mission::RoleKind;
 use consort_protocol::units::NodeTime;
 use ractor::ActorRef;
@@ -55,7 +56,7 @@ pub(super) struct Reign {
     failing: BTreeMap<MissionId, NodeTime>,
     told: BTreeMap<(Epoch, RoleId), NodeTime>,
     /// How missions stood when last looked at, to tell what has changed.
-    seen: BTreeMap<MissionId, Seen>,
+    pub(super) seen: BTreeMap<MissionId, Seen>,
     members: BTreeSet<NodeId>,
     /// Those of them that say they are free.
     free: BTreeSet<NodeId>,
@@ -73,18 +74,6 @@ pub(super) type SharedWatch = Arc<Mutex<Watch>>;
 pub(super) fn lock(watch: &SharedWatch) -> MutexGuard<'_, Watch> {
     // A panic under the lock has not left it half written: writes are single steps.
     watch.lock().unwrap_or_else(PoisonError::into_inner)
-}
-
-#[derive(Clone, PartialEq)]
-struct Seen {
-    state: MissionState,
-    done: usize,
-    /// The awards in force.
-    holdings: BTreeMap<RoleId, Holding>,
-    /// How often a role was taken from a robot.
-    released: u32,
-    /// When this coordinator first saw the mission.
-    since: NodeTime,
 }
 
 impl Reign {
@@ -146,6 +135,15 @@ impl Reign {
         self.autopilot.yielded()
     }
 
+    /// Says that this node coordinates, and looks after everything.
+    pub(super) async fn beat(&mut self, settings: &CoordinatorSettings, myself: &ActorRef<CoordinatorMessage>) {
+        self.say_so(settings).await;
+        self.follow_members(settings);
+        self.look_abroad(settings);
+        self.keep_keepers(settings, myself);
+        self.attend(settings, myself);
+    }
+
     /// Tells everybody who coordinates.
     pub(super) async fn say_so(&self, settings: &CoordinatorSettings) {
         let voters = settings.replica.leadership().borrow().voters.values().cloned().collect();
@@ -156,12 +154,9 @@ impl Reign {
     }
 
     /// Says so once when there is another cluster of this fleet's name.
-    pub(super) fn look_abroad(&mut self, settings: &CoordinatorSettings) {
+    fn look_abroad(&mut self, settings: &CoordinatorSettings) {
         let Some(own) = *settings.replica.cluster().borrow() else { return };
-        let foreign: BTreeMap<ClusterId, NodeId> = settings.knowledge.read(|base| {
-            let its = base.iter().filter_map(|(node, heard)| Some((heard.record.knowledge.cluster?, node.clone())));
-            its.filter(|(cluster, _)| *cluster != own).collect()
-        });
+        let foreign = foreign(&settings.knowledge, Some(own));
         for (cluster, node) in &foreign {
             if !self.foreign.contains_key(cluster) {
                 error!(%own, foreign = %cluster, %node, "another cluster of this fleet's name was founded apart: they do not \
@@ -175,7 +170,7 @@ impl Reign {
     }
 
     /// Makes the change of the ledger's keepers that is due.
-    pub(super) fn keep_keepers(&mut self, settings: &CoordinatorSettings, myself: &ActorRef<CoordinatorMessage>) {
+    fn keep_keepers(&mut self, settings: &CoordinatorSettings, myself: &ActorRef<CoordinatorMessage>) {
         let Some(change) = self.autopilot.next(&settings.replica, &settings.knowledge) else { return };
         info!(reason = change.reason(), "changes who keeps the ledger");
         let (replica, to) = (settings.replica.clone(), myself.clone());
@@ -280,54 +275,6 @@ impl Reign {
         self.settle(settings, myself);
     }
 
-    fn follow_missions(&mut self, settings: &CoordinatorSettings, now: NodeTime) {
-        let mut changed = false;
-        let mut revoked: Vec<(RobotId, Epoch, Ending)> = vec![];
-        settings.replica.read(|ledger| {
-            for entry in ledger.missions() {
-                let known = self.seen.get(&entry.id);
-                let since = known.map_or(now, |seen| seen.since);
-                let seen = Seen::of(entry, since);
-                if known == Some(&seen) {
-                    continue;
-                }
-                changed = true;
-                let mission = entry.id.clone();
-                if known.is_none() {
-                    let parameters = entry.submission.parameters.clone();
-                    settings.events.tell(Happening::Submitted { mission: mission.clone(), parameters });
-                }
-                if known.is_some_and(|known| known.done != seen.done) {
-                    let (done, steps) = entry.progress();
-                    settings.events.tell(Happening::Progress { mission: mission.clone(), done, steps });
-                }
-                let given_up = known.map_or(0, |known| seen.released.saturating_sub(known.released)) as usize;
-                for Released { role, cause, .. } in entry.releases.iter().rev().take(given_up).rev() {
-                    let (mission, role, cause) = (mission.clone(), role.clone(), cause.clone());
-                    settings.events.tell(Happening::Released { mission, role, cause });
-                }
-                if known.is_none_or(|known| known.state != seen.state) {
-                    settings.events.tell(Happening::Mission { mission: mission.clone(), state: seen.state.clone() });
-                }
-                let former = known.into_iter().flat_map(|known| &known.holdings);
-                for (role, held) in former.filter(|(role, held)| seen.holdings.get(*role) != Some(held)) {
-                    let reason = ending(entry, role, held.epoch);
-                    revoked.extend(reason.map(|reason| (held.robot.clone(), held.epoch, reason)));
-                }
-                self.seen.insert(mission, seen);
-            }
-        });
-        for (robot, epoch, reason) in revoked {
-            self.notify(settings, &robot, AwardNotice::Revoked { epoch, reason }, |_| ());
-        }
-        if changed {
-            let (settings, term) = (settings.clone(), self.term);
-            self.tasks.spawn(async move {
-                publish(&settings, &Key::Changed, &Changed { node: settings.node.clone(), term }).await;
-            });
-        }
-    }
-
     #[expect(clippy::too_many_arguments, reason = "they name one award and the moment")]
     fn tell(
         &mut self,
@@ -353,7 +300,7 @@ impl Reign {
         });
     }
 
-    fn notify(
+    pub(super) fn notify(
         &mut self,
         settings: &CoordinatorSettings,
         robot: &RobotId,
@@ -391,14 +338,9 @@ impl Reign {
         propose(settings, &mut self.tasks, command);
     }
 
-    /// How long this coordinator has known of a mission.
-    pub(super) fn known_for(&self, mission: &MissionId, now: NodeTime) -> Option<Duration> {
-        self.seen.get(mission).map(|seen| now.since(seen.since))
-    }
-
     pub(super) async fn report(&mut self, settings: &CoordinatorSettings, query: Query) {
         let Some(report) = answer::read::<Report>(&query).await else { return };
-        let desk = reports::Desk {
+        let clerk = Clerk {
             replica: settings.replica.clone(),
             knowledge: settings.knowledge.clone(),
             leadership_age_max: settings.terms.leadership_age_max(),
@@ -406,7 +348,7 @@ impl Reign {
             watch: self.watch.clone(),
         };
         self.tasks.spawn(async move {
-            let said = desk.answer(report).await;
+            let said = clerk.answer(report).await;
             answer::wire(&query, &query.key, &said).await;
         });
     }
@@ -472,15 +414,6 @@ impl Reign {
     }
 }
 
-impl Seen {
-    fn of(entry: &MissionEntry, since: NodeTime) -> Seen {
-        let in_force = |role: &RoleEntry| matches!(role.phase, RolePhase::Awarded | RolePhase::Active);
-        let mut holdings = if entry.state.is_end() { BTreeMap::new() } else { entry.holdings() };
-        holdings.retain(|role, _| entry.roles.get(role).is_some_and(in_force));
-        Seen { state: entry.state.clone(), done: entry.progress().0, holdings, released: entry.released, since }
-    }
-}
-
 /// Lets the ledger hear something whose outcome it will show.
 pub(super) fn propose(settings: &CoordinatorSettings, tasks: &mut Tasks, command: Command) {
     let replica = settings.replica.clone();
@@ -506,21 +439,6 @@ pub(super) fn members(settings: &CoordinatorSettings, now: NodeTime) -> BTreeSet
     ours.into_iter().filter(|node| settings.knowledge.alive(node)).collect()
 }
 
-/// Why a robot that held a role no longer does; nothing if it carried the role out.
-fn ending(entry: &MissionEntry, role: &RoleId, epoch: Epoch) -> Option<Ending> {
-    match &entry.state {
-        MissionState::Canceled { .. } => Some(Ending::Canceled),
-        MissionState::Failed { .. } => Some(Ending::Failed),
-        MissionState::NeedsRescue { .. } => Some(Ending::Rescue),
-        MissionState::Completed => Some(Ending::Over),
-        MissionState::Pending | MissionState::Running => match entry.roles.get(role) {
-            Some(RoleEntry { holder: Some(holder), phase: RolePhase::Ended, .. }) if holder.epoch == epoch => None,
-            Some(RoleEntry { holder: None, .. }) if entry.branch == Branch::Main => Some(Ending::Released),
-            Some(_) | None => Some(Ending::Replaced),
-        },
-    }
-}
-
 fn unmanaged(entry: &MissionEntry) -> Vec<LivePlan> {
     let roles = entry.roles.iter().filter(|(_, role)| role.kind == RoleKind::Unmanaged);
     roles
@@ -532,7 +450,7 @@ fn unmanaged(entry: &MissionEntry) -> Vec<LivePlan> {
         .collect()
 }
 
-async fn publish<T: serde::Serialize>(settings: &CoordinatorSettings, key: &Key, message: &T) {
+pub(super) async fn publish<T: serde::Serialize>(settings: &CoordinatorSettings, key: &Key, message: &T) {
     let bytes = Bytes::from(codec::encode(message).expect("a sign of life fits a message"));
     let key = settings.keys.write(key);
     if let Err(problem) = settings.bus.publish(&key, bytes, Encoding::Wire, Delivery::Drop).await {

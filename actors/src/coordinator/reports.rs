@@ -29,7 +29,7 @@ enum Step {
 }
 
 /// What reports are answered with.
-pub(super) struct Desk {
+pub(super) struct Clerk {
     pub(super) replica: Replica<Ledger>,
     pub(super) knowledge: SharedKnowledge,
     pub(super) leadership_age_max: Duration,
@@ -37,11 +37,11 @@ pub(super) struct Desk {
     pub(super) watch: SharedWatch,
 }
 
-impl Desk {
+impl Clerk {
     /// Writes what is new in a report into the ledger, then answers. Nothing but `NotCoordinator` is said before the ledger
     /// has it, and a lease is renewed only while a majority is known to follow this coordinator.
     pub(super) async fn answer(&self, report: Report) -> ReportAnswer {
-        let Desk { replica, knowledge, .. } = self;
+        let Clerk { replica, knowledge, .. } = self;
         // Accept, progress, release: no report needs more commits than this.
         for _ in 0..4 {
             let step = replica.read(|ledger| {

@@ -1,5 +1,6 @@
 //! The fleet as people see it, in JSON.
 
+use super::whereabouts::foreign;
 use crate::gossip::{SharedKnowledge, Status};
 use crate::replica::{Leadership, RaftId, Replica};
 use consort_protocol::ensemble::Ensemble;
@@ -59,10 +60,8 @@ impl Window<'_> {
             self.leadership.voters.iter().filter(is_lost).map(|(_, node)| node.clone()).collect::<Vec<_>>()
         });
         let own = *self.replica.cluster().borrow();
-        let foreign: BTreeMap<String, NodeId> = self.knowledge.read(|base| {
-            let its = base.iter().filter_map(|(node, heard)| Some((heard.record.knowledge.cluster?, node.clone())));
-            its.filter(|(cluster, _)| Some(*cluster) != own).map(|(c, node)| (c.to_string(), node)).collect()
-        });
+        let foreign = foreign(self.knowledge, own).into_iter().map(|(cluster, node)| (cluster.to_string(), node));
+        let foreign: BTreeMap<String, NodeId> = foreign.collect();
         json!({
             "voters_lost": lost,
             "cluster": own,

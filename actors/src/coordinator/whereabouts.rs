@@ -1,7 +1,7 @@
-//! Where robots were last known to be: where to look for what they carry.
+//! Where robots were last known to be, which is where to look for what they carry, and who is in another cluster.
 
 use crate::gossip::SharedKnowledge;
-use consort_protocol::ids::{NodeId, PlaceId, RobotId};
+use consort_protocol::ids::{ClusterId, NodeId, PlaceId, RobotId};
 use consort_protocol::ledger::MissionEntry;
 use std::collections::BTreeMap;
 
@@ -17,4 +17,12 @@ pub(super) fn place(knowledge: &SharedKnowledge, robot: &RobotId) -> Option<Plac
 pub(super) fn places(knowledge: &SharedKnowledge, entry: Option<&MissionEntry>) -> BTreeMap<RobotId, PlaceId> {
     let holders = entry.map(MissionEntry::holders).unwrap_or_default().into_values();
     holders.filter_map(|robot| place(knowledge, &robot).map(|place| (robot, place))).collect()
+}
+
+/// Other clusters of this fleet's name that are heard of, and a node of each.
+pub(super) fn foreign(knowledge: &SharedKnowledge, own: Option<ClusterId>) -> BTreeMap<ClusterId, NodeId> {
+    knowledge.read(|base| {
+        let its = base.iter().filter_map(|(node, heard)| Some((heard.record.knowledge.cluster?, node.clone())));
+        its.filter(|(cluster, _)| Some(*cluster) != own).collect()
+    })
 }

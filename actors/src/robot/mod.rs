@@ -12,9 +12,9 @@
 //!                   Pen ─▶ notebook ─▶ signals to other roles, robot to robot
 //! ```
 //!
-//! The [`Robot`] actor owns mailbox, timers and bus; the values beside it decide. What the actor does stands in three
-//! files: `actor` (messages, knowledge of itself, bids), `holding` (awards, reports, leaving) and `work` (the plan). A skill
-//! runs in an actor of its own, so that one that panics fails its attempt and not the node.
+//! The [`Robot`] actor owns mailbox, timers and bus; the values beside it decide. What the actor does stands in four
+//! files: `actor` (messages, knowledge of itself, bids), `holding` (awards, reports, leaving), `work` (the plan) and `record`
+//! (the notebook). A skill runs in an actor of its own, so that one that panics fails its attempt and not the node.
 //!
 //! What a robot holds and how far it has come is on the [`Page`] of its notebook before others are told, so that its next
 //! life can ask whether the role is still its own, and go on at the right task. A robot that was restarted is not free
@@ -29,6 +29,7 @@ mod ladder;
 mod page;
 mod patience;
 mod pen;
+mod record;
 mod sequencer;
 mod settings;
 mod skill_runner;

@@ -53,8 +53,7 @@ impl Actor for SkillRunner {
 
     async fn pre_start(&self, myself: ActorRef<Self::Msg>, run: Run) -> Result<Self::State, ActorProcessingErr> {
         let mut tasks = Tasks::default();
-        let (mut changes, to) = (run.body.changes(), myself.clone());
-        tasks.spawn(async move { while changes.changed().await.is_ok() && to.cast(RunnerMessage::Tick).is_ok() {} });
+        tasks.on_change(run.body.changes(), &myself, || RunnerMessage::Tick);
         tasks.beat(run.period, &myself, || RunnerMessage::Tick);
         myself.cast(RunnerMessage::Tick)?;
         Ok(RunnerState { begun: false, skill: run.skill, body: run.body, done: Some(run.done), _tasks: tasks })

@@ -51,7 +51,7 @@ fn a_killed_leader_is_replaced_and_nothing_acknowledged_is_lost() {
                 acknowledged.insert(fleet.note(round * 100 + 50).await, round * 100 + 50);
             }
             fleet.until_all_hold(acknowledged.len()).await;
-            tokio::time::sleep(SOON).await;
+            fleet.until_all_agree().await;
             let held: BTreeMap<_, _> = fleet.common().written.into_iter().collect();
             for (at, number) in acknowledged {
                 assert_eq!(held.get(&at), Some(&number), "at {at}, seed {seed}");

@@ -70,7 +70,8 @@ fn the_leaver_refuses_proposals_at_once_votes_on_and_keeps_what_was_acknowledged
                     done
                 })
             };
-            tokio::time::sleep(Duration::from_millis(40)).await;
+            let begun = leaver.read(|tally| tally.written.len());
+            fleet.until("it is busy", |_| leaver.read(|tally| tally.written.len()) > begun + 10).await;
             let successor = leaver.hand_over(&BTreeSet::new(), LIMIT).await.expect("a successor");
             assert!(!fleet.believed(&leader).is_me && leaver.quorum_age().is_none());
             acknowledged += busy.await.expect("no panic");
@@ -81,7 +82,7 @@ fn the_leaver_refuses_proposals_at_once_votes_on_and_keeps_what_was_acknowledged
             assert_ne!(successor, leader, "round {round}");
         }
         fleet.until_all_hold(acknowledged).await;
-        tokio::time::sleep(SOON).await;
+        fleet.until_all_agree().await;
         // What was under way when its leader left was committed by the next, or not at all.
         let held = fleet.common().written.len();
         assert!((acknowledged..=acknowledged + 6).contains(&held), "{held} of {acknowledged}");
@@ -104,6 +105,7 @@ fn a_shunned_voter_succeeds_only_if_there_is_nobody_else() {
         let leader = fleet.leader().await;
         let other: Vec<_> = fleet.live.keys().filter(|name| **name != leader).cloned().collect();
         fleet.kill(&other[1]);
+        // Its silence is what tells that it is no candidate any more.
         tokio::time::sleep(SOON).await;
         let successor = fleet.live[&leader].hand_over(&BTreeSet::from([other[0].clone()]), LIMIT).await;
         assert_eq!(successor.as_ref(), Ok(&other[0]));
@@ -122,6 +124,7 @@ fn whoever_has_nobody_to_hand_over_to_says_so_and_leads_on() {
         fleet.note(1).await;
         let leader = fleet.leader().await;
         fleet.network.isolate(leader.clone());
+        // Silent for so long that nobody counts as near, and not for so long that it doubts itself.
         tokio::time::sleep(Duration::from_millis(250)).await;
         let limit = Duration::from_millis(20);
         let nobody = fleet.live[&leader].hand_over(&BTreeSet::new(), limit).await;

@@ -171,6 +171,16 @@ impl Fleet {
         .await;
     }
 
+    /// Waits until all have applied the same, which is all that was acknowledged: whoever leads had it applied before.
+    pub(crate) async fn until_all_agree(&self) {
+        self.until("all hold the same", |fleet| {
+            let mut held = fleet.live.values().map(|replica| replica.read(Tally::clone));
+            let first = held.next();
+            held.all(|tally| Some(&tally) == first.as_ref())
+        })
+        .await;
+    }
+
     /// What all nodes hold, which must be one and the same.
     pub(crate) fn common(&self) -> Tally {
         let mut all = self.live.values().map(|replica| replica.read(Tally::clone));

@@ -350,11 +350,13 @@ fn a_recovered_ledger_is_a_stranger_to_voters_that_come_back_with_the_former_one
         }
         let members = former.iter().zip(NAMES).map(|(replica, name)| (replica.id(), NodeId::new(name).unwrap()));
         former[0].bootstrap(members.collect()).await.expect("a first founding");
+        let began = Instant::now();
         let leader = loop {
             match former.iter().find(leads) {
                 Some(leader) => break leader,
                 None => tokio::time::sleep(Duration::from_millis(1)).await,
             }
+            assert!(began.elapsed() < Duration::from_secs(30), "nobody leads the first cluster");
         };
         leader.propose(found, soon).await.expect("a commit");
         for replica in &former {
@@ -376,7 +378,9 @@ fn a_recovered_ledger_is_a_stranger_to_voters_that_come_back_with_the_former_one
 
         // Against all advice the others come back, and they are a majority of their own.
         let others = [start("ada", 5).await, start("bob", 6).await];
+        let began = Instant::now();
         while !others.iter().any(|other| leads(&other)) || cyd.refused() < 10 {
+            assert!(began.elapsed() < Duration::from_secs(30), "{} messages refused", cyd.refused());
             tokio::time::sleep(Duration::from_millis(1)).await;
         }
         let now = cyd.leadership().borrow().clone();

@@ -1,0 +1,33 @@
+//! The fleet that stories are told of, unless they say otherwise.
+
+use crate::slug;
+use consort_actors::autopilot::VOTERS;
+use consort_actors::node::FleetSettings;
+use consort_actors::timing::Timing;
+use consort_protocol::auction::Limits;
+use consort_protocol::ensemble::{Ensemble, EnsembleSpec};
+use consort_protocol::ids::EnsembleId;
+use consort_protocol::lease::LeaseTerms;
+use consort_protocol::mission::Domain;
+use std::sync::Arc;
+use std::time::Duration;
+
+/// The fleet `ward`, whose robots with one of these skills are asked for bids. So many nodes are to meet before its ledger is
+/// founded.
+pub(crate) fn ward(skills: &[&str], bootstrap_expect: usize) -> FleetSettings {
+    let skills = skills.iter().map(|skill| slug(skill)).collect();
+    let spec = EnsembleSpec::with_any_skill_of(slug::<EnsembleId>("logistics"), skills);
+    FleetSettings {
+        fleet: slug("ward"),
+        ensemble: Arc::new(Ensemble::compile(spec).expect("the tests' own ensemble")),
+        domain: Arc::new(Domain::hospital()),
+        limits: Limits::default(),
+        terms: LeaseTerms::default(),
+        window: Duration::from_millis(200),
+        stall_after: Duration::from_secs(15 * 60),
+        bootstrap_expect,
+        timing: Timing::Lan,
+        voters: VOTERS,
+        dead_after: Timing::Lan.times().dead_after,
+    }
+}
