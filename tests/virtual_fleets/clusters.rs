@@ -175,7 +175,8 @@ fn five_that_start_at_once_found_one_cluster_however_few_they_expect() {
         let took = RefCell::new(vec![]);
         tell(0..60, async |seed| {
             let fleet = all_at_once(seed, expect, Duration::ZERO).await;
-            took.borrow_mut().push(one_cluster(&fleet).await);
+            let founded = one_cluster(&fleet).await;
+            took.borrow_mut().push(founded);
         });
         let mut took = took.into_inner();
         took.sort_unstable();

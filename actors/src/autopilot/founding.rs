@@ -181,8 +181,11 @@ mod tests {
         for (who, turn) in order {
             let own = sees(&[names[*who]]);
             let mut ask = |whom: usize| {
+                if !stands[*who] {
+                    return; // whoever may not ask does not
+                }
                 let answer = nodes[whom].answer(&founder(names[*who]), &sees(&[names[whom]]), now);
-                stands[*who] &= answer == FoundingAnswer::Agreed;
+                stands[*who] = answer == FoundingAnswer::Agreed;
             };
             match turn {
                 Turn::AsksTheOther => ask(1 - who),
@@ -216,9 +219,11 @@ mod tests {
         use Turn::{AsksTheOther, Founds, Stands};
         let turns = |who| [Stands, AsksTheOther, Founds].map(move |turn| (who, turn));
         let [[a, b, c], [d, e, f]] = [turns(0), turns(1)];
+        // Both have asked: the lesser goes on.
         assert_eq!(founders(&[a, d, b, e, c, f]), [0]);
-        assert_eq!(founders(&[d, e, a, b, c, f]), [0]);
-        // It comes too late.
+        assert_eq!(founders(&[d, a, e, b, f, c]), [0]);
+        // It was asked before it asked, or came when the other had founded.
+        assert_eq!(founders(&[d, e, a, b, c, f]), [1]);
         assert_eq!(founders(&[d, f, a, b, c]), [1]);
     }
 }
