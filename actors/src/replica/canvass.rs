@@ -238,10 +238,15 @@ pub(super) async fn canvass<S: StateMachine>(
                 let vote = raft.with_raft_state(|state| *state.vote_ref()).await;
                 ear.decided(vote.ok());
             }
-            // An election takes a few round trips; those whose elections failed together part by chance.
-            let pause =
-                if stands { chance.random_range(beat..beat * 2) } else { chance.random_range(beat / 8..beat / 4) };
-            sleep(pause).await;
+            // An election takes a few round trips; those whose elections failed together part by chance. Whoever has asked
+            // for longer than an election may take waits for links or nodes, and asks less often.
+            let long = ear.leader().elapsed() >= patience + settings.election_max;
+            let pause = match (stands, long) {
+                (true, _) => beat..beat * 2,
+                (false, false) => beat / 8..beat / 4,
+                (false, true) => beat / 2..beat,
+            };
+            sleep(chance.random_range(pause)).await;
         }
     }
 }
