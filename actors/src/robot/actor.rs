@@ -267,7 +267,8 @@ impl RobotState {
         let actions = self.tenure.handle(Event::Tick, now);
         self.perform(myself, actions).await?;
         let held_up = self.job.as_ref().is_some_and(|job| job.failure.is_none() && job.sequencer.awaits_ledger());
-        if held_up || now.since(self.reported_at) >= self.settings.terms.lease / 4 {
+        let owes = self.job.as_ref().is_some_and(|job| !job.gave_back && self.gives_back(job).is_some());
+        if held_up || owes || now.since(self.reported_at) >= self.settings.terms.lease / 4 {
             self.report(myself);
         }
         self.ask_around(myself, now);
