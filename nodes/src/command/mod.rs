@@ -7,6 +7,7 @@ pub mod dry_run;
 pub mod flags;
 pub mod fleet;
 pub mod leave;
+pub mod map;
 pub mod missions;
 mod on_word;
 pub mod recover;

@@ -4,6 +4,7 @@ mod chaos;
 mod dry_run;
 mod files;
 mod help;
+mod map;
 mod network;
 mod recover;
 mod requests;
