@@ -101,7 +101,10 @@ fn convert_writes_our_own_form_which_says_the_same() {
 fn a_map_of_any_form_is_taken_wherever_one_is_named() {
     let (clinic, office) = (sample("clinic.drawio"), sample("office.building.yaml"));
     let world = |map: &str, place: &str| {
-        format!("map = {map:?}\n[fleet]\nmap = {map:?}\n[[robot]]\nname = \"ada\"\nplace = {place:?}\n")
+        format!(
+            "map = {map:?}\n[fleet]\nmap = {map:?}\n[[robot]]\nid = \"ada\"\nplace = {place:?}\n\
+             speed_mps = 1.0\nbattery = 0.9\ndischarge_share_per_s = 0.0002\n"
+        )
     };
     let a = written("drawn_world.toml", &world(&clinic, "Ward 1"));
     let b = written("built_world.toml", &world(&office, "meeting"));
