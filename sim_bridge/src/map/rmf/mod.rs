@@ -299,7 +299,7 @@ impl Reader {
 
     fn door(&mut self, level: &Level, door: &Edge, at: impl Fn(usize) -> Point) {
         let here = || format!("level {:?}, door {}", level.name, door.number);
-        let name = match parameter(&door.parameters, "name", "[1, name]", |value| raw::text(value)) {
+        let name = match parameter(&door.parameters, "name", "[1, name]", raw::text) {
             Ok(Some(name)) if !name.is_empty() => name,
             Ok(_) => return self.say(here(), Wrong::Missing { field: "name" }),
             Err(wrong) => return self.say(here(), wrong),
