@@ -230,6 +230,8 @@ pub fn build_world(world: &WorldConfig, fleet: &FleetConfig) -> Result<World, Pr
         map,
         robots: world.robot.clone(),
         people: world.person.clone(),
+        doors: world.door.clone(),
+        obstacles: world.obstacle.clone(),
         seed: world.seed,
         durations: world.durations,
         limits: world.limits,

@@ -39,6 +39,7 @@ mod reach;
 mod shipped;
 #[cfg(test)]
 mod tests;
+mod topology;
 
 pub use building::{Door, DoorOnWay, Facing, GROUND, Level, LevelIndex, Lift, Ride};
 pub use file::{DoorEntry, LaneEntry, LevelEntry, LiftEntry, MapError, MapFile, PlaceEntry, limits, load, read};

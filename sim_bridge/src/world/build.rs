@@ -6,7 +6,7 @@ use super::goals::GoalBook;
 use super::samples::Handovers;
 use super::setup::{Durations, RobotBody, SetupError, SetupErrors, WorldLimits, WorldSetup};
 use super::whereabouts::{Spot, Whereabouts};
-use super::{World, systems};
+use super::{World, fittings, systems};
 use consort_protocol::ids::PlaceId;
 use std::collections::BTreeSet;
 
@@ -56,6 +56,7 @@ fn check(setup: &WorldSetup) -> Vec<SetupError> {
     }
     check_numbers(&setup.durations, &setup.limits, &mut problems);
     check_systems(&setup.systems, &mut problems);
+    fittings::check(&setup.map, &setup.doors, &setup.obstacles, &mut problems);
     let mut seen = BTreeSet::new();
     for body in &setup.robots {
         let who = format!("robot {}", body.id);
@@ -117,6 +118,8 @@ fn check_numbers(durations: &Durations, limits: &WorldLimits, problems: &mut Vec
         ("deposit_s", durations.deposit_s),
         ("person_min_s", durations.person_min_s),
         ("person_max_s", durations.person_max_s),
+        ("door_patience_s", durations.door_patience_s),
+        ("closure_remembered_s", durations.closure_remembered_s),
     ] {
         if !DURATION_S.contains(&value) {
             problems.push(SetupError::Number { who: "durations".to_owned(), field, value, allowed });

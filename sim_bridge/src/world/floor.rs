@@ -32,6 +32,8 @@ pub(crate) enum Order {
     Note(Happening),
     /// The goal under way, if there is one, cannot go on.
     BreakOff(Entity, ActionError),
+    /// The goal under way, if there is one, has come to its end.
+    Achieve(Entity),
 }
 
 /// A system at work: its place among those of this world, and what it may get at.
@@ -157,6 +159,11 @@ impl Floor {
     /// The goal that a robot has under way, if any, cannot go on.
     pub(crate) fn break_off(&mut self, robot: Entity, why: ActionError) {
         self.orders.push_back(Order::BreakOff(robot, why));
+    }
+
+    /// The goal that a robot has under way, if any, has come to its end: for goals that began without one.
+    pub(crate) fn achieve(&mut self, robot: Entity) {
+        self.orders.push_back(Order::Achieve(robot));
     }
 
     /// Notes what happened once what was ordered before has been done.

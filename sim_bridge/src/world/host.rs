@@ -38,6 +38,7 @@ impl World {
                 Some(Order::Say(event)) => told.push(event),
                 Some(Order::Note(what)) => self.floor.note(what),
                 Some(Order::BreakOff(robot, why)) => told.extend(self.interrupt(robot, GoalStatus::Aborted(why))),
+                Some(Order::Achieve(robot)) => told.extend(self.complete(robot)),
                 None => return told,
             }
         }
@@ -141,6 +142,7 @@ impl BodyHost for World {
             place: floor.map.at(whereabouts.spot(floor.now).last_place()).id.clone(),
             battery: battery.as_ref().map_or(BatteryShare::FULL, |battery| battery.at(floor.now)),
             able: battery.is_none_or(|battery| battery.able),
+            closed: floor.closed_ways(robot),
         })
     }
 

@@ -3,7 +3,7 @@
 use super::World;
 use super::names::{PersonName, SampleId};
 use super::samples::Keeper;
-use consort_protocol::ids::RobotId;
+use consort_protocol::ids::{PlaceId, RobotId};
 use consort_protocol::units::WorldTime;
 use consort_skills::actions::{Goal, GoalId, GoalStatus};
 use serde::{Deserialize, Serialize};
@@ -62,6 +62,75 @@ pub enum Happening {
         from: Keeper,
         /// Who has it.
         to: Keeper,
+    },
+    /// A robot stands before an automatic door that it wants to pass.
+    DoorAwaited {
+        /// Which robot.
+        robot: RobotId,
+        /// Which door.
+        door: String,
+    },
+    /// A robot may pass an open door, and is on its way through it.
+    DoorEntered {
+        /// Which robot.
+        robot: RobotId,
+        /// Which door.
+        door: String,
+    },
+    /// A robot has passed a door, or no longer waits for it.
+    DoorLeft {
+        /// Which robot.
+        robot: RobotId,
+        /// Which door.
+        door: String,
+    },
+    /// An automatic door stands open, or closed.
+    Door {
+        /// Which door.
+        door: String,
+        /// Whether it stands open now.
+        open: bool,
+    },
+    /// A robot stands at a stop of a lift that it wants to ride.
+    LiftAwaited {
+        /// Which robot.
+        robot: RobotId,
+        /// Which lift.
+        lift: String,
+        /// Where it stands.
+        at: PlaceId,
+        /// Where it wants to go.
+        to: PlaceId,
+    },
+    /// A robot has got into a lift.
+    LiftEntered {
+        /// Which robot.
+        robot: RobotId,
+        /// Which lift.
+        lift: String,
+    },
+    /// A robot has got out of a lift, or no longer waits for it.
+    LiftLeft {
+        /// Which robot.
+        robot: RobotId,
+        /// Which lift.
+        lift: String,
+        /// Where it stands now.
+        at: PlaceId,
+    },
+    /// Something stands in a way from now on.
+    WayClosed {
+        /// What it is called.
+        obstacle: String,
+        /// The way, by its two ends.
+        between: (PlaceId, PlaceId),
+    },
+    /// It was taken away.
+    WayOpened {
+        /// What it is called.
+        obstacle: String,
+        /// The way, by its two ends.
+        between: (PlaceId, PlaceId),
     },
     /// A robot's battery fell to the stopping share.
     Stranded {

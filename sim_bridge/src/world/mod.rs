@@ -7,7 +7,7 @@
 //!            start, cancel, ask_person            advance(to)
 //!  skills ────────────▶ host ──▶ goals ──▶ queue ────────────▶ goals ──▶ events, in order
 //!                                  │                             │
-//!                               systems: driving, company, drawer, arm, people, power …
+//!                               systems: driving, doors, lifts, company, drawer, arm, people, power …
 //!                                  └──▶ floor: components, clock, what is due ◀──┘
 //! ```
 //!
@@ -25,6 +25,8 @@
 
 mod build;
 mod components;
+mod course;
+mod fittings;
 mod floor;
 mod goals;
 mod host;
@@ -42,6 +44,7 @@ mod systems;
 mod tests;
 mod whereabouts;
 
+pub use fittings::{DoorSetup, Obstacle};
 pub use journal::{Happening, JournalEntry};
 pub use names::{PersonName, SampleId};
 pub use report::{BodyReport, PersonReport};

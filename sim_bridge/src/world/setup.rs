@@ -1,5 +1,6 @@
 //! How a world is set up.
 
+use super::fittings::{DoorSetup, Obstacle};
 use super::names::{PersonName, SampleId};
 use super::systems;
 use super::systems::power::default_idle_factor;
@@ -17,6 +18,10 @@ pub struct WorldSetup {
     pub robots: Vec<RobotBody>,
     /// The people on it.
     pub people: Vec<Person>,
+    /// Doors of the map that are not as usual.
+    pub doors: Vec<DoorSetup>,
+    /// What stands in the way, and when.
+    pub obstacles: Vec<Obstacle>,
     /// What chance comes from.
     pub seed: u64,
     /// How long things take.
@@ -32,7 +37,8 @@ impl WorldSetup {
     pub fn new(map: Map, seed: u64) -> Self {
         let (durations, limits) = (Durations::default(), WorldLimits::default());
         let systems = systems::system_names().map(str::to_owned).collect();
-        Self { map, robots: Vec::new(), people: Vec::new(), seed, durations, limits, systems }
+        let (robots, people, doors, obstacles) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
+        Self { map, robots, people, doors, obstacles, seed, durations, limits, systems }
     }
 
     /// The same with one more robot.
@@ -130,7 +136,7 @@ pub struct Person {
 }
 
 /// How long things take, in seconds of world time. The defaults are those of the published estimates: 2 s for each
-/// step that is not driving. People take from 2 to 4 s (a guess).
+/// step that is not driving. People take from 2 to 4 s; patience and memory of robots are guesses too.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Durations {
@@ -150,6 +156,10 @@ pub struct Durations {
     pub person_min_s: f64,
     /// The slowest a person hands something over.
     pub person_max_s: f64,
+    /// How long a robot waits before a door that lets nobody in, until it takes the way to be blocked.
+    pub door_patience_s: f64,
+    /// How long a robot takes a way to be closed that it found closed, before it tries it again.
+    pub closure_remembered_s: f64,
 }
 
 impl Default for Durations {
@@ -163,6 +173,8 @@ impl Default for Durations {
             deposit_s: 2.0,
             person_min_s: 2.0,
             person_max_s: 4.0,
+            door_patience_s: 120.0,
+            closure_remembered_s: 300.0,
         }
     }
 }
@@ -239,6 +251,28 @@ pub enum SetupError {
         known: String,
         /// The one probably meant, in words; may be empty.
         hint: String,
+    },
+    /// A door that is not on the map.
+    #[error("there is no door {name:?} on map {map}{hint}")]
+    UnknownDoor {
+        /// The name as given.
+        name: String,
+        /// The map.
+        map: String,
+        /// The door probably meant, in words; may be empty.
+        hint: String,
+    },
+    /// Something in a way that is none.
+    #[error("{who}: map {map} has no lane between {:?} and {:?}", a.as_str(), b.as_str())]
+    UnknownWay {
+        /// `obstacle trolley`.
+        who: String,
+        /// One end.
+        a: PlaceId,
+        /// The other end.
+        b: PlaceId,
+        /// The map.
+        map: String,
     },
     /// More than [`WorldLimits::entities_max`].
     #[error("{count} {what} are more than the {max} allowed")]

@@ -47,6 +47,9 @@ macro_rules! kinds {
 }
 pub(crate) use kinds;
 
+/// When a goal ends whose end is not known beforehand.
+pub(crate) const LATER: f64 = f64::INFINITY;
+
 /// What a system arranged for an instant to come, for itself.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) struct Wake {
@@ -81,7 +84,8 @@ pub(crate) trait System: Sync {
         Ok(())
     }
 
-    /// Begins a goal: when it will end, or why it cannot begin; `None` if this system does not carry out such goals.
+    /// Begins a goal: when it will end, or why it cannot begin; `None` if this system does not carry out such goals. A goal
+    /// whose end is not known beforehand ends at [`LATER`], that is, when the system says [`Floor::achieve`].
     fn begin(&self, _floor: &mut Floor, _robot: Entity, _goal: &Goal) -> Option<Result<f64, ActionError>> {
         None
     }

@@ -2,8 +2,11 @@
 
 mod arm;
 mod company;
+pub(crate) mod doors;
 mod drawer;
-mod driving;
+pub(crate) mod driving;
+pub(crate) mod lifts;
+pub(crate) mod obstacles;
 pub(crate) mod people;
 pub(crate) mod power;
 mod waiting;
@@ -11,8 +14,11 @@ mod waiting;
 use super::system::System;
 
 /// All systems that there are, in the order in which they hear of things.
-static ALL: [&dyn System; 7] = [
+static ALL: [&dyn System; 10] = [
     &driving::Driving,
+    &doors::Doors,
+    &lifts::Lifts,
+    &obstacles::Obstacles,
     &waiting::Waiting,
     &company::Company,
     &drawer::Drawer,

@@ -1,8 +1,11 @@
 //! Stories of the world, each file one theme.
 
 mod asks;
+mod doors;
 mod driving;
 mod lab_samples;
+mod lifts;
+mod obstacles;
 mod power;
 mod preconditions;
 mod properties;
@@ -44,6 +47,12 @@ fn nurse(name: &str, at: &str, sample: &str) -> Person {
 
 fn hospital(seed: u64) -> WorldSetup {
     WorldSetup::new(map::shipped("hospital").unwrap(), seed)
+}
+
+/// What the journal says since it was last asked, of those that `of` has something to say of: when, and what.
+fn noted<T>(world: &mut World, of: impl Fn(&Happening) -> Option<T>) -> Vec<(f64, T)> {
+    let journal = world.drain_journal().into_iter();
+    journal.filter_map(|entry| Some((entry.time.as_secs(), of(&entry.what)?))).collect()
 }
 
 fn go(world: &World, to: &str) -> Goal {
