@@ -230,6 +230,7 @@ pub fn build_world(world: &WorldConfig, fleet: &FleetConfig) -> Result<World, Pr
         map,
         robots: world.robot.clone(),
         people: world.person.clone(),
+        objects: world.object.clone(),
         doors: world.door.clone(),
         obstacles: world.obstacle.clone(),
         seed: world.seed,

@@ -54,6 +54,11 @@ pub enum Goal {
         /// Whose drawer.
         from: RobotId,
     },
+    /// Take a thing that lies on the table of the robot's place.
+    Grasp {
+        /// Which thing.
+        object: String,
+    },
     /// Put what is held into another robot's open drawer or, without one, onto the place's table.
     Deposit {
         /// Whose drawer, if one.
@@ -109,7 +114,7 @@ impl Goal {
             | Goal::Undock => true,
             // Turned once more it faces elsewhere.
             Goal::Spin { .. } => false,
-            Goal::PickUp { .. } | Goal::Deposit { .. } => false,
+            Goal::PickUp { .. } | Goal::Grasp { .. } | Goal::Deposit { .. } => false,
         }
     }
 }
@@ -171,6 +176,8 @@ pub enum ErrorCode {
     NotAuthenticated,
     /// The drawer is closed, open, full or empty where it must not be.
     DrawerState,
+    /// It weighs more than the arm can lift.
+    TooHeavy,
     /// The battery is too low to move.
     BatteryLow,
     /// The robot is doing something else.
@@ -179,8 +186,6 @@ pub enum ErrorCode {
     TimedOut,
     /// The charger is not one, or gives nothing.
     Charger,
-    /// The person does not want it any longer: not this task, but the whole mission is called off.
-    CalledOff,
 }
 
 impl std::fmt::Display for ErrorCode {
@@ -192,11 +197,11 @@ impl std::fmt::Display for ErrorCode {
             ErrorCode::OutOfReach => "out of reach",
             ErrorCode::NotAuthenticated => "not authenticated",
             ErrorCode::DrawerState => "drawer state",
+            ErrorCode::TooHeavy => "too heavy",
             ErrorCode::BatteryLow => "battery low",
             ErrorCode::Busy => "busy",
             ErrorCode::TimedOut => "timed out",
             ErrorCode::Charger => "charger",
-            ErrorCode::CalledOff => "called off",
         })
     }
 }
@@ -227,6 +232,7 @@ impl Goal {
                 | Goal::OperateDrawer { .. }
                 | Goal::ApproachRobot { .. }
                 | Goal::PickUp { .. }
+                | Goal::Grasp { .. }
                 | Goal::Deposit { .. },
                 _,
             ) => return None,
@@ -301,6 +307,15 @@ pub enum BodyEvent {
     /// A robot's battery fell below the share it needs to move: it stands where it is.
     Stranded {
         /// Which robot.
+        robot: RobotId,
+    },
+    /// A person calls off the mission for which a robot came to them.
+    CalledOff {
+        /// Who says so.
+        by: String,
+        /// The role they play.
+        role: RoleId,
+        /// The robot that came.
         robot: RobotId,
     },
     /// A person ended what they were asked to do.

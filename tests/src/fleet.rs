@@ -86,6 +86,7 @@ impl Fleet {
                 role: slug("nurse"),
                 place: slug(room),
                 samples: vec![format!("sample of {room}").as_str().into()],
+                mood: vec![],
             });
         }
         let world = SharedWorld::new(World::new(setup).expect("the test's own world"));

@@ -19,4 +19,4 @@ mod wire;
 
 pub use host::{Host, HostMessage, HostSettings};
 pub use link::{Body, BodyLink, BodyLinkMessage, BodyLinkSettings};
-pub use wire::{BodyCommand, BodyState, Order, PeopleAsk, PersonDone, PersonState};
+pub use wire::{BodyCommand, BodyState, Order, PeopleAsk, PersonState, PersonWord};

@@ -5,7 +5,7 @@ use super::read::under;
 use super::{BusConfig, ConfigFile, FleetRef, NodeFile, Surroundings};
 use crate::floor::is_shipped;
 use consort_protocol::ids::NodeId;
-use consort_sim::world::{DoorSetup, Durations, Obstacle, Person, RobotBody, WorldLimits, system_names};
+use consort_sim::world::{DoorSetup, Durations, Object, Obstacle, Person, RobotBody, WorldLimits, system_names};
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 
@@ -42,6 +42,8 @@ pub struct WorldConfig {
     pub robot: Vec<RobotBody>,
     /// The people.
     pub person: Vec<Person>,
+    /// Things that lie on tables at first.
+    pub object: Vec<Object>,
     /// Automatic doors of the map that are not as usual.
     pub door: Vec<DoorSetup>,
     /// What stands in the way, and when.
@@ -64,6 +66,7 @@ impl Default for WorldConfig {
             systems: system_names().map(str::to_owned).collect(),
             robot: vec![],
             person: vec![],
+            object: vec![],
             door: vec![],
             obstacle: vec![],
         }

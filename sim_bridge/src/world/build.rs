@@ -3,7 +3,7 @@
 use super::components::Body;
 use super::floor::Floor;
 use super::goals::GoalBook;
-use super::samples::Handovers;
+use super::samples::{Handovers, Holder, Load};
 use super::setup::{Durations, RobotBody, SetupError, SetupErrors, WorldLimits, WorldSetup};
 use super::whereabouts::{Spot, Whereabouts};
 use super::{World, fittings, systems};
@@ -28,6 +28,11 @@ impl World {
         floor.furnish(Handovers::default());
         let mut world = World { floor, systems };
         world.each_system(|system, floor| system.furnish(floor, &setup));
+        for object in &setup.objects {
+            let place = world.floor.map.index(&object.place).expect("checked: the place is on the map");
+            let load = Load { weight_kg: object.weight_kg, distance_m: object.distance_m };
+            world.floor.spawn_sample(object.name.clone(), Holder::Table(place), load);
+        }
         for body in setup.robots {
             world.spawn_robot(body);
         }
@@ -68,7 +73,15 @@ fn check(setup: &WorldSetup) -> Vec<SetupError> {
         let who = format!("person {}", person.name);
         check_name("person", person.name.as_str(), person.name.is_sound(), &mut problems);
         check_place(setup, &who, &person.place, &mut problems);
+        person.mood.iter().for_each(|mood| mood.check(&who, &mut problems));
         check_twice(who, &mut seen, &mut problems);
+    }
+    for object in &setup.objects {
+        let who = format!("object {}", object.name);
+        check_name("object", object.name.as_str(), object.name.is_sound(), &mut problems);
+        check_place(setup, &who, &object.place, &mut problems);
+        object.check(&mut problems);
+        check_twice(format!("sample {}", object.name), &mut seen, &mut problems);
     }
     for sample in samples {
         check_name("sample", sample.as_str(), sample.is_sound(), &mut problems);
@@ -101,6 +114,9 @@ fn check_body(body: &RobotBody, who: &str, problems: &mut Vec<SetupError>) {
         let (field, allowed) = ("idle_factor", "a number from 0 to 1");
         problems.push(SetupError::Number { who: who.to_owned(), field, value: body.idle_factor, allowed });
     }
+    for (field, value) in [("payload_max_kg", body.payload_max_kg), ("reach_m", body.reach_m)] {
+        fittings::at_least_zero(who, field, value, problems);
+    }
     if !SPEED_MPS.contains(&body.speed.get()) {
         let (field, allowed) = ("speed_mps", "a number from 0.001 to 100");
         problems.push(SetupError::Number { who: who.to_owned(), field, value: body.speed.get(), allowed });
@@ -116,6 +132,7 @@ fn check_numbers(durations: &Durations, limits: &WorldLimits, problems: &mut Vec
         ("approach_robot_s", durations.approach_robot_s),
         ("pick_up_s", durations.pick_up_s),
         ("deposit_s", durations.deposit_s),
+        ("dock_s", durations.dock_s),
         ("person_min_s", durations.person_min_s),
         ("person_max_s", durations.person_max_s),
         ("door_patience_s", durations.door_patience_s),

@@ -1,5 +1,6 @@
-//! What a setup says of doors and of what stands in the way.
+//! What a setup says of doors, of what stands in the way, and of what lies about.
 
+use super::names::SampleId;
 use super::setup::SetupError;
 use crate::map::Map;
 use crate::suggest::did_you_mean;
@@ -109,6 +110,46 @@ impl Obstacle {
             }
             _ => Ok(()),
         }
+    }
+}
+
+/// A thing that arms take, carry and put down.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Object {
+    /// What it is called; no sample has the same name.
+    pub name: SampleId,
+    /// On the table of which place it lies.
+    pub place: PlaceId,
+    /// What it weighs, in kilograms. By default as much as a sample, 0.1.
+    #[serde(default = "sample_kg")]
+    pub weight_kg: f64,
+    /// How far from where robots stand at that place it lies, in metres. By default right there. What an arm puts down lies
+    /// within everybody's reach.
+    #[serde(default)]
+    pub distance_m: f64,
+}
+
+/// What a sample weighs, in kilograms: a tube in its bag.
+pub(super) fn sample_kg() -> f64 {
+    0.1
+}
+
+impl Object {
+    /// All that is wrong with its numbers.
+    pub(super) fn check(&self, problems: &mut Vec<SetupError>) {
+        let who = format!("object {}", self.name);
+        for (field, value) in [("weight_kg", self.weight_kg), ("distance_m", self.distance_m)] {
+            at_least_zero(&who, field, value, problems);
+        }
+    }
+}
+
+/// A number that may be anything from 0 to a thousand.
+pub(super) fn at_least_zero(who: &str, field: &'static str, value: f64, problems: &mut Vec<SetupError>) {
+    if !(0.0..=1_000.0).contains(&value) {
+        let allowed = "a number from 0 to 1000";
+        problems.push(SetupError::Number { who: who.to_owned(), field, value, allowed });
     }
 }
 

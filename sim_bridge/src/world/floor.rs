@@ -150,6 +150,11 @@ impl Floor {
         self.store.satisfies::<&T>(self.here)
     }
 
+    /// The entity that stands for the floor itself.
+    pub(crate) fn here(&self) -> Entity {
+        self.here
+    }
+
     /// Has the system at work woken at an instant.
     pub(crate) fn arrange(&mut self, time: f64, about: Entity, number: u64) -> Ticket {
         let place = self.at_work.as_ref().expect("only systems arrange things").place;

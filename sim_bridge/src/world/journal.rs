@@ -47,6 +47,39 @@ pub enum Happening {
         /// Whether it stands open now.
         open: bool,
     },
+    /// A robot has approached a person, or that person has proved who they are.
+    Approached {
+        /// Which robot.
+        robot: RobotId,
+        /// Whom.
+        person: PersonName,
+        /// Whether they have proved who they are.
+        authenticated: bool,
+    },
+    /// A person has called off the mission for which a robot came.
+    CalledOff {
+        /// Who.
+        person: PersonName,
+        /// Which robot came.
+        robot: RobotId,
+    },
+    /// A person does not do what a robot waits for.
+    Declined {
+        /// Who.
+        person: PersonName,
+        /// Which robot waits.
+        robot: RobotId,
+    },
+    /// A person has left their place.
+    WalkedAway {
+        /// Who.
+        person: PersonName,
+    },
+    /// A person is back at their place.
+    CameBack {
+        /// Who.
+        person: PersonName,
+    },
     /// A person began to hand a sample over.
     HandsOut {
         /// Who.
@@ -131,6 +164,13 @@ pub enum Happening {
         obstacle: String,
         /// The way, by its two ends.
         between: (PlaceId, PlaceId),
+    },
+    /// A robot has connected to the charger at its place, or disconnected.
+    Docked {
+        /// Which robot.
+        robot: RobotId,
+        /// Whether it is connected now.
+        docked: bool,
     },
     /// A robot's battery fell to the stopping share.
     Stranded {

@@ -31,6 +31,7 @@ mod floor;
 mod goals;
 mod host;
 mod journal;
+mod mood;
 mod names;
 mod queue;
 mod reach;
@@ -44,8 +45,9 @@ mod systems;
 mod tests;
 mod whereabouts;
 
-pub use fittings::{DoorSetup, Obstacle};
+pub use fittings::{DoorSetup, Object, Obstacle};
 pub use journal::{Happening, JournalEntry};
+pub use mood::{Deed, Moment, Mood};
 pub use names::{PersonName, SampleId};
 pub use report::{BodyReport, PersonReport};
 pub use samples::{Keeper, SampleReport};

@@ -24,6 +24,7 @@ pub(crate) fn verb(goal: &Goal) -> &'static str {
         Goal::OperateDrawer { .. } => "operate_drawer",
         Goal::ApproachRobot { .. } => "approach_robot",
         Goal::PickUp { .. } => "pick_up",
+        Goal::Grasp { .. } => "grasp",
         Goal::Deposit { .. } => "deposit",
         Goal::Wait { .. } => "wait",
         Goal::FollowWaypoints { .. } => "follow_waypoints",

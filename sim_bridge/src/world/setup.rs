@@ -1,6 +1,7 @@
 //! How a world is set up.
 
-use super::fittings::{DoorSetup, Obstacle};
+use super::fittings::{DoorSetup, Object, Obstacle};
+use super::mood::Mood;
 use super::names::{PersonName, SampleId};
 use super::systems;
 use super::systems::power::default_idle_factor;
@@ -18,6 +19,8 @@ pub struct WorldSetup {
     pub robots: Vec<RobotBody>,
     /// The people on it.
     pub people: Vec<Person>,
+    /// Things that lie on tables at first.
+    pub objects: Vec<Object>,
     /// Doors of the map that are not as usual.
     pub doors: Vec<DoorSetup>,
     /// What stands in the way, and when.
@@ -37,8 +40,9 @@ impl WorldSetup {
     pub fn new(map: Map, seed: u64) -> Self {
         let (durations, limits) = (Durations::default(), WorldLimits::default());
         let systems = systems::system_names().map(str::to_owned).collect();
-        let (robots, people, doors, obstacles) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
-        Self { map, robots, people, doors, obstacles, seed, durations, limits, systems }
+        let (robots, people, objects) = (Vec::new(), Vec::new(), Vec::new());
+        let (doors, obstacles) = (Vec::new(), Vec::new());
+        Self { map, robots, people, objects, doors, obstacles, seed, durations, limits, systems }
     }
 
     /// The same with one more robot.
@@ -75,15 +79,37 @@ pub struct RobotBody {
     /// What it loses otherwise, as a part of `discharge`: 0 to 1, by default 0.1 as in the published rig.
     #[serde(default = "default_idle_factor")]
     pub idle_factor: f64,
+    /// What it gains while it is docked at a charger; what it loses meanwhile goes off that. By default 0.0005 /s, a guess:
+    /// full in somewhat more than half an hour.
+    #[serde(rename = "charging_share_per_s", default = "default_charging")]
+    pub charging: SharePerSecond,
     /// Whether it can drive.
     #[serde(default = "yes")]
     pub mobile: bool,
     /// Whether it has a drawer that people and arms reach into.
     #[serde(default)]
     pub has_drawer: bool,
-    /// Whether it has an arm that holds one sample at a time.
+    /// Whether it has an arm that holds one thing at a time.
     #[serde(default)]
     pub has_arm: bool,
+    /// What the arm lifts, in kilograms. By default 2, a guess.
+    #[serde(default = "two_kilograms")]
+    pub payload_max_kg: f64,
+    /// How far the arm reaches from where the robot stands, in metres. By default 1, a guess.
+    #[serde(default = "one_metre")]
+    pub reach_m: f64,
+}
+
+fn default_charging() -> SharePerSecond {
+    SharePerSecond::new(0.0005).expect("0.0005 /s is a rate")
+}
+
+fn two_kilograms() -> f64 {
+    2.0
+}
+
+fn one_metre() -> f64 {
+    1.0
 }
 
 fn yes() -> bool {
@@ -99,8 +125,20 @@ impl RobotBody {
         battery: BatteryShare,
         discharge: SharePerSecond,
     ) -> Self {
-        let idle_factor = default_idle_factor();
-        Self { id, place, speed, battery, discharge, idle_factor, mobile: true, has_drawer: true, has_arm: false }
+        Self {
+            id,
+            place,
+            speed,
+            battery,
+            discharge,
+            idle_factor: default_idle_factor(),
+            charging: default_charging(),
+            mobile: true,
+            has_drawer: true,
+            has_arm: false,
+            payload_max_kg: two_kilograms(),
+            reach_m: one_metre(),
+        }
     }
 
     /// An arm that stays where it is, on mains power.
@@ -121,7 +159,7 @@ impl RobotBody {
 }
 
 /// A person, who waits at her place for a robot.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Person {
     /// Her name.
@@ -133,6 +171,9 @@ pub struct Person {
     /// What she has to hand over, in this order.
     #[serde(default)]
     pub samples: Vec<SampleId>,
+    /// What may come over her. By default nothing: she waits, and does what she is asked.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub mood: Vec<Mood>,
 }
 
 /// How long things take, in seconds of world time. The defaults are those of the published estimates: 2 s for each
@@ -152,6 +193,8 @@ pub struct Durations {
     pub pick_up_s: f64,
     /// Putting down.
     pub deposit_s: f64,
+    /// Connecting to a charger, or disconnecting.
+    pub dock_s: f64,
     /// The quickest a person hands something over.
     pub person_min_s: f64,
     /// The slowest a person hands something over.
@@ -171,6 +214,7 @@ impl Default for Durations {
             approach_robot_s: 2.0,
             pick_up_s: 2.0,
             deposit_s: 2.0,
+            dock_s: 2.0,
             person_min_s: 2.0,
             person_max_s: 4.0,
             door_patience_s: 120.0,
@@ -251,6 +295,14 @@ pub enum SetupError {
         known: String,
         /// The one probably meant, in words; may be empty.
         hint: String,
+    },
+    /// Something that cannot come over a person at that moment.
+    #[error("{who}: it may come over her at {allowed}")]
+    Untimely {
+        /// `person Nia: mood`.
+        who: String,
+        /// When it may, in words.
+        allowed: &'static str,
     },
     /// A door that is not on the map.
     #[error("there is no door {name:?} on map {map}{hint}")]

@@ -56,6 +56,7 @@ impl ScriptedBody {
             Goal::OperateDrawer { open } => format!("drawer {open}"),
             Goal::ApproachRobot { robot } => format!("approach robot {robot}"),
             Goal::PickUp { from } => format!("pick up from {from}"),
+            Goal::Grasp { object } => format!("grasp {object}"),
             Goal::Deposit { into: Some(robot) } => format!("deposit into {robot}"),
             Goal::Deposit { into: None } => "deposit".to_owned(),
             Goal::Wait { time } => format!("wait {time}"),

@@ -26,8 +26,9 @@ use crate::world::whereabouts::{Drive, Spot, Stretch, Whereabouts};
 use consort_protocol::ids::{PlaceId, RobotId};
 use consort_protocol::pose::Pose;
 use consort_protocol::units::{Metres, Seconds};
-use consort_skills::actions::{ActionError, ErrorCode, Feedback, Goal};
+use consort_skills::actions::{ActionError, ErrorCode, Feedback, Goal, Waypoint};
 use hecs::Entity;
+use std::collections::VecDeque;
 
 /// A pose given for a place must be this close to where the map has it; more is a robot with another map.
 const SAME_SPOT_M: f64 = 0.1;
@@ -36,6 +37,8 @@ const SAME_SPOT_M: f64 = 0.1;
 pub(crate) struct Journey {
     /// Where it is to go, while a goal says so.
     errand: Option<Errand>,
+    /// Where it is to go then.
+    afterwards: VecDeque<Errand>,
     stage: Stage,
     wake: Option<Ticket>,
     /// The doorway that it is in.
@@ -47,6 +50,12 @@ pub(crate) struct Journey {
 struct Errand {
     pose: Pose,
     place: Option<PlaceId>,
+}
+
+impl From<&Waypoint> for Errand {
+    fn from(waypoint: &Waypoint) -> Errand {
+        Errand { pose: waypoint.pose, place: waypoint.place.clone() }
+    }
 }
 
 enum Stage {
@@ -83,13 +92,25 @@ impl System for Driving {
 
     fn equip(&self, floor: &mut Floor, robot: Entity, _body: &RobotBody) {
         floor.give(robot, Departures(0));
-        floor.give(robot, Journey { errand: None, stage: Stage::Idle, wake: None, inside: None });
+        floor.give(
+            robot,
+            Journey { errand: None, afterwards: VecDeque::new(), stage: Stage::Idle, wake: None, inside: None },
+        );
     }
 
     fn begin(&self, floor: &mut Floor, robot: Entity, goal: &Goal) -> Option<Result<f64, ActionError>> {
-        let Goal::NavigateToPose { pose, place } = goal else { return None };
-        let errand = Errand { pose: *pose, place: place.clone() };
-        Some(floor.set_errand(robot, errand).map(|()| LATER))
+        let mut errands: VecDeque<Errand> = match goal {
+            Goal::NavigateToPose { pose, place } => [Errand { pose: *pose, place: place.clone() }].into(),
+            Goal::FollowWaypoints { waypoints } => waypoints.iter().map(Errand::from).collect(),
+            _ => return None,
+        };
+        let Some(first) = errands.pop_front() else {
+            return Some(Err(refused(ErrorCode::Unknown, "there are no waypoints to follow".to_owned())));
+        };
+        Some(floor.set_errand(robot, first).map(|()| {
+            floor.get_mut::<Journey>(robot).afterwards = errands;
+            LATER
+        }))
     }
 
     fn finish(&self, floor: &mut Floor, robot: Entity, _goal: &Goal) -> Result<(), ActionError> {
@@ -159,7 +180,11 @@ impl Floor {
 
     /// The goal is over: the robot stands still where it is, and waits for nothing any longer.
     fn drop_errand(&mut self, robot: Entity) {
-        self.get_mut::<Journey>(robot).errand = None;
+        {
+            let mut journey = self.get_mut::<Journey>(robot);
+            journey.errand = None;
+            journey.afterwards.clear();
+        }
         match self.take_stage(robot) {
             Stage::Idle => {}
             Stage::Rolling(_) => self.stand_still(robot),
@@ -315,7 +340,7 @@ impl Floor {
         }
         if course.is_over() && !fresh {
             self.get_mut::<Journey>(robot).stage = Stage::Rolling(course);
-            return self.achieve(robot);
+            return self.arrived(robot);
         }
         let seen = self.seen_ahead(&course);
         if let Some((_, what)) = seen.as_ref().filter(|(at, _)| *at <= course.done_m + SAME_M) {
@@ -420,9 +445,23 @@ impl Floor {
         };
         let Some(errand) = errand else { return };
         if errand.place.as_ref() == Some(&self.map.at(at).id) {
-            return self.achieve(robot);
+            return self.arrived(robot);
         }
-        match self.find_way(robot, &errand) {
+        self.go_on(robot, &errand);
+    }
+
+    /// It is where it was to go: it goes where it is to go then, or its goal has come to its end.
+    fn arrived(&mut self, robot: Entity) {
+        let next = self.get_mut::<Journey>(robot).afterwards.pop_front();
+        let Some(next) = next else { return self.achieve(robot) };
+        drop(self.take_stage(robot));
+        self.stand_still(robot);
+        self.go_on(robot, &next);
+        self.get_mut::<Journey>(robot).errand = Some(next);
+    }
+
+    fn go_on(&mut self, robot: Entity, errand: &Errand) {
+        match self.find_way(robot, errand) {
             Ok(way) => self.set_off(robot, way),
             Err(why) => self.break_off(robot, why),
         }

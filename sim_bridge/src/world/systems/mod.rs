@@ -2,28 +2,34 @@
 
 mod arm;
 mod company;
+pub(crate) mod docking;
 pub(crate) mod doors;
 mod drawer;
 pub(crate) mod driving;
 pub(crate) mod lifts;
+pub(crate) mod moods;
 pub(crate) mod obstacles;
 pub(crate) mod people;
 pub(crate) mod power;
+mod turning;
 mod waiting;
 
 use super::system::System;
 
 /// All systems that there are, in the order in which they hear of things.
-static ALL: [&dyn System; 10] = [
+static ALL: [&dyn System; 13] = [
     &driving::Driving,
     &doors::Doors,
     &lifts::Lifts,
     &obstacles::Obstacles,
+    &turning::Turning,
     &waiting::Waiting,
     &company::Company,
     &drawer::Drawer,
     &arm::Arm,
+    &docking::Docking,
     &power::Power,
+    &moods::Moods,
     &people::People,
 ];
 

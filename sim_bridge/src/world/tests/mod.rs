@@ -1,10 +1,13 @@
 //! Stories of the world, each file one theme.
 
 mod asks;
+mod docking;
 mod doors;
 mod driving;
+mod gripping;
 mod lab_samples;
 mod lifts;
+mod moods;
 mod obstacles;
 mod power;
 mod preconditions;
@@ -42,7 +45,7 @@ fn carrier(name: &str, at: &str) -> RobotBody {
 }
 
 fn nurse(name: &str, at: &str, sample: &str) -> Person {
-    Person { name: name.into(), role: role("nurse"), place: place(at), samples: vec![sample.into()] }
+    Person { name: name.into(), role: role("nurse"), place: place(at), samples: vec![sample.into()], mood: vec![] }
 }
 
 fn hospital(seed: u64) -> WorldSetup {
