@@ -7,5 +7,6 @@
 pub mod experiment;
 pub mod kinematics;
 pub mod map;
+pub mod space;
 mod suggest;
 pub mod world;
