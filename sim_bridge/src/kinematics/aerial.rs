@@ -1,5 +1,5 @@
 //! A drone: it flies straight to where it is to be, climbs and sinks at its own rate, makes way for others, and holds its
-//! place in the air against whatever pushes it.
+//! place in the air against whatever pushes it. Where others hold it up it flies over them, and comes down over its place.
 
 use super::avoidance::{Agility, Neighbour, make_way};
 use super::servo::{stopping_speed, toward, toward_one, turning, wrapped};
@@ -9,6 +9,13 @@ use nalgebra::{Isometry2, Isometry3, Translation3, UnitQuaternion, Vector2, Vect
 /// It has arrived when it is this close and as good as stands.
 const REACHED_M: f64 = 0.02;
 const REACHED_RAD: f64 = 0.02;
+/// It is held up when for so long it has flown slower than this part of what it wanted.
+const PATIENCE_S: f64 = 0.5;
+const HELD_UP: f64 = 0.25;
+/// How far above its height it flies at most to get over others.
+const OVER_M: f64 = 4.0;
+/// It comes down when it is so close to being above its place.
+const ABOVE_M: f64 = 0.05;
 /// Closer to the point that it holds than this, and slower, it lets itself be: a hair of thrust is not worth the sums.
 const AT_REST_M: f64 = 1e-6;
 
@@ -25,6 +32,10 @@ pub struct Aerial {
     /// Where it is to be, with its yaw; it holds it once it is there. None on the ground.
     hold: Option<(Vector3<f64>, f64)>,
     arrived: bool,
+    /// How long others have held it up.
+    held_up_s: f64,
+    /// How much higher than its height it flies to get over them.
+    over_m: f64,
 }
 
 impl Aerial {
@@ -41,6 +52,8 @@ impl Aerial {
             turn_rps: 0.0,
             hold: None,
             arrived: true,
+            held_up_s: 0.0,
+            over_m: 0.0,
         }
     }
 
@@ -83,8 +96,10 @@ impl Aerial {
     /// How far around itself, from middle to middle, it has to look for others of a size of at most `radius_m`: as far as
     /// matters until its next decision.
     pub fn looks_m(&self, radius_m: f64) -> f64 {
-        let notch = self.settings.acceleration_mps2 * self.settings.control_period_s;
-        let speed = (self.velocity.norm() + notch).min(self.top_mps.max(self.velocity.norm()));
+        let AerialSettings { acceleration_mps2, climb_acceleration_mps2, climb_mps, control_period_s, .. } =
+            self.settings;
+        let (now, notch) = (self.velocity.norm(), acceleration_mps2.hypot(climb_acceleration_mps2) * control_period_s);
+        let speed = (now + notch).min(self.top_mps.hypot(climb_mps).max(now));
         let stops_m = self.agility().stops_within(speed);
         2.0 * stops_m + self.radius_m + radius_m + self.settings.margin_m
     }
@@ -107,6 +122,7 @@ impl Aerial {
             None => (self.stopping_point(), self.yaw),
         });
         self.arrived = target.is_none();
+        (self.held_up_s, self.over_m) = (0.0, 0.0);
     }
 
     /// Where it comes to hover if it brakes now.
@@ -140,11 +156,28 @@ impl Aerial {
             && error.abs() <= REACHED_RAD
             && speed <= self.settings.acceleration_mps2 * period;
         self.arrived |= just_arrived;
-        let wanted = self.within_limits(self.wanted(to, period), period);
+        let over = to + Vector3::new(0.0, 0.0, self.over_m);
+        let wanted = self.wanted(over, period);
+        self.get_over(to.xy().norm(), wanted.xy().norm(), period);
+        let wanted = self.within_limits(wanted, period);
         self.velocity = make_way(wanted, self.velocity, self.agility(), around, |v| self.within_limits(v, period));
         let AerialSettings { turn_rate_rps, turn_acceleration_rps2, .. } = self.settings;
         self.turn_rps = turning(self.turn_rps, error, turn_rate_rps, turn_acceleration_rps2, period);
         just_arrived
+    }
+
+    /// Decides how high to fly: higher while it is held up on its way, and no higher once it is above its place.
+    fn get_over(&mut self, distance_m: f64, wanted_mps: f64, period: f64) {
+        if self.arrived || distance_m < ABOVE_M {
+            (self.held_up_s, self.over_m) = (0.0, 0.0);
+        } else if self.velocity.xy().norm() >= HELD_UP * wanted_mps {
+            self.held_up_s = 0.0;
+        } else {
+            self.held_up_s += period;
+            if self.held_up_s > PATIENCE_S {
+                self.over_m = (self.over_m + self.settings.climb_mps * period).min(OVER_M);
+            }
+        }
     }
 
     /// The velocity that brings it there soonest, were it not for what it has now.

@@ -29,6 +29,9 @@ pub(super) struct Agility {
 
 /// How hard two that are closer than their margins move apart: metres per second for each metre that is missing.
 const APART_PER_S: f64 = 2.0;
+/// The part of the margin that each of two may take up while it gets out of the way: without it, who stands as close as
+/// allowed could move nowhere.
+const LEEWAY: f64 = 0.25;
 
 impl Agility {
     /// How far it comes until it stands if it moves at `speed` until its next decision and brakes then.
@@ -56,10 +59,11 @@ impl Agility {
 
     fn is_safe(&self, velocity: Vector3<f64>, around: &[Neighbour]) -> bool {
         let stops_s = self.period_s + velocity.norm() / (2.0 * self.acceleration_mps2);
+        let leeway_m = self.margin_m * LEEWAY;
         around.iter().all(|neighbour| {
             let (direction, room) = self.room(neighbour);
             let approach = velocity.dot(&direction);
-            approach <= 0.0 || approach * stops_s <= room
+            approach <= 0.0 || approach * stops_s <= room + leeway_m
         })
     }
 }

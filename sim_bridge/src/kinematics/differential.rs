@@ -106,7 +106,10 @@ impl Differential {
             }
             Aim::Heading(wanted) => {
                 let error = wrapped(wanted - yaw);
-                if error.abs() <= REACHED_RAD && self.turn_rps.abs() <= self.settings.turn_acceleration_rps2 * period && self.speed_mps == 0.0 {
+                if error.abs() <= REACHED_RAD
+                    && self.turn_rps.abs() <= self.settings.turn_acceleration_rps2 * period
+                    && self.speed_mps == 0.0
+                {
                     self.stop_dead();
                     return true;
                 }

@@ -137,6 +137,16 @@ pub struct KinematicsError {
 }
 
 impl Kinematics {
+    /// How quickly it changes its speed over ground, in metres per second squared.
+    pub fn acceleration_mps2(&self) -> f64 {
+        match self {
+            Kinematics::Differential(settings) => settings.acceleration_mps2,
+            Kinematics::Omnidirectional(settings) => settings.acceleration_mps2,
+            Kinematics::Ackermann(settings) => settings.acceleration_mps2,
+            Kinematics::Aerial(settings) => settings.acceleration_mps2,
+        }
+    }
+
     /// Looks whether all numbers make sense.
     ///
     /// # Errors

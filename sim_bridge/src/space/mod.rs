@@ -5,8 +5,10 @@
 
 mod bodies;
 mod rays;
+mod sensor;
 mod walls;
 
 pub use bodies::{Bodies, Disc};
 pub use rays::{Ray, Segment};
+pub use sensor::Sensor;
 pub use walls::Walls;

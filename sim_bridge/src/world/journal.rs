@@ -63,6 +63,13 @@ pub enum Happening {
         /// Who has it.
         to: Keeper,
     },
+    /// A robot that is steered ran into something, and stands.
+    Collided {
+        /// Which robot.
+        robot: RobotId,
+        /// The other robot; none for a wall.
+        with: Option<RobotId>,
+    },
     /// A robot's battery fell to the stopping share.
     Stranded {
         /// Which robot.

@@ -3,7 +3,9 @@
 use super::names::{PersonName, SampleId};
 use super::systems;
 use super::systems::power::default_idle_factor;
+use crate::kinematics::{Kinematics, KinematicsError};
 use crate::map::Map;
+use crate::space::Sensor;
 use consort_protocol::ids::{PlaceId, RobotId, RoleId};
 use consort_protocol::units::{BatteryShare, MetresPerSecond, SharePerSecond};
 use serde::{Deserialize, Serialize};
@@ -25,6 +27,35 @@ pub struct WorldSetup {
     pub limits: WorldLimits,
     /// What happens there: the names of the systems, in the order in which they hear of things.
     pub systems: Vec<String>,
+    /// Time between two instants at which what cannot be computed ahead is brought up to date, in seconds; see
+    /// [`default_step_s`].
+    pub step_s: f64,
+    /// Gusts that push at what hovers; none in a hall.
+    pub gusts: Option<Gusts>,
+}
+
+/// Between two steps of a world: 0.05 s. Longer steps are quicker to compute, and collisions are seen later.
+pub const fn default_step_s() -> f64 {
+    0.05
+}
+
+/// Gusts: at equal intervals each hovering body may be pushed.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Gusts {
+    /// From one to the next, in seconds.
+    pub every_s: f64,
+    /// How likely it is that a body is pushed, from 0 to 1.
+    pub chance: f64,
+    /// By how much its velocity changes at most, in metres per second.
+    pub strength_mps: f64,
+}
+
+impl Default for Gusts {
+    /// Those of the published swarm: every second one in five is pushed by up to 0.5 m/s.
+    fn default() -> Self {
+        Self { every_s: 1.0, chance: 0.2, strength_mps: 0.5 }
+    }
 }
 
 impl WorldSetup {
@@ -32,7 +63,8 @@ impl WorldSetup {
     pub fn new(map: Map, seed: u64) -> Self {
         let (durations, limits) = (Durations::default(), WorldLimits::default());
         let systems = systems::system_names().map(str::to_owned).collect();
-        Self { map, robots: Vec::new(), people: Vec::new(), seed, durations, limits, systems }
+        let step_s = default_step_s();
+        Self { map, robots: Vec::new(), people: Vec::new(), seed, durations, limits, systems, step_s, gusts: None }
     }
 
     /// The same with one more robot.
@@ -78,6 +110,21 @@ pub struct RobotBody {
     /// Whether it has an arm that holds one sample at a time.
     #[serde(default)]
     pub has_arm: bool,
+    /// From its middle to its outermost part.
+    #[serde(default = "default_radius_m")]
+    pub radius_m: f64,
+    /// How it moves. Without this it drives in straight lines that are computed ahead, which costs nothing while it is under
+    /// way, and passes through whatever stands there.
+    #[serde(default)]
+    pub kinematics: Option<Kinematics>,
+    /// What it perceives with.
+    #[serde(default)]
+    pub sensors: Vec<Sensor>,
+}
+
+/// From the middle of a robot to its outermost part: 0.25 m, about that of a small hospital robot.
+pub const fn default_radius_m() -> f64 {
+    0.25
 }
 
 fn yes() -> bool {
@@ -94,7 +141,22 @@ impl RobotBody {
         discharge: SharePerSecond,
     ) -> Self {
         let idle_factor = default_idle_factor();
-        Self { id, place, speed, battery, discharge, idle_factor, mobile: true, has_drawer: true, has_arm: false }
+        let (mobile, has_drawer, has_arm) = (true, true, false);
+        let (radius_m, kinematics, sensors) = (default_radius_m(), None, Vec::new());
+        Self {
+            id,
+            place,
+            speed,
+            battery,
+            discharge,
+            idle_factor,
+            mobile,
+            has_drawer,
+            has_arm,
+            radius_m,
+            kinematics,
+            sensors,
+        }
     }
 
     /// An arm that stays where it is, on mains power.
@@ -229,6 +291,22 @@ pub enum SetupError {
         value: f64,
         /// The range, in words.
         allowed: &'static str,
+    },
+    /// A number of a robot's kinematics that makes no sense.
+    #[error("{who}, kinematics: {problem}")]
+    Kinematics {
+        /// `robot r1`.
+        who: String,
+        /// What is wrong.
+        problem: KinematicsError,
+    },
+    /// A robot with kinematics in a world that does not know what to do with them.
+    #[error("{who} has kinematics, so the systems must name steering, and driving not before it; they are: {systems}")]
+    NoSteering {
+        /// `robot r1`.
+        who: String,
+        /// The world's systems.
+        systems: String,
     },
     /// A system that there is not.
     #[error("there is no system {name:?}{hint}; there are: {known}")]

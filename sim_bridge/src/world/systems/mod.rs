@@ -1,17 +1,21 @@
 //! What can happen on a floor, a file each.
 
 mod arm;
+mod collisions;
 mod company;
 mod drawer;
 mod driving;
+mod gusts;
 pub(crate) mod people;
 pub(crate) mod power;
+pub(crate) mod steering;
 mod waiting;
 
 use super::system::System;
 
 /// All systems that there are, in the order in which they hear of things.
-static ALL: [&dyn System; 7] = [
+static ALL: [&dyn System; 10] = [
+    &steering::Steering,
     &driving::Driving,
     &waiting::Waiting,
     &company::Company,
@@ -19,6 +23,8 @@ static ALL: [&dyn System; 7] = [
     &arm::Arm,
     &power::Power,
     &people::People,
+    &collisions::Collisions,
+    &gusts::Gusting,
 ];
 
 /// The names of all systems that there are, in the order in which they hear of things.

@@ -6,7 +6,9 @@ mod lab_samples;
 mod power;
 mod preconditions;
 mod properties;
+mod sensing;
 mod setups;
+mod steering;
 mod systems;
 
 use super::*;
