@@ -9,4 +9,5 @@ pub mod kinematics;
 pub mod map;
 pub mod space;
 mod suggest;
+pub mod swarm;
 pub mod world;
