@@ -87,7 +87,10 @@ impl Invariant for UnderLease {
                 self.at_work.remove(&(robot.to_string(), id.0));
             }
             InWorld::Stranded { robot } => self.at_work.retain(|(who, _), _| who != robot.as_str()),
-            InWorld::Drawer { .. } | InWorld::HandsOut { .. } | InWorld::SampleMoved { .. } => {}
+            InWorld::Drawer { .. }
+            | InWorld::HandsOut { .. }
+            | InWorld::SampleMoved { .. }
+            | InWorld::Collided { .. } => {}
         }
         Ok(())
     }
