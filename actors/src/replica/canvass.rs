@@ -223,6 +223,7 @@ pub(super) async fn canvass<S: StateMachine>(
     while metrics.wait_for(|now| may_stand(now, board.me)).await.is_ok() {
         let patience = chance.random_range(settings.election_min..settings.election_max);
         sleep_until(ear.leader() + patience).await;
+        let since = Instant::now();
         while ear.leader().elapsed() >= patience && may_stand(&metrics.borrow(), board.me) {
             // The question takes time: a leader may have spoken, or a candidate got our vote, while it was answered.
             let stands = ear.gave_way(settings.election_max)
@@ -240,7 +241,7 @@ pub(super) async fn canvass<S: StateMachine>(
             }
             // An election takes a few round trips; those whose elections failed together part by chance. Whoever has asked
             // for longer than an election may take waits for links or nodes, and asks less often.
-            let long = ear.leader().elapsed() >= patience + settings.election_max;
+            let long = since.elapsed() >= settings.election_max;
             let pause = match (stands, long) {
                 (true, _) => beat..beat * 2,
                 (false, false) => beat / 8..beat / 4,
