@@ -237,6 +237,8 @@ pub fn build_world(world: &WorldConfig, fleet: &FleetConfig) -> Result<World, Pr
         durations: world.durations,
         limits: world.limits,
         systems: world.systems.clone(),
+        step_s: world.step_s,
+        gusts: world.gusts,
     };
     World::new(setup).map_err(|errors| Problems(errors.0.iter().map(|problem| Problem::of("", problem)).collect()))
 }

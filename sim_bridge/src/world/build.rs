@@ -9,9 +9,11 @@ use super::whereabouts::{Spot, Whereabouts};
 use super::{World, fittings, systems};
 use consort_protocol::ids::PlaceId;
 use std::collections::BTreeSet;
+use std::ops::RangeInclusive;
 
-const SPEED_MPS: std::ops::RangeInclusive<f64> = 0.001..=100.0;
-const DURATION_S: std::ops::RangeInclusive<f64> = 0.0..=86_400.0;
+const SPEED_MPS: RangeInclusive<f64> = 0.001..=100.0;
+const RADIUS_M: RangeInclusive<f64> = 0.01..=10.0;
+const DURATION_S: RangeInclusive<f64> = 0.0..=86_400.0;
 
 impl World {
     /// Sets up a world at time zero.
@@ -24,7 +26,7 @@ impl World {
             return Err(SetupErrors(problems));
         }
         let systems = setup.systems.iter().filter_map(|name| systems::of_name(name)).collect();
-        let mut floor = Floor::new(setup.map.clone(), setup.durations, setup.limits);
+        let mut floor = Floor::new(setup.map.clone(), setup.durations, setup.limits, setup.step_s);
         floor.furnish(Handovers::default());
         let mut world = World { floor, systems };
         world.each_system(|system, floor| system.furnish(floor, &setup));
@@ -60,6 +62,7 @@ fn check(setup: &WorldSetup) -> Vec<SetupError> {
         problems.push(SetupError::TooMany { what, count, max });
     }
     check_numbers(&setup.durations, &setup.limits, &mut problems);
+    check_step(setup, &mut problems);
     check_systems(&setup.systems, &mut problems);
     fittings::check(&setup.map, &setup.doors, &setup.obstacles, &mut problems);
     let mut seen = BTreeSet::new();
@@ -67,6 +70,7 @@ fn check(setup: &WorldSetup) -> Vec<SetupError> {
         let who = format!("robot {}", body.id);
         check_place(setup, &who, &body.place, &mut problems);
         check_body(body, &who, &mut problems);
+        check_kinematics(setup, body, &who, &mut problems);
         check_twice(who, &mut seen, &mut problems);
     }
     for person in &setup.people {
@@ -120,6 +124,44 @@ fn check_body(body: &RobotBody, who: &str, problems: &mut Vec<SetupError>) {
     if !SPEED_MPS.contains(&body.speed.get()) {
         let (field, allowed) = ("speed_mps", "a number from 0.001 to 100");
         problems.push(SetupError::Number { who: who.to_owned(), field, value: body.speed.get(), allowed });
+    }
+}
+
+fn check_kinematics(setup: &WorldSetup, body: &RobotBody, who: &str, problems: &mut Vec<SetupError>) {
+    if !RADIUS_M.contains(&body.radius_m) {
+        let (field, allowed) = ("radius_m", "a number of metres from 0.01 to 10");
+        problems.push(SetupError::Number { who: who.to_owned(), field, value: body.radius_m, allowed });
+    }
+    let mut number = |field, value, range: RangeInclusive<f64>, allowed| {
+        if !range.contains(&value) {
+            problems.push(SetupError::Number { who: who.to_owned(), field, value, allowed });
+        }
+    };
+    for sensor in &body.sensors {
+        number("reach_m", sensor.reach_m(), 0.0..=1_000.0, "a number of metres from 0 to 1000");
+        number("opening_rad", sensor.opening_rad(), 0.0..=std::f64::consts::TAU, "a number from 0 to 2 pi");
+        number("bearing_rad", sensor.bearing_rad(), -10.0..=10.0, "a number from -10 to 10");
+    }
+    let Some(kinematics) = &body.kinematics else { return };
+    if let Err(problem) = kinematics.check() {
+        problems.push(SetupError::Kinematics { who: who.to_owned(), problem });
+    }
+    if !["driving", "steering"].iter().all(|needed| setup.systems.iter().any(|name| name == needed)) {
+        problems.push(SetupError::NoSteering { who: who.to_owned(), systems: setup.systems.join(", ") });
+    }
+}
+
+fn check_step(setup: &WorldSetup, problems: &mut Vec<SetupError>) {
+    let mut number = |who: &str, field, value, range: RangeInclusive<f64>, allowed| {
+        if !range.contains(&value) {
+            problems.push(SetupError::Number { who: who.to_owned(), field, value, allowed });
+        }
+    };
+    number("world", "step_s", setup.step_s, 0.001..=10.0, "a number of seconds from 0.001 to 10");
+    if let Some(gusts) = setup.gusts {
+        number("gusts", "every_s", gusts.every_s, 0.01..=86_400.0, "a number of seconds from 0.01 to 86400");
+        number("gusts", "chance", gusts.chance, 0.0..=1.0, "a number from 0 to 1");
+        number("gusts", "strength_mps", gusts.strength_mps, 0.0..=10.0, "a number from 0 to 10");
     }
 }
 

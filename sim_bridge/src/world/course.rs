@@ -57,6 +57,20 @@ impl Course {
         self.stops.get(self.next).map_or(self.whole.length_m, |(at, _)| at.min(self.whole.length_m))
     }
 
+    /// How far it has come where it next has to stand, unless it may go on at once, or at the end.
+    pub(crate) fn next_halt_m(&self) -> f64 {
+        let ahead = self.stops.iter().skip(self.next);
+        let halt = ahead.filter(|(_, stop)| matches!(stop, Stop::Enter(_))).map(|(at, _)| *at).next();
+        halt.map_or(self.whole.length_m, |at| at.min(self.whole.length_m))
+    }
+
+    /// Has it come past the next door, if it is in one: which.
+    pub(crate) fn pass(&mut self) -> Option<Entity> {
+        let Some((_, Stop::Leave(door))) = self.stops.get(self.next) else { return None };
+        self.next += 1;
+        Some(*door)
+    }
+
     /// Whether a door is on the way.
     pub(crate) fn leaves(&self, door: Entity) -> bool {
         self.stops.iter().any(|(_, stop)| *stop == Stop::Leave(door))

@@ -21,7 +21,18 @@ impl World {
                     self.floor.say(event);
                 }
             }
+            Due::Step => self.step(),
             Due::Wake(place, wake) => self.work(super::Chosen(place), |system, floor| system.wake(floor, wake)),
+        }
+    }
+
+    /// Lets all systems step, and arranges the next time if any has to go on.
+    fn step(&mut self) {
+        self.floor.stepped();
+        let mut goes_on = false;
+        self.each_system(|system, floor| goes_on |= system.step(floor));
+        if goes_on {
+            self.floor.step_on();
         }
     }
 

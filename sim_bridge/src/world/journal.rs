@@ -172,6 +172,13 @@ pub enum Happening {
         /// Whether it is connected now.
         docked: bool,
     },
+    /// A robot that is steered ran into something, and stands.
+    Collided {
+        /// Which robot.
+        robot: RobotId,
+        /// The other robot; none for a wall.
+        with: Option<RobotId>,
+    },
     /// A robot's battery fell to the stopping share.
     Stranded {
         /// Which robot.

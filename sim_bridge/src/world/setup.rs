@@ -5,7 +5,9 @@ use super::mood::Mood;
 use super::names::{PersonName, SampleId};
 use super::systems;
 use super::systems::power::default_idle_factor;
+use crate::kinematics::{Kinematics, KinematicsError};
 use crate::map::Map;
+use crate::space::Sensor;
 use consort_protocol::ids::{PlaceId, RobotId, RoleId};
 use consort_protocol::units::{BatteryShare, MetresPerSecond, SharePerSecond};
 use serde::{Deserialize, Serialize};
@@ -33,6 +35,35 @@ pub struct WorldSetup {
     pub limits: WorldLimits,
     /// What happens there: the names of the systems, in the order in which they hear of things.
     pub systems: Vec<String>,
+    /// Time between two instants at which what cannot be computed ahead is brought up to date, in seconds; see
+    /// [`default_step_s`].
+    pub step_s: f64,
+    /// Gusts that push at what hovers; none in a hall.
+    pub gusts: Option<Gusts>,
+}
+
+/// Between two steps of a world: 0.05 s. Longer steps are quicker to compute, and collisions are seen later.
+pub const fn default_step_s() -> f64 {
+    0.05
+}
+
+/// Gusts: at equal intervals each hovering body may be pushed.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Gusts {
+    /// From one to the next, in seconds.
+    pub every_s: f64,
+    /// How likely it is that a body is pushed, from 0 to 1.
+    pub chance: f64,
+    /// By how much its velocity changes at most, in metres per second.
+    pub strength_mps: f64,
+}
+
+impl Default for Gusts {
+    /// Those of the published swarm: every second one in five is pushed by up to 0.5 m/s.
+    fn default() -> Self {
+        Self { every_s: 1.0, chance: 0.2, strength_mps: 0.5 }
+    }
 }
 
 impl WorldSetup {
@@ -42,7 +73,8 @@ impl WorldSetup {
         let systems = systems::system_names().map(str::to_owned).collect();
         let (robots, people, objects) = (Vec::new(), Vec::new(), Vec::new());
         let (doors, obstacles) = (Vec::new(), Vec::new());
-        Self { map, robots, people, objects, doors, obstacles, seed, durations, limits, systems }
+        let (step_s, gusts) = (default_step_s(), None);
+        Self { map, robots, people, objects, doors, obstacles, seed, durations, limits, systems, step_s, gusts }
     }
 
     /// The same with one more robot.
@@ -98,6 +130,21 @@ pub struct RobotBody {
     /// How far the arm reaches from where the robot stands, in metres. By default 1, a guess.
     #[serde(default = "one_metre")]
     pub reach_m: f64,
+    /// From its middle to its outermost part.
+    #[serde(default = "default_radius_m")]
+    pub radius_m: f64,
+    /// How it moves. Without this it drives in straight lines that are computed ahead, which costs nothing while it is under
+    /// way, and passes through whatever stands there.
+    #[serde(default)]
+    pub kinematics: Option<Kinematics>,
+    /// What it perceives with.
+    #[serde(default)]
+    pub sensors: Vec<Sensor>,
+}
+
+/// From the middle of a robot to its outermost part: 0.25 m, about that of a small hospital robot.
+pub const fn default_radius_m() -> f64 {
+    0.25
 }
 
 fn default_charging() -> SharePerSecond {
@@ -138,6 +185,9 @@ impl RobotBody {
             has_arm: false,
             payload_max_kg: two_kilograms(),
             reach_m: one_metre(),
+            radius_m: default_radius_m(),
+            kinematics: None,
+            sensors: Vec::new(),
         }
     }
 
@@ -285,6 +335,22 @@ pub enum SetupError {
         value: f64,
         /// The range, in words.
         allowed: &'static str,
+    },
+    /// A number of a robot's kinematics that makes no sense.
+    #[error("{who}, kinematics: {problem}")]
+    Kinematics {
+        /// `robot r1`.
+        who: String,
+        /// What is wrong.
+        problem: KinematicsError,
+    },
+    /// A robot with kinematics in a world that does not know what to do with them.
+    #[error("{who} has kinematics, so the systems must name driving and steering; they are: {systems}")]
+    NoSteering {
+        /// `robot r1`.
+        who: String,
+        /// The world's systems.
+        systems: String,
     },
     /// A system that there is not.
     #[error("there is no system {name:?}{hint}; there are: {known}")]

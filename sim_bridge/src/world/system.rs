@@ -11,6 +11,7 @@
 //! | [`begin`](System::begin), [`finish`](System::finish), [`halt`](System::halt) | a goal that it carries out begins, reaches its end, is broken off |
 //! | [`ask`](System::ask), [`dismiss`](System::dismiss) | somebody asks a person for something, or no longer does |
 //! | [`wake`](System::wake) | an instant has come that it arranged |
+//! | [`step`](System::step) | an instant of the world's grid has come, while anything steps |
 //! | [`observe`](System::observe) | something happened, by whatever system |
 //!
 //! [`systems::ALL`]: super::systems::ALL
@@ -33,6 +34,11 @@ impl Kind {
     /// The type of `T`.
     pub(crate) fn of<T: Component>() -> Kind {
         Kind { id: TypeId::of::<T>(), name: std::any::type_name::<T>() }
+    }
+
+    /// Whether it is the type of this number.
+    pub(crate) fn is(self, id: TypeId) -> bool {
+        self.id == id
     }
 
     /// Its name, without its path.
@@ -113,6 +119,12 @@ pub(crate) trait System: Sync {
 
     /// Withdraws an ask.
     fn dismiss(&self, _floor: &mut Floor, _id: GoalId) {}
+
+    /// An instant of the grid: brings up to now what cannot be computed ahead. Whether it has anything more to step; while
+    /// no system has, the world has no grid, and nothing to do. [`Floor::step_on`] begins it.
+    fn step(&self, _floor: &mut Floor) -> bool {
+        false
+    }
 
     /// An instant that it arranged with [`Floor::arrange`].
     fn wake(&self, _floor: &mut Floor, _wake: Wake) {}

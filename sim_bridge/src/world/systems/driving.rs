@@ -5,6 +5,9 @@
 //! robot under way costs nothing. Robots may pass through one another; what holds them up are doors, lifts, and what stands
 //! in the way. Off the lanes there are none of these.
 //!
+//! A robot with kinematics has the same journeys, but each part of one is driven by [`steering`](super::steering), which
+//! says when it is there. It stops only where it may have to stand.
+//!
 //! ```text
 //!  begin ─▶ rolling ─▶ at a door ─▶ rolling ─▶ … ─▶ achieved          at a lift ─▶ in the lift ─▶ achieved
 //!              └─▶ something in the way: blocked                                        └─▶ the next errand
@@ -22,6 +25,7 @@ use crate::world::system::{Kind, LATER, System, Wake, kinds};
 use crate::world::systems::doors::{DoorsByName, Doorway};
 use crate::world::systems::lifts::LiftsByName;
 use crate::world::systems::obstacles::{InTheWay, KnownClosed};
+use crate::world::systems::steering::{Footprint, Steered, Surroundings};
 use crate::world::whereabouts::{Drive, Spot, Stretch, Whereabouts};
 use consort_protocol::ids::{PlaceId, RobotId};
 use consort_protocol::pose::Pose;
@@ -83,11 +87,11 @@ impl System for Driving {
     }
 
     fn reads(&self) -> Vec<Kind> {
-        kinds![Body, Doorway, DoorsByName, InTheWay, LiftsByName]
+        kinds![Body, Doorway, DoorsByName, InTheWay, LiftsByName, Footprint]
     }
 
     fn writes(&self) -> Vec<Kind> {
-        kinds![Whereabouts, Departures, Beside, Journey, KnownClosed]
+        kinds![Whereabouts, Departures, Beside, Journey, KnownClosed, Steered, Surroundings]
     }
 
     fn equip(&self, floor: &mut Floor, robot: Entity, _body: &RobotBody) {
@@ -107,6 +111,7 @@ impl System for Driving {
         let Some(first) = errands.pop_front() else {
             return Some(Err(refused(ErrorCode::Unknown, "there are no waypoints to follow".to_owned())));
         };
+        floor.catch_up(robot);
         Some(floor.set_errand(robot, first).map(|()| {
             floor.get_mut::<Journey>(robot).afterwards = errands;
             LATER
@@ -129,10 +134,7 @@ impl System for Driving {
     fn wake(&self, floor: &mut Floor, Wake { about: robot, .. }: Wake) {
         floor.get_mut::<Journey>(robot).wake = None;
         match floor.take_stage(robot) {
-            Stage::Rolling(mut course) => {
-                course.done_m = course.until_m;
-                floor.proceed(robot, course, false);
-            }
+            Stage::Rolling(course) => floor.part_ends(robot, course),
             Stage::AtDoor(course, door) => floor.lose_patience(robot, course, door),
             stage @ (Stage::Idle | Stage::AtLift(_) | Stage::InLift) => {
                 floor.get_mut::<Journey>(robot).stage = stage;
@@ -349,14 +351,55 @@ impl Floor {
         self.roll(robot, course, seen.map(|(at, _)| at));
     }
 
+    /// It has come to the end of the part of its way that was under way.
+    fn part_ends(&mut self, robot: Entity, mut course: Course) {
+        course.done_m = course.until_m;
+        self.proceed(robot, course, false);
+    }
+
     /// Rolls to where there is something to do next.
     fn roll(&mut self, robot: Entity, mut course: Course, seen_m: Option<f64>) {
-        course.until_m = course.next_stop_m().min(seen_m.unwrap_or(f64::INFINITY));
+        let steered = self.is_steered(robot);
+        let stop_m = if steered { course.next_halt_m() } else { course.next_stop_m() };
+        course.until_m = stop_m.min(seen_m.unwrap_or(f64::INFINITY));
         let part = course.whole.part(course.done_m, course.until_m, self.now, course.speed_mps);
+        if steered {
+            self.steer(robot, part, course.speed_mps);
+            self.get_mut::<Journey>(robot).stage = Stage::Rolling(course);
+            return self.watch_for_doors(robot);
+        }
         *self.get_mut::<Whereabouts>(robot) = Whereabouts::Driving(part);
         let wake = self.arrange(part.ends, robot, 0);
         let mut journey = self.get_mut::<Journey>(robot);
         (journey.stage, journey.wake) = (Stage::Rolling(course), Some(wake));
+    }
+
+    /// A robot that is steered is at the end of the part of its way that was under way.
+    pub(crate) fn steered_there(&mut self, robot: Entity) {
+        match self.take_stage(robot) {
+            Stage::Rolling(course) => self.part_ends(robot, course),
+            _ => unreachable!("what is steered is under way"),
+        }
+    }
+
+    /// A robot that is steered is past a door.
+    pub(crate) fn steered_past(&mut self, robot: Entity) {
+        let passed = match &mut self.get_mut::<Journey>(robot).stage {
+            Stage::Rolling(course) => course.pass(),
+            Stage::Idle | Stage::AtDoor(..) | Stage::AtLift(_) | Stage::InLift => None,
+        };
+        if let Some(door) = passed {
+            self.leave_doorway(robot, door);
+        }
+        self.watch_for_doors(robot);
+    }
+
+    /// Has it said when a robot that is steered is past the next door, if that is before the end of this part of its way.
+    fn watch_for_doors(&self, robot: Entity) {
+        if let Stage::Rolling(course) = &self.get::<Journey>(robot).stage {
+            let past_m = course.next_stop_m();
+            self.watch(robot, (past_m < course.until_m).then_some(course.until_m - past_m));
+        }
     }
 
     /// What stands in the way ahead, and how far along a robot stops before it: the first thing it comes to.
@@ -428,16 +471,14 @@ impl Floor {
         let Stage::AtLift(to) = self.get::<Journey>(robot).stage else { return };
         self.depart(robot);
         self.get_mut::<Journey>(robot).stage = Stage::InLift;
-        let pose = self.map.at(to).pose;
-        *self.get_mut::<Whereabouts>(robot) = Whereabouts::Standing { spot: Spot::Lift { to }, pose };
+        self.put(robot, Spot::Lift { to }, self.map.at(to).pose);
     }
 
     fn leave_lift(&mut self, robot: Entity, at: PlaceIndex) {
         if !matches!(self.get::<Journey>(robot).stage, Stage::InLift) {
             return;
         }
-        let pose = self.map.at(at).pose;
-        *self.get_mut::<Whereabouts>(robot) = Whereabouts::Standing { spot: Spot::Place(at), pose };
+        self.put(robot, Spot::Place(at), self.map.at(at).pose);
         let errand = {
             let mut journey = self.get_mut::<Journey>(robot);
             journey.stage = Stage::Idle;
@@ -478,7 +519,7 @@ impl Floor {
             }
             let left = match &*self.get::<Whereabouts>(robot) {
                 Whereabouts::Driving(part) => part.remaining(self.now).get(),
-                Whereabouts::Standing { .. } => 0.0,
+                Whereabouts::Standing { .. } => self.steered_left_m(robot),
             };
             let Stage::Rolling(mut course) = self.take_stage(robot) else { continue };
             course.done_m = course.until_m - left;
@@ -498,11 +539,14 @@ impl Floor {
 
     fn stand_at(&self, robot: Entity, course: &Course) {
         let here = course.whole.part(course.done_m, course.done_m, self.now, course.speed_mps);
-        *self.get_mut::<Whereabouts>(robot) = Whereabouts::Standing { spot: here.end_spot, pose: here.end_pose };
+        // One that is steered comes only close.
+        let pose = if self.is_steered(robot) { self.get::<Whereabouts>(robot).pose(self.now) } else { here.end_pose };
+        *self.get_mut::<Whereabouts>(robot) = Whereabouts::Standing { spot: here.end_spot, pose };
     }
 
-    /// Lets a robot stand where it is now, whether it was driving or not.
+    /// Lets a robot stand where it is now, whether it was driving or not; one that is steered brakes.
     fn stand_still(&mut self, robot: Entity) {
+        self.brake(robot);
         let mut whereabouts = self.get_mut::<Whereabouts>(robot);
         *whereabouts = Whereabouts::Standing { spot: whereabouts.spot(self.now), pose: whereabouts.pose(self.now) };
     }
@@ -514,7 +558,11 @@ impl Floor {
             (Stage::Rolling(course), Whereabouts::Driving(part)) => {
                 (course, part.remaining(self.now).get(), (part.ends - self.now).max(0.0))
             }
-            (Stage::Rolling(course) | Stage::AtDoor(course, _), _) => (course, 0.0, 0.0),
+            (Stage::Rolling(course), Whereabouts::Standing { .. }) => {
+                let (left_m, left_s) = self.steered_left(robot, course.speed_mps);
+                (course, left_m, left_s)
+            }
+            (Stage::AtDoor(course, _), _) => (course, 0.0, 0.0),
             (Stage::Idle | Stage::AtLift(_) | Stage::InLift, _) => return None,
         };
         let begun_m = if matches!(journey.stage, Stage::Rolling(_)) { course.until_m } else { course.done_m };

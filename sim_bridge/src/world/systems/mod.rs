@@ -1,23 +1,27 @@
 //! What can happen on a floor, a file each.
 
 mod arm;
+mod collisions;
 mod company;
 pub(crate) mod docking;
 pub(crate) mod doors;
 mod drawer;
 pub(crate) mod driving;
+mod gusts;
 pub(crate) mod lifts;
 pub(crate) mod moods;
 pub(crate) mod obstacles;
 pub(crate) mod people;
 pub(crate) mod power;
+pub(crate) mod steering;
 mod turning;
 mod waiting;
 
 use super::system::System;
 
 /// All systems that there are, in the order in which they hear of things.
-static ALL: [&dyn System; 13] = [
+static ALL: [&dyn System; 16] = [
+    &steering::Steering,
     &driving::Driving,
     &doors::Doors,
     &lifts::Lifts,
@@ -31,6 +35,8 @@ static ALL: [&dyn System; 13] = [
     &power::Power,
     &moods::Moods,
     &people::People,
+    &collisions::Collisions,
+    &gusts::Gusting,
 ];
 
 /// The names of all systems that there are, in the order in which they hear of things.

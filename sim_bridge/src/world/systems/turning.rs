@@ -4,6 +4,7 @@ use crate::world::components::Body;
 use crate::world::floor::Floor;
 use crate::world::reach::refused;
 use crate::world::system::{Kind, System, kinds};
+use crate::world::systems::steering::Steered;
 use crate::world::whereabouts::Whereabouts;
 use consort_protocol::pose::Pose;
 use consort_skills::actions::{ActionError, ErrorCode, Goal};
@@ -28,7 +29,7 @@ impl System for Turning {
     }
 
     fn writes(&self) -> Vec<Kind> {
-        kinds![Whereabouts]
+        kinds![Whereabouts, Steered]
     }
 
     fn begin(&self, floor: &mut Floor, robot: Entity, goal: &Goal) -> Option<Result<f64, ActionError>> {
@@ -50,6 +51,9 @@ impl System for Turning {
         if let Whereabouts::Standing { pose, .. } = &mut *floor.get_mut::<Whereabouts>(robot) {
             let yaw = pose.yaw + angle_rad;
             *pose = Pose::new(pose.x, pose.y, yaw.sin().atan2(yaw.cos()));
+            if let Some(mut steered) = floor.find_mut::<Steered>(robot) {
+                steered.mover.turn_to(pose.yaw);
+            }
         }
         Ok(())
     }

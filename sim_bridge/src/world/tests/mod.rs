@@ -12,7 +12,9 @@ mod obstacles;
 mod power;
 mod preconditions;
 mod properties;
+mod sensing;
 mod setups;
+mod steering;
 mod systems;
 
 use super::*;
