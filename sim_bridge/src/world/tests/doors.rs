@@ -7,7 +7,7 @@ use proptest::prelude::*;
 use std::collections::{BTreeMap, BTreeSet};
 
 /// A – B – C in a line, 10 m each; a door of 3 s in the middle of each lane, the second wide enough for two.
-fn passage() -> WorldSetup {
+pub(super) fn passage() -> WorldSetup {
     let text = "{name: passage, places: [{name: A, kind: other, x_m: 0, y_m: 0}, {name: B, kind: other, x_m: 10, y_m: 0}, \
         {name: C, kind: other, x_m: 20, y_m: 0}], lanes: [{between: [A, B]}, {between: [B, C]}], \
         doors: [{name: Narrow, on: [[A, B]], opening_s: 3}, {name: Wide, on: [[B, C]], opening_s: 3}]}";
@@ -16,7 +16,7 @@ fn passage() -> WorldSetup {
     setup
 }
 
-fn doors_only(what: &Happening) -> Option<String> {
+pub(super) fn doors_only(what: &Happening) -> Option<String> {
     match what {
         Happening::DoorAwaited { robot, .. } => Some(format!("{robot} waits")),
         Happening::DoorEntered { robot, .. } => Some(format!("{robot} enters")),

@@ -5,7 +5,7 @@ use proptest::prelude::*;
 use std::collections::{BTreeMap, BTreeSet};
 
 /// Three levels, 4 m from one to the next, a lobby on each, a room behind the uppermost; the lift takes 3 s to open.
-fn tower(capacity: u32) -> WorldSetup {
+pub(super) fn tower(capacity: u32) -> WorldSetup {
     let text = format!(
         "{{name: tower, levels: [{{name: low}}, {{name: mid, elevation_m: 4}}, {{name: top, elevation_m: 8}}], \
          places: [{{name: L0, kind: corridor, x_m: 0, y_m: 0}}, {{name: L1, kind: corridor, x_m: 0, y_m: 0, level: mid}}, \

@@ -2,23 +2,23 @@
 
 use super::*;
 
-fn corridor() -> WorldSetup {
+pub(super) fn corridor() -> WorldSetup {
     let text = "{name: corridor, places: [{name: A, kind: other, x_m: 0, y_m: 0}, {name: B, kind: other, x_m: 10, y_m: 0}, \
         {name: C, kind: other, x_m: 0, y_m: 10}], lanes: [{between: [A, B]}, {between: [A, C]}]}";
     WorldSetup::new(map::read(text, "corridor.yaml").unwrap(), 1)
 }
 
-fn trolley() -> Obstacle {
+pub(super) fn trolley() -> Obstacle {
     Obstacle::between("trolley", place("A"), place("B"))
 }
 
-const BLOCKED: &str = "the way from A to B is blocked: trolley stands in it";
+pub(super) const BLOCKED: &str = "the way from A to B is blocked: trolley stands in it";
 
-fn x(world: &World, name: &str) -> f64 {
+pub(super) fn x(world: &World, name: &str) -> f64 {
     world.telemetry(&robot(name)).unwrap().pose.x
 }
 
-fn known(world: &World, name: &str) -> Vec<(PlaceId, PlaceId)> {
+pub(super) fn known(world: &World, name: &str) -> Vec<(PlaceId, PlaceId)> {
     world.telemetry(&robot(name)).unwrap().closed
 }
 

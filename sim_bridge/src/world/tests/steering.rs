@@ -4,7 +4,7 @@ use super::*;
 use crate::kinematics::{AckermannSettings, AerialSettings, DifferentialSettings, Kinematics, OmnidirectionalSettings};
 use consort_protocol::pose::Pose;
 
-fn all() -> [Kinematics; 4] {
+pub(super) fn all() -> [Kinematics; 4] {
     [
         Kinematics::Differential(DifferentialSettings::default()),
         Kinematics::Omnidirectional(OmnidirectionalSettings::default()),
@@ -14,11 +14,11 @@ fn all() -> [Kinematics; 4] {
 }
 
 /// On a battery that never runs down, so that nothing is due but what it does.
-fn steered(name: &str, at: &str, kinematics: Kinematics) -> RobotBody {
+pub(super) fn steered(name: &str, at: &str, kinematics: Kinematics) -> RobotBody {
     RobotBody { kinematics: Some(kinematics), discharge: SharePerSecond::new(0.0).unwrap(), ..carrier(name, at) }
 }
 
-fn differential(name: &str, at: &str) -> RobotBody {
+pub(super) fn differential(name: &str, at: &str) -> RobotBody {
     steered(name, at, all()[0])
 }
 
@@ -36,12 +36,12 @@ fn walled() -> Map {
     map::read(text, "walled").unwrap()
 }
 
-fn pose_of(world: &World, name: &str) -> Pose {
+pub(super) fn pose_of(world: &World, name: &str) -> Pose {
     world.telemetry(&robot(name)).unwrap().pose
 }
 
 /// Lets time pass until a robot's goal has ended.
-fn until_ended(world: &mut World, name: &str, id: u64) -> GoalStatus {
+pub(super) fn until_ended(world: &mut World, name: &str, id: u64) -> GoalStatus {
     for _ in 0..100_000 {
         let due = world.next_due().expect("the goal has not ended");
         world.advance(due);
