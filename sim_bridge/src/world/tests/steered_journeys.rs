@@ -31,7 +31,7 @@ fn every_chassis_waits_before_a_door_and_is_there_only_when_it_has_passed() {
                 let x = pose_of(&world, "r1").x;
                 match line.as_str() {
                     "r1 waits" | "open" | "r1 enters" => {
-                        assert!((4.4..4.6).contains(&x), "{line} at {x}: {kinematics:?}")
+                        assert!((4.4..4.6).contains(&x), "{line} at {x}: {kinematics:?}");
                     }
                     "r1 leaves" => assert!((5.5..5.6).contains(&x), "{line} at {x}: {kinematics:?}"),
                     _ => assert!(passed, "{line} at {x}: {kinematics:?}"),
