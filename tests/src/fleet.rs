@@ -11,7 +11,7 @@ use consort_actors::store::Store;
 use consort_protocol::event::Happening;
 use consort_protocol::ids::NodeId;
 use consort_protocol::keys::Keys;
-use consort_sim::map::{self, Map};
+use consort_sim::map;
 use consort_sim::world::{JournalEntry, Person, SharedWorld, World, WorldSetup};
 use consort_skills::descriptor::DescriptorRegistry;
 use consort_skills::environment::{Environment, Routes};

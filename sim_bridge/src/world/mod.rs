@@ -7,7 +7,7 @@
 //!            start, cancel, ask_person            advance(to)
 //!  skills ────────────▶ host ──▶ goals ──▶ queue ────────────▶ goals ──▶ events, in order
 //!                                  │                             │
-//!                               systems: driving, doors, lifts, company, drawer, arm, people, power …
+//!                               systems: steering, driving, doors, lifts, drawer, people, power …
 //!                                  └──▶ floor: components, clock, what is due ◀──┘
 //! ```
 //!
