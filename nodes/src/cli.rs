@@ -1,7 +1,7 @@
 //! The command line.
 
 use crate::command::{
-    cancel, chaos, check, dry_run, fleet, leave, map, missions, recover, rescue, robot, station, submit, world,
+    bench, cancel, chaos, check, dry_run, fleet, leave, map, missions, recover, rescue, robot, station, submit, world,
 };
 use crate::demo;
 use crate::exit::Failure;
@@ -64,6 +64,7 @@ enum Command {
     DryRun(dry_run::Args),
     Recover(recover::Args),
     Chaos(chaos::Args),
+    Bench(bench::Args),
 }
 
 /// Runs the program.
@@ -84,6 +85,7 @@ pub fn run() -> ExitCode {
         Command::DryRun(args) => dry_run::run(args),
         Command::Recover(args) => recover::run(args),
         Command::Chaos(args) => chaos::run(&args),
+        Command::Bench(args) => bench::run(args),
     };
     match done {
         Ok(()) => ExitCode::SUCCESS,

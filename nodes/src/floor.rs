@@ -2,7 +2,7 @@
 
 use crate::config::{Problem, Problems};
 use consort_sim::map::{self, Map, MapError};
-use consort_skills::environment::{Edge, TopologicalMap};
+use consort_skills::environment::TopologicalMap;
 use std::path::Path;
 
 /// A map that was read.
@@ -75,18 +75,6 @@ pub fn problems(file: &str, error: MapError) -> Problems {
 
 impl From<Map> for Floor {
     fn from(map: Map) -> Floor {
-        Floor { topology: topology(&map), map: Some(map) }
+        Floor { topology: map.topology(), map: Some(map) }
     }
-}
-
-/// The places and lanes of a simulator's map as estimators and skills see them.
-pub fn topology(map: &Map) -> TopologicalMap {
-    let places = map.places().iter().map(|place| (place.id.clone(), place.pose)).collect();
-    let edge = |lane: &map::Lane| Edge {
-        a: lane.from.clone(),
-        b: lane.to.clone(),
-        length_m: lane.length.get(),
-        one_way: !lane.two_way,
-    };
-    TopologicalMap { places, edges: map.lanes().iter().map(edge).collect() }
 }

@@ -25,4 +25,4 @@ pub const SILENCE: Duration = Duration::from_secs(3);
 
 pub use host::{Host, HostMessage, HostSettings};
 pub use link::{Body, BodyLink, BodyLinkMessage, BodyLinkSettings};
-pub use wire::{BodyCommand, BodyState, Order, PeopleAsk, PersonDone, PersonState};
+pub use wire::{BodyCommand, BodyState, Order, PeopleAsk, PersonState, PersonWord};

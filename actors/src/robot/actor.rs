@@ -13,7 +13,7 @@ use crate::tasks::Tasks;
 use consort_protocol::auction::CallForBids;
 use consort_protocol::codec;
 use consort_protocol::event::Happening;
-use consort_protocol::ids::{NodeId, RoleId};
+use consort_protocol::ids::{NodeId, PlaceId, RoleId};
 use consort_protocol::keys::Key;
 use consort_protocol::knowledge::{Availability, Worker};
 use consort_protocol::lease::{Epoch, Event, Holding, Tenure};
@@ -276,6 +276,11 @@ impl RobotState {
         self.advance(myself).await
     }
 
+    /// The ways that the body has found closed.
+    pub(super) fn closed(&self) -> &[(PlaceId, PlaceId)] {
+        self.settings.body.telemetry().map_or(&[], |report| &report.closed)
+    }
+
     /// Properties sensing (thesis, Listing 3.1): takes in what the body reports and lets others know.
     pub(super) fn sense(&mut self, now: NodeTime) {
         self.settings.body.refresh();
@@ -354,7 +359,7 @@ impl RobotState {
         let membership =
             self.settings.knowledge.read(|base| self.settings.ensemble.judge(&me, &coordinator, base, now));
         let age_ms = self.settings.body.telemetry_age_ms();
-        let circumstance = Circumstance { worker: &self.worker, age_ms, membership };
+        let circumstance = Circumstance { worker: &self.worker, closed: self.closed(), age_ms, membership };
         let tender = self.bidder.tender(&call, &circumstance);
         let key = self.settings.keys.write(&Key::Bid(self.settings.robot.clone()));
         answer::wire(query, &key, &tender).await;

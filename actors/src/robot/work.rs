@@ -91,7 +91,7 @@ impl RobotState {
         spec: &TaskSpec,
     ) -> Result<(), ActorProcessingErr> {
         self.look_after_charge(myself);
-        let here = Context { pose: Some(self.worker.pose), ..context(&self.worker) };
+        let here = Context { pose: Some(self.worker.pose), ..context(&self.worker, self.closed()) };
         let Some(job) = self.job.as_mut().filter(|job| job.failure.is_none()) else { return Ok(()) };
         let (mission, role) = job.of();
         self.settings.events.tell(Happening::TaskBegan { mission, role, task: task.clone() });
@@ -236,7 +236,8 @@ impl RobotState {
             return;
         }
         let RobotSettings { estimator, limits, .. } = &self.settings;
-        let forecast = Forecast::new(estimator, &job.sequencer.rest(), &self.worker, limits);
+        let closed = self.settings.body.telemetry().map_or(&[][..], |report| &report.closed);
+        let forecast = Forecast::new(estimator, &job.sequencer.rest(), &self.worker, closed, limits);
         let Some(cause) = forecast.ok().and_then(|forecast| forecast.shortfall()) else { return };
         if job.sequencer.may_have_custody() {
             if !std::mem::replace(&mut job.told_of_charge, true) {

@@ -1,5 +1,6 @@
 //! The commands, one a file: each has its flags, and `run`.
 
+pub mod bench;
 pub mod cancel;
 pub mod chaos;
 pub mod check;

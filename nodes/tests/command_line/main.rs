@@ -1,5 +1,6 @@
 //! The binary as people and scripts meet it.
 
+mod bench;
 mod chaos;
 mod dry_run;
 mod files;

@@ -47,6 +47,7 @@ mod shipped;
 pub mod show;
 #[cfg(test)]
 mod tests;
+mod topology;
 
 pub use building::{Door, DoorOnWay, Facing, GROUND, Level, LevelIndex, Lift, Ride};
 pub use drawing::{Drawing, Drawn, DrawnObject, DrawnPerson, DrawnRobot};
