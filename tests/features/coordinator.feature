@@ -41,6 +41,7 @@ Feature: Nobody is indispensable
     And the coordinator dies
     And a sample is requested from "IC Room 6"
     Then within 10 minutes the mission is completed
+    And somebody else coordinates
     And every task of the mission was done once
 
   Scenario: A coordinator that is cut off is replaced, and is no second one when it can be heard again
