@@ -299,7 +299,7 @@ impl Stage {
         })
     }
 
-    /// What happened so far, a line each.
+    /// What happened so far, a line each; the same several times in succession in one.
     pub(super) fn story(&self) -> Vec<String> {
         let Some(play) = &self.play else { return vec![] };
         let at = |elapsed: Duration| play.nodes_since_s + elapsed.as_secs_f64() * self.cast.speed;
@@ -310,6 +310,11 @@ impl Stage {
             lines.extend(entries.iter().filter_map(|(when, entry)| Some((at(*when), story::of_nodes(entry)?))));
         }
         lines.sort_by(|a, b| a.0.total_cmp(&b.0));
-        lines.into_iter().map(|(time, line)| format!("{time:8.1} s  {line}")).collect()
+        let runs = lines.chunk_by(|one, next| one.1 == next.1).map(|run| {
+            let (time, line) = &run[0];
+            let again = if run.len() > 1 { format!(" ({} times)", run.len()) } else { String::new() };
+            format!("{time:8.1} s  {line}{again}")
+        });
+        runs.collect()
     }
 }
