@@ -34,7 +34,7 @@ Feature: Nobody is indispensable
     And the coordinator dies
     Then nobody coordinates
     And within 2 s somebody else coordinates
-    And for 60 s somebody coordinates
+    And for 10 s somebody coordinates
 
   Scenario: A mission asked for while nobody coordinates is done once
     When the fleet runs until somebody coordinates
