@@ -1,7 +1,8 @@
 //! The command line.
 
 use crate::command::{
-    bench, cancel, chaos, check, dry_run, fleet, leave, map, missions, recover, rescue, robot, station, submit, world,
+    bench, cancel, chaos, check, dry_run, fleet, leave, map, missions, recover, rescue, robot, station, submit, test,
+    world,
 };
 use crate::demo;
 use crate::exit::Failure;
@@ -65,6 +66,7 @@ enum Command {
     Recover(recover::Args),
     Chaos(chaos::Args),
     Bench(bench::Args),
+    Test(test::Args),
 }
 
 /// Runs the program.
@@ -86,6 +88,7 @@ pub fn run() -> ExitCode {
         Command::Recover(args) => recover::run(args),
         Command::Chaos(args) => chaos::run(&args),
         Command::Bench(args) => bench::run(args),
+        Command::Test(args) => test::run(args),
     };
     match done {
         Ok(()) => ExitCode::SUCCESS,

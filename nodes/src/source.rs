@@ -50,11 +50,9 @@ pub fn mission_request(name: &str) -> Result<Value, Problems> {
     if shipped().contains_key(name) {
         return Ok(Value::String(name.to_owned()));
     }
-    // Mistakes of form are told of here, where the file is, and not by the coordinator.
-    mission(name)?;
     let text = mission_text(name)?;
-    let value: Value = any_format(&text, name)?;
-    Ok(scalars_as_text(value))
+    let format = Format::of(Some(Path::new(name)), &text);
+    MissionTemplate::request(&text, format).map_err(|error| Problem::of(name, error).into())
 }
 
 fn mission_text(name: &str) -> Result<String, Problems> {
@@ -65,17 +63,6 @@ fn mission_text(name: &str) -> Result<String, Problems> {
         return Err(Problem::of(name, what).into());
     }
     text(path)
-}
-
-/// Mission files hold texts only; YAML takes a bare `5` for a number.
-fn scalars_as_text(value: Value) -> Value {
-    match value {
-        Value::Array(list) => list.into_iter().map(scalars_as_text).collect(),
-        Value::Object(map) => map.into_iter().map(|(key, value)| (key, scalars_as_text(value))).collect(),
-        Value::Bool(value) => Value::String(value.to_string()),
-        Value::Number(value) => Value::String(value.to_string()),
-        Value::Null | Value::String(_) => value,
-    }
 }
 
 /// Reads TOML, JSON or YAML, by the end of the file's name, and where that does not say, by the first character.

@@ -35,7 +35,9 @@ pub struct Fleet {
     pub chronicle: Chronicle,
     pub(crate) keys: Keys,
     settings: FleetSettings,
-    members: BTreeMap<&'static str, Member>,
+    /// World seconds in a second of the nodes' time.
+    speed: f64,
+    members: BTreeMap<String, Member>,
     pub(crate) nodes: BTreeMap<String, NodeHandle>,
     pub(crate) client: VirtualBus,
     /// What happened in the world, as far as it was looked at.
@@ -51,56 +53,83 @@ pub struct Fleet {
 /// Changes what a node is to be, each time before it starts.
 pub type Adjust = Box<dyn FnMut(&mut NodeSettings)>;
 
+/// All that a fleet begins with.
+pub(crate) struct Staging {
+    pub(crate) seed: u64,
+    /// The robots' nodes; their bodies are in the world.
+    pub(crate) members: Vec<Member>,
+    pub(crate) stations: Vec<String>,
+    pub(crate) world: SharedWorld,
+    /// World seconds in a second of the nodes' time.
+    pub(crate) speed: f64,
+    /// Robots with one of these skills are asked for bids.
+    pub(crate) skills: Vec<String>,
+    pub(crate) adjust: Adjust,
+}
+
+/// A nurse who waits in a room with one sample; both are called after the room.
+pub(crate) fn nurse_of(room: &str) -> Person {
+    Person {
+        name: format!("nurse of {room}").as_str().into(),
+        role: slug("nurse"),
+        place: slug(room),
+        samples: vec![format!("sample of {room}").as_str().into()],
+        mood: vec![],
+    }
+}
+
 impl Fleet {
     /// The hospital with a nurse in each of the rooms named, an arm in the laboratory, and these mobile robots; a station
     /// each for `stations`. World time runs ten times as fast as node time.
     ///
     /// The first voters are up to five, an odd number: the arm and the stations before the mobile robots, and by name.
     /// The first of them by name founds the ledger and, as a rule, is the first to coordinate.
-    pub async fn hospital(seed: u64, members: Vec<Member>, stations: &[&'static str], rooms: &[&'static str]) -> Fleet {
+    pub async fn hospital(seed: u64, members: Vec<Member>, stations: &[&str], rooms: &[&str]) -> Fleet {
         Fleet::adjusted_hospital(seed, members, stations, rooms, Box::new(|_| ())).await
     }
 
     /// The same, with nodes that are changed before they start.
     pub async fn adjusted_hospital(
         seed: u64,
-        members: Vec<Member>,
-        stations: &[&'static str],
-        rooms: &[&'static str],
+        mut members: Vec<Member>,
+        stations: &[&str],
+        rooms: &[&str],
         adjust: Adjust,
     ) -> Fleet {
-        let mut all = members;
-        if all.iter().all(|member| member.speed.is_some()) {
-            all.push(Member::arm("lab-arm", "Laboratory"));
+        if members.iter().all(|member| member.speed.is_some()) {
+            members.push(Member::arm("lab-arm", "Laboratory"));
         }
-        let network = VirtualNetwork::new(seed, LinkModel::LAN);
         let map = map::shipped("hospital").expect("the shipped map is sound");
         let mut setup = WorldSetup::new(map, seed);
-        for member in &all {
+        for member in &members {
             setup = setup.robot(member.body());
         }
         for room in rooms {
-            let name = format!("nurse of {room}");
-            setup = setup.person(Person {
-                name: name.as_str().into(),
-                role: slug("nurse"),
-                place: slug(room),
-                samples: vec![format!("sample of {room}").as_str().into()],
-                mood: vec![],
-            });
+            setup = setup.person(nurse_of(room));
         }
         let world = SharedWorld::new(World::new(setup).expect("the test's own world"));
-        let present = all.iter().filter(|member| !member.late).count();
-        let settings = ward(&["operate_drawer", "pick_up"], present + stations.len());
+        let stations = stations.iter().map(|station| (*station).to_owned()).collect();
+        let skills = ["operate_drawer", "pick_up"].map(str::to_owned).to_vec();
+        Fleet::staged(Staging { seed, members, stations, world, speed: 10.0, skills, adjust }).await
+    }
+
+    /// A fleet whose bodies are in this world.
+    pub(crate) async fn staged(staging: Staging) -> Fleet {
+        let Staging { seed, members, stations, world, speed, skills, adjust } = staging;
+        let network = VirtualNetwork::new(seed, LinkModel::LAN);
+        let present = members.iter().filter(|member| !member.late).count();
+        let skills: Vec<&str> = skills.iter().map(String::as_str).collect();
+        let settings = ward(&skills, present + stations.len());
         let client = network.bus(slug("client"));
         let mut fleet = Fleet {
             seed,
             network,
-            world: world.clone(),
+            world,
             chronicle: Chronicle::new(),
             keys: Keys::new(&settings.fleet),
             settings,
-            members: all.into_iter().map(|member| (member.name, member)).collect(),
+            speed,
+            members: members.into_iter().map(|member| (member.name.clone(), member)).collect(),
             nodes: BTreeMap::new(),
             client,
             journal: vec![],
@@ -110,12 +139,12 @@ impl Fleet {
             followers: BTreeMap::new(),
         };
         fleet.start_world().await;
-        for station in stations {
+        for station in &stations {
             fleet.start_station(station).await;
         }
-        let present = fleet.members.values().filter(|member| !member.late).map(|member| member.name);
+        let present = fleet.members.values().filter(|member| !member.late).map(|member| member.name.clone());
         for name in present.collect::<Vec<_>>() {
-            fleet.start_robot(name).await;
+            fleet.start_robot(&name).await;
         }
         fleet
     }
@@ -123,7 +152,7 @@ impl Fleet {
     /// Starts the node that hosts the bodies and the people, for the first time or again. The world itself goes on in any
     /// case.
     pub async fn start_world(&mut self) {
-        let host = HostPart { world: Box::new(self.world.clone()), speed: 10.0 };
+        let host = HostPart { world: Box::new(self.world.clone()), speed: self.speed };
         let settings = NodeSettings { host: Some(host), ..self.node("world", false, None) };
         self.start(settings).await;
     }
@@ -136,13 +165,13 @@ impl Fleet {
     }
 
     /// Starts a robot's node, for the first time or again with an empty memory.
-    pub async fn start_robot(&mut self, name: &'static str) {
+    pub async fn start_robot(&mut self, name: &str) {
         self.stores.remove(name);
         self.restart(name).await;
     }
 
     /// Starts a robot's node again with what its former life had written down.
-    pub async fn restart(&mut self, name: &'static str) {
+    pub async fn restart(&mut self, name: &str) {
         let member = self.members.get(name).expect("a robot of this fleet").clone();
         let robot = self.world.with(|world| {
             let map = world.map();
@@ -313,6 +342,13 @@ impl Fleet {
             // Whether it ends by news or by time, it is time to look.
             let _ = tokio::time::timeout(Duration::from_millis(10), grown.changed()).await;
         }
+    }
+
+    /// Lets virtual time pass: at most so long, and no longer than a glance takes.
+    pub(crate) async fn watch(&mut self, at_most: Duration) {
+        tokio::time::sleep(at_most.min(Duration::from_millis(50))).await;
+        let news = self.world.with(World::drain_journal);
+        self.journal.extend(news);
     }
 
     /// Lets virtual time pass in which `must_not` never becomes true.

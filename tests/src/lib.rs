@@ -1,5 +1,6 @@
 //! Whole-fleet stories: the harness that they are told with.
 
+pub mod behavior;
 pub mod chaos;
 mod checks;
 mod chronicle;

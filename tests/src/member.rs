@@ -13,15 +13,17 @@ use consort_skills::library::SkillLibrary;
 #[derive(Debug, Clone)]
 pub struct Member {
     /// Its name.
-    pub name: &'static str,
+    pub name: String,
     /// Where it starts.
-    pub place: &'static str,
+    pub place: String,
     /// Metres per second; `None` for an arm.
     pub speed: Option<f64>,
     /// Charge at the start, as a share.
     pub battery: f64,
+    /// Share of a full charge that it loses in a second at work, as it admits.
+    pub discharge: f64,
     /// Its skills.
-    pub skills: Vec<&'static str>,
+    pub skills: Vec<String>,
     /// Changes its skill library before it starts.
     pub trained: Option<fn(&mut SkillLibrary)>,
     /// Whether its node is started only when the test says so.
@@ -34,14 +36,15 @@ pub struct Member {
 
 impl Member {
     /// A robot with a drawer, as lab samples need one.
-    pub fn carrier(name: &'static str, place: &'static str) -> Member {
-        let skills = vec!["navigation", "approach_person", "authenticate_person", "operate_drawer", "approach_robot"];
+    pub fn carrier(name: &str, place: &str) -> Member {
+        let skills = ["navigation", "approach_person", "authenticate_person", "operate_drawer", "approach_robot"];
         Member {
-            name,
-            place,
+            name: name.to_owned(),
+            place: place.to_owned(),
             speed: Some(0.6),
             battery: 0.9,
-            skills,
+            discharge: 0.0004,
+            skills: skills.map(str::to_owned).to_vec(),
             trained: None,
             late: false,
             thirst: 1.0,
@@ -50,18 +53,9 @@ impl Member {
     }
 
     /// An arm that takes samples out of drawers.
-    pub fn arm(name: &'static str, place: &'static str) -> Member {
-        Member {
-            name,
-            place,
-            speed: None,
-            battery: 1.0,
-            skills: vec!["pick_up"],
-            trained: None,
-            late: false,
-            thirst: 1.0,
-            clock_rate: 1.0,
-        }
+    pub fn arm(name: &str, place: &str) -> Member {
+        let carrier = Member::carrier(name, place);
+        Member { speed: None, battery: 1.0, discharge: 0.0, skills: vec!["pick_up".to_owned()], ..carrier }
     }
 
     /// The same robot with another speed, in metres per second.
@@ -75,13 +69,13 @@ impl Member {
     }
 
     /// The same robot with other skills.
-    pub fn able(self, skills: &[&'static str]) -> Member {
-        Member { skills: skills.to_vec(), ..self }
+    pub fn able(self, skills: &[&str]) -> Member {
+        Member { skills: skills.iter().map(|skill| (*skill).to_owned()).collect(), ..self }
     }
 
     /// The same robot with one more skill.
-    pub fn able_to(mut self, skill: &'static str) -> Member {
-        self.skills.push(skill);
+    pub fn able_to(mut self, skill: &str) -> Member {
+        self.skills.push(skill.to_owned());
         self
     }
 
@@ -106,7 +100,7 @@ impl Member {
     }
 
     pub(crate) fn body(&self) -> RobotBody {
-        let (id, place) = (slug(self.name), slug(self.place));
+        let (id, place) = (slug(&self.name), slug(&self.place));
         match self.speed {
             Some(speed) => {
                 let speed = MetresPerSecond::new(speed).expect("a speed");
@@ -119,11 +113,11 @@ impl Member {
     }
 
     fn discharge(&self) -> SharePerSecond {
-        SharePerSecond::new(if self.speed.is_some() { 0.0004 } else { 0.0 }).expect("a rate")
+        SharePerSecond::new(self.discharge).expect("a rate")
     }
 
     pub(crate) fn worker(&self, map: &Map) -> Worker {
-        let place: PlaceId = slug(self.place);
+        let place: PlaceId = slug(&self.place);
         Worker {
             skills: self.skills.iter().map(|skill| slug(skill)).collect(),
             pose: map.place(&place).map_or(Pose::default(), |place| place.pose),

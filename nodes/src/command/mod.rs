@@ -16,4 +16,5 @@ pub mod rescue;
 pub mod robot;
 pub mod station;
 pub mod submit;
+pub mod test;
 pub mod world;

@@ -10,3 +10,4 @@ mod network;
 mod recover;
 mod requests;
 mod support;
+mod test;

@@ -19,6 +19,7 @@ mod ihtn;
 mod lost;
 mod model;
 mod problem;
+mod request;
 mod shipped;
 mod validate;
 

@@ -1,0 +1,120 @@
+Feature: Missions of several robots
+  Robots tell each other directly what they have done: who waits for another's work goes on when it is done, whatever becomes
+  of the coordinator meanwhile.
+
+  Scenario: Two robots look after rooms in any order, and meet
+    Given these robots:
+      | name  | place     | skills           |
+      | amber | Dock      | navigation, wait |
+      | birch | PC Room 3 | navigation, wait |
+    And a station post
+    When the mission "missions/rounds.yaml" is requested
+    Then within 10 minutes the mission is completed
+    And amber is at "Crossing"
+    And birch is at "Crossing"
+    And task left_goes has begun 1 times
+    And task rest has begun 2 times
+    And amber did task rest
+    And birch did task rest
+    And nobody acted for another
+
+  Scenario: Two robots, of which the coordinator dies while they are at work
+    Given these robots:
+      | name  | place     | skills           |
+      | amber | Dock      | navigation, wait |
+      | birch | PC Room 3 | navigation, wait |
+    And stations aster, basil and clove
+    And the coordinator dies when task right_goes has begun
+    When the mission "missions/rounds.yaml" is requested
+    Then within 10 minutes the mission is completed
+    And somebody else coordinates
+    And nobody acted for another
+
+  Scenario: A mission for two waits until there are two
+    Given these robots:
+      | name  | place     | skills           |
+      | amber | Dock      | navigation, wait |
+      | birch | PC Room 3 | navigation, wait |
+    And stations aster and basil
+    When the fleet runs until somebody coordinates
+    And node birch dies
+    And the mission "missions/rounds.yaml" is requested
+    Then for 60 s the mission is pending
+    And for 10 s amber is at "Dock"
+    When node birch starts again
+    Then within 10 minutes the mission is completed
+
+  Scenario: A sample is handed over half-way, from a drawer to an arm on wheels
+    Given these robots:
+      | name  | place     | skills                                                                                | arm | drawer |
+      | amber | IC Room 4 | navigation, approach_person, authenticate_person, operate_drawer, approach_robot      | no  | yes    |
+      | porter | Dock     | navigation, approach_robot, pick_up, deposit                                          | yes | no     |
+    And a station post
+    And a nurse in "IC Room 6"
+    When the mission "missions/hand_over.yaml" is requested
+    Then within 20 minutes the mission is completed
+    And "sample of IC Room 6" lies at "Laboratory"
+    And every task of the mission was done once
+
+  Scenario: Three samples, two carriers, one arm
+    Given these robots:
+      | name  | place     |
+      | amber | IC Room 4 |
+      | birch | PC Room 8 |
+    And an arm lab-arm at "Laboratory"
+    And a nurse in "IC Room 6"
+    And a nurse in "PC Room 3"
+    And a nurse in "PC Room 7"
+    When a sample is requested from "IC Room 6" as first
+    And a sample is requested from "PC Room 3" as second
+    And a sample is requested from "PC Room 7" as third
+    Then within 60 minutes all missions are completed
+    And the sample of "IC Room 6" was delivered to lab-arm
+    And the sample of "PC Room 3" was delivered to lab-arm
+    And the sample of "PC Room 7" was delivered to lab-arm
+    And nobody acted for another
+
+  Scenario: What is urgent comes first
+    Given a robot amber at "Dock"
+    And an arm lab-arm at "Laboratory"
+    And a station post
+    And a nurse in "IC Room 6"
+    And a nurse in "PC Room 3"
+    And a nurse in "PC Room 7"
+    When the mission "lab-samples" is requested as first
+      | room      |
+      | IC Room 6 |
+    And the fleet runs until mission first is running
+    And the mission "lab-samples" is requested as later
+      | room      |
+      | PC Room 3 |
+    And the mission "lab-samples" is requested as urgent
+      | room      | priority |
+      | PC Room 7 | 50       |
+    And the fleet runs until mission urgent is completed
+    Then it is not so that mission later is completed
+    And within 30 minutes all missions are completed
+
+  Scenario: A mission that is not done by its deadline is given up
+    Given these robots:
+      | name  | place | speed |
+      | amber | Dock  | 0.1   |
+    And an arm lab-arm at "Laboratory"
+    And a station post
+    And a nurse in "IC Room 6"
+    When the mission "lab-samples" is requested
+      | room      | deadline |
+      | IC Room 6 | 60       |
+    Then within 2 minutes the mission has failed because "deadline"
+
+  Scenario: A carrier, a door, a lift and an arm upstairs
+    Given the map "maps/tower.yaml"
+    And a robot amber at "Lobby 0"
+    And an arm lab-arm at "Laboratory"
+    And a station post
+    And a nurse in "Ward"
+    When a sample is requested from "Ward"
+    Then within 10 minutes the mission is completed
+    And the sample of "Ward" was delivered to lab-arm
+    And amber has passed "Lift"
+    And amber has passed "Laboratory Door"

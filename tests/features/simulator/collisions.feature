@@ -1,0 +1,57 @@
+Feature: Collisions
+  Robots with a chassis have bodies: they do not pass through walls or one another.
+
+  Scenario: Two robots that drive towards each other
+    Given a room of 20 by 10 metres
+    And these robots:
+      | name  | place | speed | chassis      |
+      | amber | 2, 5  | 0.5   | differential |
+      | birch | 18, 5 | 0.5   | differential |
+    When amber is told to go to position "18, 5"
+    And birch is told to go to position "2, 5"
+    And 60 s pass
+    Then amber has run into birch
+    And it is not so that amber has done what it was told
+
+  Scenario: A wall in the way
+    Given this map:
+      """
+      name: walled
+      walls: [[[5, -3], [5, 3]]]
+      places:
+        - { name: A, kind: other, x_m: 0, y_m: 0 }
+        - { name: B, kind: other, x_m: 10, y_m: 0 }
+      lanes:
+        - { between: [A, B] }
+      """
+    And these robots:
+      | name  | place | speed | chassis      |
+      | amber | A     | 0.5   | differential |
+    When amber is told to drive to "B"
+    And 60 s pass
+    Then amber has run into a wall
+    And it is not so that amber is at "B"
+
+  Scenario: Robots that pass with room between them
+    Given a room of 20 by 10 metres
+    And these robots:
+      | name  | place | speed | chassis      |
+      | amber | 2, 4  | 0.5   | differential |
+      | birch | 18, 6 | 0.5   | differential |
+    When amber is told to go to position "18, 4"
+    And birch is told to go to position "2, 6"
+    And the fleet runs until amber has done what it was told
+    Then no robot has run into anything
+    And within 10 s birch has done what it was told
+
+  Scenario: Drones make way for one another
+    Given a room of 20 by 20 metres
+    And these robots:
+      | name  | place | speed | chassis |
+      | amber | 2, 10 | 1     | aerial  |
+      | birch | 18, 10 | 1    | aerial  |
+    When amber is told to go to position "18, 10"
+    And birch is told to go to position "2, 10"
+    And the fleet runs until amber has done what it was told
+    Then within 30 s birch has done what it was told
+    And no robot has run into anything

@@ -1,0 +1,60 @@
+Feature: Automatic doors
+  A door opens for who waits before it, lets in so many at a time, first come first served, and closes behind the last.
+
+  Background:
+    Given the map "../maps/passage.yaml"
+
+  Scenario: A robot waits until the door stands open, and it closes behind the robot
+    Given these robots:
+      | name  | place | speed |
+      | amber | A     | 0.5   |
+    When amber is told to drive to "B"
+    Then within 10 s amber waits at "Narrow"
+    And door "Narrow" is closed
+    And within 5 s door "Narrow" is open
+    And within 60 s amber has done what it was told
+    And amber did it in 23 s to 23 s
+    And within 10 s door "Narrow" is closed
+
+  Scenario: One at a time where it is narrow, first come first served
+    Given these robots:
+      | name  | place | speed |
+      | amber | A     | 0.5   |
+      | birch | B     | 0.5   |
+      | cedar | A     | 0.5   |
+    When cedar is told to drive to "B"
+    And amber is told to drive to "B"
+    And birch is told to drive to "A"
+    And the fleet runs until birch has done what it was told
+    Then at most 1 robot was ever within "Narrow"
+    And cedar passed "Narrow" before amber
+    And amber passed "Narrow" before birch
+    And amber did it in 25 s to 25 s
+    And birch did it in 27 s to 27 s
+
+  Scenario: As many at a time as there is room for
+    Given these robots:
+      | name  | place | speed |
+      | amber | B     | 0.5   |
+      | birch | B     | 0.5   |
+      | cedar | C     | 0.5   |
+    And the door "Wide" lets in 2 at once
+    When amber is told to drive to "C"
+    And birch is told to drive to "C"
+    And cedar is told to drive to "B"
+    And the fleet runs until cedar has done what it was told
+    Then at most 2 robots were ever within "Wide"
+    And it is not so that at most 1 robot was ever within "Wide"
+
+  Scenario: A robot that is called off while it waits keeps nobody waiting
+    Given these robots:
+      | name  | place | speed |
+      | amber | A     | 0.5   |
+      | birch | A     | 0.5   |
+    When amber is told to drive to "B"
+    And birch is told to drive to "B"
+    And 10 s pass
+    And amber is told to stop
+    And the fleet runs until birch has done what it was told
+    Then birch did it in 23 s to 23 s
+    And it is not so that amber has passed "Wide"

@@ -1,0 +1,50 @@
+Feature: Goals in the words of Nav2
+  What a body is told is a goal with feedback, an outcome, and a reason if it comes to nothing.
+
+  Background:
+    Given the map "../maps/passage.yaml"
+
+  Scenario: Waypoints are followed one after the other
+    Given these robots:
+      | name  | place | speed |
+      | amber | A     | 0.5   |
+    When amber is told to drive through "B, C, B"
+    And the fleet runs until amber has done what it was told
+    Then amber is at "B"
+    And amber has passed "Wide"
+
+  Scenario: A way that is none ends the goal where the robot is by then
+    Given a robot amber at "A"
+    When amber is told to drive through "B, A, C"
+    And 200 s pass
+    Then amber could not because "no lane from A to C"
+    And amber is at "A"
+
+  Scenario: A corridor that is closed is found out when the robot is there
+    Given these robots:
+      | name  | place | speed |
+      | amber | A     | 0.5   |
+    And the corridor between "A" and "B" is closed
+    When amber is told to drive to "B"
+    And 60 s pass
+    Then amber could not because "barrier between A and B stands in it"
+
+  Scenario: A corridor that closes while a robot is under way, and opens again
+    Given these robots:
+      | name  | place | speed |
+      | amber | A     | 0.5   |
+    And the corridor between "B" and "C" closes after 5 s
+    When amber is told to drive through "B, C"
+    And 120 s pass
+    Then amber could not because "stands in it"
+    When the corridor between "B" and "C" opens
+    And amber is told to drive to "B"
+    And the fleet runs until amber has done what it was told
+    And amber is told to drive to "C"
+    Then within 60 s amber is at "C"
+
+  Scenario: Standing still for a while
+    Given a robot amber at "A"
+    When amber is told to wait for 10 s
+    And the fleet runs until amber has done what it was told
+    Then amber did it in 10 s to 10 s

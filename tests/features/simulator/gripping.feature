@@ -1,0 +1,49 @@
+Feature: Arms, drawers and things
+  An arm takes what lies within its reach and is not too heavy for it. What it holds goes where it goes, and can be put down.
+
+  Background:
+    Given these robots:
+      | name  | place      | arm | lifts | reach | speed |
+      | amber | Laboratory | yes | 2     | 1     | 0.5   |
+      | birch | Laboratory | no  |       |       | 0.5   |
+    And these things:
+      | name  | place      | weight | distance |
+      | tray  | Laboratory | 1.5    | 0.5      |
+      | crate | Laboratory | 2.5    | 0.5      |
+      | box   | Laboratory | 0.5    | 1.5      |
+
+  Scenario: A thing is taken, carried and put down
+    When amber is told to grasp "tray"
+    And the fleet runs until amber has done what it was told
+    Then amber holds "tray"
+    When amber is told to drive to "Laboratory Corridor"
+    And the fleet runs until amber has done what it was told
+    And amber is told to put down what it holds
+    And the fleet runs until amber has done what it was told
+    Then "tray" lies at "Laboratory Corridor"
+
+  Scenario Outline: What cannot be taken, and why: <thing>
+    When <robot> is told to grasp "<thing>"
+    Then <robot> could not because "<why>"
+    And it is not so that <robot> has done what it was told
+
+    Examples:
+      | robot | thing | why                              |
+      | amber | crate | crate weighs 2.5 kg, amber lifts         |
+      | amber | box   | box is 1.5 m away                |
+      | amber | cup   | lies at Laboratory; there lies |
+      | birch | tray  | birch has no arm                 |
+
+  Scenario: A drawer opens and closes
+    When birch is told to open its drawer
+    And the fleet runs until birch has done what it was told
+    Then the drawer of birch is open
+    When birch is told to close its drawer
+    And the fleet runs until birch has done what it was told
+    Then the drawer of birch is closed
+
+  Scenario: Nothing is taken out of a drawer that is closed
+    When amber is told to approach robot birch
+    And the fleet runs until amber has done what it was told
+    And amber is told to take from birch
+    Then amber could not because "the drawer of birch is closed"

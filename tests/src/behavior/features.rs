@@ -1,0 +1,151 @@
+//! Feature files: found, read, outlines expanded, and every step looked up before anything is played.
+
+use super::book::Book;
+use cucumber::feature::Ext;
+use cucumber::gherkin::tagexpr::TagOperation;
+use cucumber::gherkin::{Feature, GherkinEnv, ParseFileError, Scenario, Step};
+use cucumber::tag::Ext as _;
+use std::fmt;
+use std::path::{Path, PathBuf};
+
+/// Feature files that can be played.
+#[derive(Debug)]
+pub struct Features(pub(super) Vec<Feature>);
+
+/// Which scenarios are played.
+#[derive(Debug, Default)]
+pub struct Filter {
+    /// Those whose tags fit an expression: `@slow and not @nurse`.
+    pub tags: Option<TagOperation>,
+    /// Those whose names have this in them.
+    pub name: Option<String>,
+}
+
+impl Filter {
+    /// Reads an expression over tags.
+    ///
+    /// # Errors
+    /// What is wrong with it, in words.
+    pub fn tags(text: &str) -> Result<TagOperation, String> {
+        text.parse().map_err(|_| format!("{text:?} is no expression over tags, as \"@nurse and not @slow\""))
+    }
+
+    fn admits(&self, feature: &Feature, tags: &[String], scenario: &Scenario) -> bool {
+        let all = || feature.tags.iter().chain(tags).chain(&scenario.tags);
+        let named = self.name.as_ref().is_none_or(|name| scenario.name.contains(name.as_str()));
+        named && self.tags.as_ref().is_none_or(|wanted| wanted.eval(all()))
+    }
+}
+
+/// What is wrong with feature files, a problem each, with file and line.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Bad(pub Vec<String>);
+
+impl fmt::Display for Bad {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(&self.0.join("\n"))
+    }
+}
+
+impl Features {
+    /// Reads files, and all files ending with `.feature` in folders and the folders within.
+    ///
+    /// # Errors
+    /// [`Bad`] with all that is wrong: files that cannot be read or are no features, steps that nobody knows, and that there
+    /// is nothing to be played.
+    pub fn read(paths: &[PathBuf], filter: &Filter) -> Result<Features, Bad> {
+        let (mut files, mut bad, mut features) = (vec![], vec![], vec![]);
+        for path in paths {
+            if let Err(problem) = find(path, true, &mut files) {
+                bad.push(format!("{}: {problem}", path.display()));
+            }
+        }
+        for file in &files {
+            match read(file) {
+                Ok(feature) => {
+                    bad.extend(check(file, &feature));
+                    features.push(feature);
+                }
+                Err(problem) => bad.push(problem),
+            }
+        }
+        if bad.is_empty() && features.is_empty() {
+            let paths: Vec<String> = paths.iter().map(|path| path.display().to_string()).collect();
+            bad.push(format!("{}: there is no file ending with .feature", paths.join(", ")));
+        }
+        if !bad.is_empty() {
+            return Err(Bad(bad));
+        }
+        for feature in &mut features {
+            let whole = feature.clone();
+            feature.scenarios.retain(|scenario| filter.admits(&whole, &[], scenario));
+            for rule in &mut feature.rules {
+                let tags = rule.tags.clone();
+                rule.scenarios.retain(|scenario| filter.admits(&whole, &tags, scenario));
+            }
+        }
+        features.retain(|feature| feature.count_scenarios() > 0);
+        if features.is_empty() {
+            return Err(Bad(vec!["no scenario has such a name and such tags".to_owned()]));
+        }
+        Ok(Features(features))
+    }
+
+    /// How many scenarios there are, each row of an outline for one.
+    pub fn scenarios(&self) -> usize {
+        self.0.iter().map(Ext::count_scenarios).sum()
+    }
+}
+
+fn find(path: &Path, named: bool, files: &mut Vec<PathBuf>) -> std::io::Result<()> {
+    if path.is_dir() {
+        let mut inside =
+            std::fs::read_dir(path)?.map(|entry| Ok(entry?.path())).collect::<std::io::Result<Vec<_>>>()?;
+        inside.sort();
+        return inside.iter().try_for_each(|path| find(path, false, files));
+    }
+    if named {
+        std::fs::metadata(path)?;
+    }
+    if (named || path.extension().is_some_and(|extension| extension == "feature"))
+        && !files.iter().any(|file| file == path)
+    {
+        files.push(path.to_owned());
+    }
+    Ok(())
+}
+
+fn read(file: &Path) -> Result<Feature, String> {
+    let shown = file.display();
+    let feature = Feature::parse_path(file, GherkinEnv::default()).map_err(|problem| match problem {
+        ParseFileError::Reading { source, .. } => format!("{shown}: {source}"),
+        ParseFileError::Parsing { error, source, .. } => {
+            let error = error.map(|error| format!(" ({error})")).unwrap_or_default();
+            format!("{shown}: no feature in Gherkin{error}: {source}")
+        }
+    })?;
+    feature.expand_examples().map_err(|problem| format!("{shown}: {problem}"))
+}
+
+/// The steps that nobody knows, each once: all rows of an outline have theirs in one line.
+fn check(file: &Path, feature: &Feature) -> Vec<String> {
+    let backgrounds = feature.background.iter().chain(feature.rules.iter().filter_map(|rule| rule.background.as_ref()));
+    let scenarios = feature.scenarios.iter().chain(feature.rules.iter().flat_map(|rule| &rule.scenarios));
+    let steps =
+        backgrounds.flat_map(|background| &background.steps).chain(scenarios.flat_map(|scenario| &scenario.steps));
+    let mut bad: Vec<(usize, String)> = vec![];
+    for step in steps {
+        let line = step.position.line;
+        if let Err(problem) = Book::open().read(step)
+            && bad.iter().all(|(known, _)| *known != line)
+        {
+            bad.push((line, format!("{}:{line}: {}: {problem}", file.display(), said(step))));
+        }
+    }
+    bad.into_iter().map(|(_, problem)| problem).collect()
+}
+
+/// A step as it stands in its file.
+pub(super) fn said(step: &Step) -> String {
+    format!("{} {}", step.keyword.trim(), step.value)
+}
