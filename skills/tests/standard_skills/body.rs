@@ -113,7 +113,7 @@ impl ScriptedBody {
 impl RobotActions for ScriptedBody {
     fn send_goal(&mut self, goal: Goal) -> GoalId {
         let busy = self.goals.last().is_some_and(|(_, status)| !status.is_final());
-        let feedback = Feedback { distance_remaining: Metres::ZERO, time_remaining: Seconds::ZERO };
+        let feedback = Feedback::left(Metres::ZERO, Seconds::ZERO);
         let status = if busy {
             GoalStatus::Aborted(ActionError { code: ErrorCode::Busy, message: "at work".to_owned() })
         } else {
