@@ -68,6 +68,11 @@ impl ScriptedBody {
         self.goals.iter().map(shown).collect()
     }
 
+    /// The same as they were asked for.
+    pub(crate) fn goals(&self) -> Vec<Goal> {
+        self.goals.iter().map(|(goal, _)| goal.clone()).collect()
+    }
+
     /// Ends the goal under way as the script says.
     pub(crate) fn end_goal(&mut self) {
         let Some((goal, status)) = self.goals.last_mut().filter(|(_, status)| !status.is_final()) else { return };
