@@ -1,6 +1,7 @@
 //! Where a body is, as a function of time.
 
 use super::floor::Floor;
+use super::systems::steering::Steered;
 use crate::kinematics::StraightRun;
 use crate::map::{Map, PlaceIndex};
 use consort_protocol::pose::Pose;
@@ -159,6 +160,15 @@ impl Whereabouts {
 }
 
 impl Floor {
+    /// Whether a robot is somewhere else in a moment, if nothing happens meanwhile.
+    pub(crate) fn is_under_way(&self, robot: Entity) -> bool {
+        let drives = match &*self.get::<Whereabouts>(robot) {
+            Whereabouts::Standing { .. } => false,
+            Whereabouts::Driving(drive) => drive.ends() > self.now,
+        };
+        drives || self.find::<Steered>(robot).is_some_and(|steered| steered.mover.is_moving())
+    }
+
     pub(crate) fn spot(&self, robot: Entity) -> Spot {
         self.get::<Whereabouts>(robot).spot(self.now)
     }
