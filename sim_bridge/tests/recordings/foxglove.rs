@@ -199,4 +199,3 @@ fn a_file_that_cannot_be_had_is_named_and_one_that_fails_later_leaves_the_world_
     let said = world.end_recording();
     assert!(matches!(&said[..], [Err(problem)] if problem.file == full), "{said:?}");
 }
-
