@@ -76,7 +76,7 @@ fn judge(kind: Kind, path: &Path, text: &str, file: &str) -> Result<String, Prob
         Kind::Ihtn => ihtn(text, path, file),
         Kind::Map => {
             let floor = floor::read(text, file)?;
-            wiring::equipment(&floor.topology)?;
+            wiring::equipment(&floor)?;
             Ok(format!("{} places, {} ways", floor.topology.places.len(), floor.topology.edges.len()))
         }
         Kind::Fleet => {

@@ -15,9 +15,10 @@ use consort_protocol::knowledge::{Availability, Worker};
 use consort_protocol::lease::LeaseTerms;
 use consort_protocol::mission::{Allowed, Domain};
 use consort_protocol::pose::Pose;
+use consort_sim::map::Map;
 use consort_sim::world::{SharedWorld, World, WorldSetup};
 use consort_skills::descriptor::{DescriptorRegistry, Estimator};
-use consort_skills::environment::{Environment, Routes, TopologicalMap};
+use consort_skills::environment::{Environment, Passages, Routes};
 use consort_skills::library::SkillLibrary;
 use rand::TryRng;
 use rand::rngs::SysRng;
@@ -123,9 +124,11 @@ pub fn limits(config: &FleetConfig) -> Limits {
 ///
 /// # Errors
 /// [`Problems`] of the map.
-pub fn equipment(topology: &TopologicalMap) -> Result<Equipment, Problems> {
+pub fn equipment(floor: &Floor) -> Result<Equipment, Problems> {
+    let Floor { topology, map } = floor;
     let routes = Routes::new(topology).map_err(|problem| Problem::of("map", problem))?;
-    let environment = Environment::new().with(routes);
+    let passages = map.as_ref().map_or_else(Passages::default, Map::passages);
+    let environment = Environment::new().with(routes).with(passages);
     let estimator =
         DescriptorRegistry::standard().resolve(environment.clone()).map_err(|problem| Problem::of("", problem))?;
     let library = Arc::new(SkillLibrary::standard(environment));
@@ -137,7 +140,7 @@ pub fn equipment(topology: &TopologicalMap) -> Result<Equipment, Problems> {
 /// # Errors
 /// [`Problems`] of the map.
 pub fn fleet_equipment(fleet: &FleetConfig) -> Result<Equipment, Problems> {
-    equipment(&floor::load(&fleet.map)?.topology)
+    equipment(&floor::load(&fleet.map)?)
 }
 
 /// A robot's node; reads the fleet's map.

@@ -148,6 +148,28 @@ pub struct Feedback {
     pub distance_remaining: Metres,
     /// Time left as far as the host can tell.
     pub time_remaining: Seconds,
+    /// How far it is in terms of its own, as Nav2 tells it.
+    pub progress: Progress,
+}
+
+impl Feedback {
+    /// Of a goal that has no terms of its own.
+    pub fn left(distance_remaining: Metres, time_remaining: Seconds) -> Feedback {
+        Feedback { distance_remaining, time_remaining, progress: Progress::Unsaid }
+    }
+}
+
+/// How far a goal under way has come, in terms of its own.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub enum Progress {
+    /// What is left says all.
+    Unsaid,
+    /// Of [`Goal::FollowWaypoints`]: the place in the list of the one it is on its way to, from 0 (`current_waypoint`).
+    Waypoint(u32),
+    /// Of [`Goal::Spin`]: the angle turned so far, in radians, to the left if it is positive (`angular_distance_traveled`).
+    Turned(f64),
+    /// Of [`Goal::Dock`] and [`Goal::Undock`]: the time taken so far (`docking_time`).
+    Docking(Seconds),
 }
 
 /// Why a goal did not succeed. The body stands still where it is.

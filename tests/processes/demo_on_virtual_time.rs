@@ -32,3 +32,23 @@ fn without_a_kill_and_with_few_or_many_robots_every_sample_arrives() {
     let in_json = play(&folder, "json", &["--robots", "3", "--json"]).json_lines();
     assert_eq!(in_json.last().expect("a summary")["delivered"], 1);
 }
+
+#[test]
+fn the_demo_can_be_looked_at_afterwards_and_is_the_same_for_it() {
+    let folder = Folder::new();
+    let plain = play(&folder, "plain", &["--seed", "3"]);
+    let [once, again] = ["once", "again"].map(|name| {
+        let [mcap, svg] = ["mcap", "svg"].map(|end| format!("{name}.{end}"));
+        let played = play(&folder, name, &["--seed", "3", "--record", &mcap, "--svg", &svg]);
+        assert!(played.stdout == plain.stdout, "--- plain\n{}\n--- recorded\n{}", plain.stdout, played.stdout);
+        assert!(played.stderr.contains(" m driven by "), "{}", played.stderr);
+        [mcap, svg].map(|file| std::fs::read(folder.path().join(file)).expect("a file"))
+    });
+    assert!(once == again, "one seed, one recording");
+    assert!(once[0].ends_with(b"\x89MCAP0\r\n"));
+    let picture = String::from_utf8(once[1].clone()).expect("text");
+    assert!(picture.contains("class=\"driven\"") && picture.contains("Laboratory"), "{picture:.200}");
+    let refused = Program::start(&folder, "refused", &["demo", "--record", "run.mcap"]);
+    let refused = refused.end(Duration::from_secs(20)).expect(2);
+    assert!(refused.stderr.contains("--record and --svg go with --virtual"), "{}", refused.stderr);
+}

@@ -13,5 +13,6 @@ mod full_disk;
 mod holder;
 mod interruption;
 mod mistakes;
+mod recordings;
 mod stock_client;
 mod support;

@@ -14,7 +14,6 @@ use consort_protocol::keys::Keys;
 use consort_sim::map;
 use consort_sim::world::{JournalEntry, Person, SharedWorld, World, WorldSetup};
 use consort_skills::descriptor::DescriptorRegistry;
-use consort_skills::environment::{Environment, Routes};
 use consort_skills::library::SkillLibrary;
 use serde_json::Value;
 use std::collections::BTreeMap;
@@ -175,7 +174,7 @@ impl Fleet {
         let member = self.members.get(name).expect("a robot of this fleet").clone();
         let robot = self.world.with(|world| {
             let map = world.map();
-            let environment = Environment::new().with(Routes::new(&map.topology()).expect("the shipped map is sound"));
+            let environment = map.environment().expect("the shipped map is sound");
             let mut library = SkillLibrary::standard(environment.clone());
             if let Some(train) = member.trained {
                 train(&mut library);

@@ -8,6 +8,7 @@ mod deadlines;
 mod delivery;
 mod determinism;
 mod fencing;
+mod following;
 mod found_by_chaos;
 mod keepers;
 mod leaderless;

@@ -2,7 +2,7 @@
 
 use crate::robot::Spot;
 use consort_protocol::codec;
-use consort_protocol::ids::{ClusterId, MissionId, RoleId, TaskId};
+use consort_protocol::ids::{ClusterId, MissionId, RobotId, RoleId, TaskId};
 use consort_protocol::lease::Holding;
 use consort_protocol::ledger::Branch;
 use consort_protocol::mission::TaskSpec;
@@ -91,10 +91,35 @@ impl Dismissals {
     }
 }
 
+/// Words by which missions were called off that are known again. The host of people repeats a word for some beats, 2.5 s
+/// with its defaults, and not later; more than so many others are not said meanwhile by people who each stand at a place.
+/// Raised: more memory, nothing else.
+const WORDS_MAX: usize = 256;
+
+/// The latest words by which people called missions off, oldest first, so that a repeated one does not call off the next
+/// mission too.
+#[derive(Debug, Default)]
+pub(super) struct Words(VecDeque<(String, RobotId, u64)>);
+
+impl Words {
+    /// Whether a word was not heard before: who said it, to which robot, and when on the world's clock.
+    pub(super) fn is_news(&mut self, by: &str, robot: &RobotId, said_ms: u64) -> bool {
+        let known = |(other, to, at): &(String, RobotId, u64)| other == by && to == robot && *at == said_ms;
+        if self.0.iter().any(known) {
+            return false;
+        }
+        self.0.push_back((by.to_owned(), robot.clone(), said_ms));
+        if self.0.len() > WORDS_MAX {
+            self.0.pop_front();
+        }
+        true
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
-    use consort_protocol::ids::{RobotId, TaskType};
+    use consort_protocol::ids::TaskType;
     use consort_protocol::lease::Epoch;
 
     fn matter(holders: &[(&str, &str, u64)]) -> Matter {
@@ -147,6 +172,22 @@ mod tests {
         let mut other_life = Asked::first(Spot::Step(0), matter(&[]));
         other_life.again();
         assert_eq!(other_life.id(), asked.id(), "which every attendant comes to");
+    }
+
+    #[test]
+    fn a_word_is_known_again_for_as_long_as_it_is_repeated_and_not_for_ever() {
+        let mut words = Words::default();
+        let amber = RobotId::new("amber").unwrap();
+        assert!(words.is_news("Nia", &amber, 1000));
+        assert!(!words.is_news("Nia", &amber, 1000), "repeated");
+        for said_ms in [0, 2000] {
+            assert!(words.is_news("Nia", &amber, said_ms), "another word, be it of a world that began anew");
+        }
+        assert!(words.is_news("Ria", &amber, 1000) && words.is_news("Nia", &RobotId::new("birch").unwrap(), 1000));
+        assert!(!words.is_news("Nia", &amber, 1000));
+        (10_000..20_000).for_each(|said_ms| assert!(words.is_news("Nia", &amber, said_ms)));
+        assert_eq!(words.0.len(), WORDS_MAX, "and there is an end to it");
+        assert!(!words.is_news("Nia", &amber, 19_999) && words.is_news("Nia", &amber, 1000));
     }
 
     #[test]

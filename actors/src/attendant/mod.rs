@@ -9,7 +9,7 @@
 
 mod asks;
 
-use self::asks::{Asked, Dismissals, Matter};
+use self::asks::{Asked, Dismissals, Matter, Words};
 use crate::body::{PeopleAsk, PersonState, PersonWord};
 use crate::bus::{BusError, Sample, SharedBus};
 use crate::events::Events;
@@ -84,8 +84,7 @@ pub struct AttendantState {
     dismissals: Dismissals,
     /// Missions that people called off, and who did: asked of the coordinator until they are no longer under way.
     called_off: BTreeMap<MissionId, String>,
-    /// The words by which they did, so that a repeated one does not call off the next mission too.
-    heard: BTreeSet<(String, RobotId, u64)>,
+    words: Words,
     talk: Talk,
     /// Signals under awards no longer in force, counted since the start.
     outdated: u64,
@@ -133,7 +132,7 @@ impl Actor for Attendant {
             seen: 0,
             dismissals: Dismissals::default(),
             called_off: BTreeMap::new(),
-            heard: BTreeSet::new(),
+            words: Words::default(),
             talk: Talk::new(bus, keys),
             outdated: 0,
             tasks,
@@ -345,7 +344,7 @@ impl AttendantState {
             plays == role && job.sequencer.holders().values().any(|holding| holding.robot == *robot)
         };
         let Some(mission) = self.jobs.iter().find(theirs).map(|((mission, _), _)| mission.clone()) else { return };
-        if self.heard.insert((by.to_owned(), robot.clone(), said_ms)) {
+        if self.words.is_news(by, robot, said_ms) {
             self.called_off.insert(mission.clone(), by.to_owned());
             self.withdraw(mission, by.to_owned());
         }

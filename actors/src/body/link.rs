@@ -385,7 +385,7 @@ mod tests {
 
     fn executing() -> GoalStatus {
         let distance_remaining = consort_protocol::units::Metres::ZERO;
-        GoalStatus::Executing(Feedback { distance_remaining, time_remaining: Seconds::ZERO })
+        GoalStatus::Executing(Feedback::left(distance_remaining, Seconds::ZERO))
     }
 
     fn state(number: u64, goals: &[(u64, GoalStatus)]) -> BodyState {

@@ -107,7 +107,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
         charge_min: BatteryShare::new(args.charge_min).map_err(|e| Failure::Usage(e.to_string()))?,
     };
     let template = source::mission(&args.mission)?;
-    let equipment = equipment(&floor::load(&args.map)?.topology)?;
+    let equipment = equipment(&floor::load(&args.map)?)?;
     let given: BTreeMap<String, String> = args.parameters.iter().cloned().collect();
     match (&args.scenarios, &args.workers) {
         (Some(path), _) => scenarios(&args, path, &template, &equipment, &limits, &given),

@@ -1,6 +1,7 @@
 //! `consort map`: look at a map.
 
-use crate::config::{Problem, Problems};
+use super::drawn_world;
+use crate::config::{Problem, Problems, to_toml};
 use crate::exit::Failure;
 use crate::{floor, output};
 use consort_sim::map::{self, Drawing, Map, Options, show};
@@ -20,6 +21,7 @@ Examples:
   consort map check ward.drawio office.building.yaml
   consort map convert ward.drawio --scale 0.05 --out ward.yaml
   consort map convert office.building.yaml --graph 1 --out office.yaml
+  consort map convert ward.drawio --out ward.yaml --world ward.toml && consort world --config ward.toml
 
 A drawing (.drawio, .xml): shapes of type `POI` are places, named by `tag`, and lines of type `map-path` are lanes; `robot`,
 `pickable` and `person` are who and what is there; floor-plan shapes are walls. Each page is a level. A unit is 0.02 m unless
@@ -59,7 +61,7 @@ enum What {
     },
     /// Write a map in another form
     ///
-    /// What our form does not hold (robots, objects, people) is told on the standard error.
+    /// What our form does not hold (robots, objects, people) is told on the standard error, or put into a world file.
     Convert {
         #[command(flatten)]
         source: Source,
@@ -69,6 +71,9 @@ enum What {
         /// Where to put the map: JSON where it ends in `.json`, else YAML. Default: the standard output
         #[arg(long, value_name = "FILE")]
         out: Option<PathBuf>,
+        /// Write a world file too, with the robots, people and objects that are drawn on the map: for `consort world`
+        #[arg(long, value_name = "FILE.toml", requires = "out")]
+        world: Option<PathBuf>,
     },
 }
 
@@ -134,7 +139,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
     match args.what {
         What::Show { source, out } => draw(&source, out),
         What::Check { files, reading } => check(&files, &reading),
-        What::Convert { source, to: Form::Ours, out } => convert(&source, out.as_deref()),
+        What::Convert { source, to: Form::Ours, out, world } => convert(&source, out.as_deref(), world.as_deref()),
     }
 }
 
@@ -183,10 +188,10 @@ fn check(files: &[PathBuf], reading: &Reading) -> Result<(), Failure> {
     }
 }
 
-fn convert(source: &Source, out: Option<&Path>) -> Result<(), Failure> {
+fn convert(source: &Source, out: Option<&Path>, world: Option<&Path>) -> Result<(), Failure> {
     let (drawing, _) = source.reading.read(&source.file)?;
     notes(&source.file, &drawing);
-    for body in drawing.bodies() {
+    for body in drawing.bodies().filter(|_| world.is_none()) {
         let near = body.place.as_ref().map_or_else(String::new, |place| format!(", near {place:?}"));
         let (x, y) = (body.x_m, body.y_m);
         let name = source.file.display();
@@ -203,9 +208,26 @@ fn convert(source: &Source, out: Option<&Path>) -> Result<(), Failure> {
     };
     let text = text.trim_end();
     match out {
-        Some(out) => write(out, format!("{text}\n").as_bytes()),
-        None => output::line(text),
+        Some(out) => write(out, format!("{text}\n").as_bytes())?,
+        None => output::line(text)?,
     }
+    match (out, world) {
+        (Some(out), Some(world)) => write_world(&source.file, &drawing, out, world),
+        _ => Ok(()),
+    }
+}
+
+/// Writes a world file of what is drawn beside the map, which was written to `map`.
+fn write_world(source: &Path, drawing: &Drawing, map: &Path, world: &Path) -> Result<(), Failure> {
+    // Maps are named as seen from the file's own folder.
+    let beside = map.parent() == world.parent();
+    let named = if beside { map.file_name().map(PathBuf::from) } else { std::fs::canonicalize(map).ok() };
+    let named = named.unwrap_or_else(|| map.to_owned()).display().to_string();
+    let (config, notes) = drawn_world::of(drawing, named);
+    for note in notes {
+        output::note(format_args!("{}: note: {note}", source.display()));
+    }
+    write(world, to_toml(&config).as_bytes())
 }
 
 fn notes(file: &Path, drawing: &Drawing) {

@@ -4,6 +4,7 @@ pub mod bench;
 pub mod cancel;
 pub mod chaos;
 pub mod check;
+mod drawn_world;
 pub mod dry_run;
 pub mod flags;
 pub mod fleet;

@@ -3,9 +3,11 @@
 use super::flags::{NodeFlags, VoteFlag, set};
 use crate::config::{WorldConfig, load};
 use crate::exit::Failure;
+use crate::rendering::{self, RenderFlags};
 use crate::wiring::world_node;
 use consort_protocol::ids::NodeId;
 use std::path::PathBuf;
+use tracing::info;
 
 /// Run a node that hosts a simulated world
 ///
@@ -16,14 +18,20 @@ use std::path::PathBuf;
 Examples:
   consort world --config nodes/examples/world.toml
   consort world --config nodes/examples/world.toml --speed 20 --seed 7
+  consort world --config nodes/examples/world.toml --record run.mcap --svg paths.svg
 
-The keys of the file are those of nodes/examples/world.toml, each explained there.")]
+The keys of the file are those of nodes/examples/world.toml, each explained there.
+
+Both files are complete once the world has ended by Ctrl-C or SIGTERM. If it is killed, the SVG is empty, and of the MCAP file
+the last 5 s of world time are missing (or half a second, if that is more of it), and its index: `mcap recover` mends it.")]
 pub struct Args {
     /// The world file
     #[arg(long, env = "CONSORT_CONFIG", value_name = "FILE")]
     config: PathBuf,
     #[command(flatten)]
     world: WorldFlags,
+    #[command(flatten)]
+    render: RenderFlags,
     #[command(flatten)]
     node: NodeFlags,
 }
@@ -47,7 +55,7 @@ struct WorldFlags {
 /// Runs the command.
 ///
 /// # Errors
-/// [`Failure::Usage`] for wrong configuration; [`Failure::Unsuccessful`] if the node fails.
+/// [`Failure::Usage`] for wrong configuration; [`Failure::Unsuccessful`] if the node fails, or if it cannot be recorded.
 pub fn run(args: Args) -> Result<(), Failure> {
     let mut world: WorldConfig = load(&args.config)?;
     let given = args.world;
@@ -55,5 +63,15 @@ pub fn run(args: Args) -> Result<(), Failure> {
     set(&mut world.seed, given.seed);
     set(&mut world.speed, given.speed);
     set(&mut world.may_vote, given.vote.may_vote);
-    args.node.run(world, |world, fleet, life| world_node(world, fleet, life).map(|(settings, _)| settings))
+    let render = args.render;
+    let mut shown = None;
+    let ended = args.node.run(world, |world, fleet, life| {
+        let (settings, shared) = world_node(world, fleet, life)?;
+        render.begin(&shared)?;
+        shown = Some(shared);
+        Ok(settings)
+    });
+    // However it ended: what was recorded is worth having, most of all if it went wrong.
+    let rendered = shown.map_or(Ok(()), |world| rendering::end(&world, |file| info!(file, "recorded")));
+    ended.and(rendered)
 }

@@ -22,6 +22,8 @@ pub use processes::Processes;
 pub use stage::Stage;
 
 use crate::exit::Failure;
+use crate::output;
+use crate::rendering::{self, RenderFlags};
 use director::{Director, Plan};
 use narrator::Narrator;
 use virtual_stage::VirtualStage;
@@ -36,6 +38,7 @@ Examples:
   consort demo                          the main job: a fleet of processes, its coordinator killed on the way
   consort demo --missions 3 --robots 8  more of it
   consort demo --virtual --seed 7       the same fleet on virtual time: one seed gives one run
+  consort demo --virtual --record run.mcap --svg paths.svg    to look at it afterwards, in Foxglove and as a picture
   consort demo --json | jq .event       every event as a line of JSON
   consort demo --keep-running           leave the fleet up afterwards, to look at it (Ctrl-C ends it)
 
@@ -71,6 +74,8 @@ pub struct Args {
     /// Mission to submit: a shipped one's name, or a file
     #[arg(long, default_value = "lab-samples", value_name = "NAME|FILE")]
     mission: String,
+    #[command(flatten)]
+    render: RenderFlags,
 }
 
 fn speed(text: &str) -> Result<f64, String> {
@@ -91,6 +96,10 @@ impl Args {
 /// [`Failure`] when it does not end with every sample in the laboratory.
 pub fn run(args: Args) -> Result<(), Failure> {
     let mission = director::mission(&args.mission)?;
+    if args.render.any() && !args.virtual_time {
+        let what = "--record and --svg go with --virtual; of a fleet of processes, `consort world` records its world";
+        return Err(Failure::Usage(what.to_owned()));
+    }
     let cast = Cast::new(usize::from(args.robots), usize::from(args.missions), args.speed(), args.seed);
     let narrator = Narrator::new(args.json, &cast);
     let plan = Plan { kill: !args.no_kill, keep_running: args.keep_running, mission };
@@ -98,8 +107,10 @@ pub fn run(args: Args) -> Result<(), Failure> {
         let runtime = tokio::runtime::Builder::new_current_thread().enable_time().start_paused(true).build();
         let runtime = runtime.map_err(|problem| Failure::Unsuccessful(format!("no runtime: {problem}")))?;
         runtime.block_on(async {
-            let stage = VirtualStage::set(&cast, args.seed).await?;
-            Director::new(plan, cast, stage, narrator).play().await
+            let stage = VirtualStage::set(&cast, args.seed, &args.render).await?;
+            let world = stage.world();
+            let played = Director::new(plan, cast, stage, narrator).play().await;
+            played.and(rendering::end(&world, |file| output::note(format_args!("{file}"))))
         })
     } else {
         let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build();

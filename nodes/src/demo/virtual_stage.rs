@@ -3,12 +3,14 @@
 use super::cast::Cast;
 use super::stage::Stage;
 use crate::exit::Failure;
+use crate::rendering::RenderFlags;
 use crate::wiring::{self, Equipment, Life};
 use consort_actors::bus::{LinkModel, SharedBus, VirtualNetwork};
 use consort_actors::clock::Clock;
 use consort_actors::node::{NodeHandle, NodeSettings};
 use consort_actors::store::Store;
 use consort_protocol::ids::NodeId;
+use consort_sim::world::SharedWorld;
 use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::time::Duration;
@@ -21,28 +23,30 @@ pub(super) struct VirtualStage {
     cast: Cast,
     equipment: Equipment,
     nodes: BTreeMap<NodeId, NodeHandle>,
+    world: SharedWorld,
     started: Instant,
     seed: u64,
     lives: u64,
 }
 
 impl VirtualStage {
-    /// Starts every node of the cast.
-    pub(super) async fn set(cast: &Cast, seed: u64) -> Result<VirtualStage, Failure> {
+    /// Starts every node of the cast, with its world rendered as is asked for.
+    pub(super) async fn set(cast: &Cast, seed: u64, render: &RenderFlags) -> Result<VirtualStage, Failure> {
         let network = VirtualNetwork::new(seed, LinkModel::LAN);
         let client = network.bus(NodeId::new("onlooker").expect("a slug"));
+        let (world, shared) = wiring::world_node(&cast.world, &cast.fleet, life(seed, 1, 0))?;
+        render.begin(&shared)?;
         let mut stage = VirtualStage {
             client: Arc::new(client),
             network,
             cast: cast.clone(),
             equipment: wiring::fleet_equipment(&cast.fleet)?,
             nodes: BTreeMap::new(),
+            world: shared,
             started: Instant::now(),
             seed,
-            lives: 0,
+            lives: 1,
         };
-        let life = stage.life();
-        let (world, _) = wiring::world_node(&cast.world, &cast.fleet, life)?;
         stage.start(world).await?;
         for node in cast.voters() {
             stage.restart(&node).await?;
@@ -50,11 +54,15 @@ impl VirtualStage {
         Ok(stage)
     }
 
+    /// The world, to look at.
+    pub(super) fn world(&self) -> SharedWorld {
+        self.world.clone()
+    }
+
     fn life(&mut self) -> Life {
         self.lives += 1;
         let origin = u64::try_from(self.started.elapsed().as_millis()).unwrap_or(u64::MAX);
-        let seed = self.seed.wrapping_mul(1_000_003).wrapping_add(self.lives);
-        Life { clock: Clock::virtual_at(origin), incarnation: self.lives, seed, store: Store::in_memory(seed) }
+        life(self.seed, self.lives, origin)
     }
 
     async fn start(&mut self, settings: NodeSettings) -> Result<(), Failure> {
@@ -117,4 +125,10 @@ impl Stage for VirtualStage {
     fn elapsed(&self) -> Duration {
         self.started.elapsed()
     }
+}
+
+/// The life of this number among all, which begins so many milliseconds after the stage was set.
+fn life(seed: u64, number: u64, origin: u64) -> Life {
+    let seed = seed.wrapping_mul(1_000_003).wrapping_add(number);
+    Life { clock: Clock::virtual_at(origin), incarnation: number, seed, store: Store::in_memory(seed) }
 }

@@ -98,6 +98,33 @@ fn convert_writes_our_own_form_which_says_the_same() {
 }
 
 #[test]
+fn who_and_what_is_drawn_becomes_a_world() {
+    let folder = folder("drawn_world");
+    let [map, world] = ["clinic.yaml", "clinic.toml"].map(|name| folder.join(name).display().to_string());
+    let ran = run(&["map", "convert", &sample("clinic.drawio"), "--out", &map, "--world", &world]);
+    assert_eq!((ran.code, ran.out.as_str()), (Some(0), ""), "{}", ran.err);
+    assert!(ran.err.contains("speed, battery and discharge of robots are not drawn: 0.5 m/s, full"), "{}", ran.err);
+    assert!(!ran.err.contains("left out"), "{}", ran.err);
+    let checked = run(&["check", &world]);
+    assert_eq!(checked.out, format!("{world}: ok, a world: 1 robots, 1 people\n"), "{}", checked.err);
+    let text = std::fs::read_to_string(&world).expect("a world file");
+    for line in [
+        "map = \"clinic.yaml\"",
+        "id = \"ada\"",
+        "place = \"Robot Home\"",
+        "has_arm = true",
+        "name = \"Bea\"",
+        "role = \"nurse\"",
+        "name = \"sample\"",
+        "weight_kg = 0.2",
+    ] {
+        assert!(text.contains(line), "{line} is missing in\n{text}");
+    }
+    let ran = run(&["map", "convert", &sample("clinic.drawio"), "--world", &world]);
+    assert_eq!(ran.code, Some(2), "a world needs a map to be on: {}", ran.out);
+}
+
+#[test]
 fn a_map_of_any_form_is_taken_wherever_one_is_named() {
     let (clinic, office) = (sample("clinic.drawio"), sample("office.building.yaml"));
     let world = |map: &str, place: &str| {

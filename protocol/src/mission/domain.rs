@@ -133,6 +133,10 @@ impl Domain {
             ("carry", task().required("to", Place).optional("item", Text)),
             ("disinfect", task().optional("at", Place)),
             ("wait", task().required("seconds", Seconds)),
+            ("follow_path", task().required("waypoints", Text)),
+            ("grasp", task().required("object", Text)),
+            ("dock", task().optional("charger", Place)),
+            ("undock", task()),
         ]
         .into_iter()
         .fold(Self::default(), |domain, (name, schema)| {

@@ -602,8 +602,8 @@ mod tests {
             (
                 &|n| n["3"]["name"] = "operate_drawer-slam".into(),
                 &["node 3 (operate_drawer-slam): unknown task type `operate_drawer-slam`; allowed: approach_person, \
-                   approach_robot, authenticate_person, carry, deposit, disinfect, navigation, operate_door, \
-                   operate_drawer, pick_up, wait; did you mean `operate_drawer`?"],
+                   approach_robot, authenticate_person, carry, deposit, disinfect, dock, follow_path, grasp, navigation, \
+                   operate_door, operate_drawer, pick_up, undock, wait; did you mean `operate_drawer`?"],
             ),
             (
                 &|n| n["3"]["locations"] = "Ward".into(),

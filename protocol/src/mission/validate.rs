@@ -372,8 +372,8 @@ mod tests {
                 "root/fetch: names the role `r1` twice",
                 "roles/nurse: has no task; give it one or leave it out",
                 "root/go: unknown task type `navigatoin`; allowed: approach_person, approach_robot, \
-                 authenticate_person, carry, deposit, disinfect, navigation, operate_door, operate_drawer, pick_up, \
-                 wait; did you mean `navigation`?",
+                 authenticate_person, carry, deposit, disinfect, dock, follow_path, grasp, navigation, operate_door, \
+                 operate_drawer, pick_up, undock, wait; did you mean `navigation`?",
                 "root/fetch: `pick_up` has no parameter `colour`; allowed: from_role, item",
                 "root/fetch: parameter `from_role` names the role `nurs`, which the mission does not have; allowed: \
                  nurse, r1; did you mean `nurse`?",

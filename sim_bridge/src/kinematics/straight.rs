@@ -58,6 +58,15 @@ impl StraightRun {
         }
     }
 
+    /// A run at the same speed all the way, above 0: as by a body that takes no time to speed up or to brake.
+    ///
+    /// # Panics
+    /// As [`StraightRun::new`].
+    pub fn steady(length_m: f64, speed_mps: f64) -> StraightRun {
+        let at_once = f64::INFINITY;
+        StraightRun::new(length_m, Ramp { speed_mps, acceleration_mps2: at_once, deceleration_mps2: at_once })
+    }
+
     /// How long it is, in metres.
     pub fn length_m(&self) -> f64 {
         self.length_m

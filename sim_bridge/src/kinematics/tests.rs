@@ -282,3 +282,12 @@ fn check_limits(name: &str, before: &Mover, after: &Mover, period: f64) -> Resul
     }
     Ok(())
 }
+
+#[test]
+fn a_steady_run_is_its_length_over_its_speed_all_the_way() {
+    let run = StraightRun::steady(6.0, 0.5);
+    assert_eq!((run.duration_s(), run.distance_at(3.0), run.time_at(4.5)), (12.0, 1.5, 9.0));
+    assert_eq!((run.speed_at(0.1), run.speed_at(11.9), run.distance_at(99.0)), (0.5, 0.5, 6.0));
+    let nowhere = StraightRun::steady(0.0, 0.5);
+    assert_eq!((nowhere.duration_s(), nowhere.distance_at(1.0)), (0.0, 0.0));
+}

@@ -132,6 +132,22 @@ impl Map {
         &self.doors
     }
 
+    /// Where a door stands: its posts, as (x, y) in metres, for each place where it stands. Without a span it is a metre wide,
+    /// across the middle of each of its lanes.
+    pub fn posts(&self, door: &Door) -> Vec<((f64, f64), (f64, f64))> {
+        if let Some(span) = door.span {
+            return vec![span];
+        }
+        let across = |(from, to): &(PlaceId, PlaceId)| {
+            let [a, b] = [self.place(from)?.pose, self.place(to)?.pose];
+            let (dx, dy) = (b.x - a.x, b.y - a.y);
+            let half = 0.5 / dx.hypot(dy).max(1e-9);
+            let (x, y) = (f64::midpoint(a.x, b.x), f64::midpoint(a.y, b.y));
+            Some(((x - dy * half, y + dx * half), (x + dy * half, y - dx * half)))
+        };
+        door.lanes.iter().filter_map(across).collect()
+    }
+
     /// The door of this name.
     pub fn door(&self, name: &str) -> Option<&Door> {
         self.doors.iter().find(|door| door.name == name)

@@ -1,11 +1,12 @@
-//! The map as estimators and skills see it: places, and the ways between neighbours.
+//! The map as estimators and skills see it: places, the ways between neighbours, and what costs time there.
 
 use super::{Lane, Map};
 use consort_protocol::ids::PlaceId;
-use consort_skills::environment::{Edge, TopologicalMap};
+use consort_protocol::units::Seconds;
+use consort_skills::environment::{Edge, Environment, MapError, Passage, Passages, Routes, TopologicalMap};
 
-/// A ride by lift counts as the way that a robot drives meanwhile at this speed, in metres per second: ways have lengths and
-/// no times. So it is priced right for a robot of this speed, too low for faster ones and too high for slower ones.
+/// Where a ride by lift competes with other ways, it counts as the way that a robot drives meanwhile at this speed, in metres
+/// per second: routes are the shortest by length. What the ride costs is in [`Map::passages`].
 const RIDE_MPS: f64 = 0.5;
 
 /// A ride that takes no time is still a way: a millimetre.
@@ -23,6 +24,51 @@ impl Map {
         };
         let edges = self.lanes.iter().map(lane).chain(self.rides());
         TopologicalMap { places, edges: edges.collect() }
+    }
+
+    /// What costs time between neighbours beside the length of the way: doors, taken to be closed; lifts, taken to be wherever
+    /// they stop with the same chance; limits of speed.
+    pub fn passages(&self) -> Passages {
+        let mut passages = Passages::default();
+        for lane in &self.lanes {
+            let doors = self.doors_on(&lane.from, &lane.to);
+            if doors.is_empty() && lane.speed_limit.is_none() {
+                continue;
+            }
+            let stands = doors.iter().fold(Seconds::ZERO, |stands, met| stands + met.door.opening);
+            let passage = Passage::Driven { speed_limit: lane.speed_limit, stands };
+            passages = passages.with(lane.from.clone(), lane.to.clone(), passage);
+            if lane.two_way {
+                passages = passages.with(lane.to.clone(), lane.from.clone(), passage);
+            }
+        }
+        for ride in self.rides() {
+            for (from, to) in
+                [(&ride.a, &ride.b), (&ride.b, &ride.a)].into_iter().take(if ride.one_way { 1 } else { 2 })
+            {
+                if let Some(time) = self.expected_ride(from, to) {
+                    passages = passages.with(from.clone(), to.clone(), Passage::Ridden(time));
+                }
+            }
+        }
+        passages
+    }
+
+    /// What skills and estimators know of the place.
+    ///
+    /// # Errors
+    /// [`MapError`] never, for a sound map.
+    pub fn environment(&self) -> Result<Environment, MapError> {
+        Ok(Environment::new().with(Routes::new(&self.topology())?).with(self.passages()))
+    }
+
+    /// How long a ride takes with the wait for the lift: it comes from any of its stops, and opens.
+    fn expected_ride(&self, from: &PlaceId, to: &PlaceId) -> Option<Seconds> {
+        let ride = self.ride(from, to)?;
+        let height = |place: &PlaceId| self.place(place).map_or(0.0, |place| self.level(place.level).elevation_m);
+        let away: f64 = ride.lift.stops.iter().map(|stop| (height(stop) - height(from)).abs()).sum();
+        let comes_s = away / ride.lift.stops.len() as f64 / ride.lift.speed.get();
+        Some(Seconds::new(comes_s).ok()? + ride.lift.opening + ride.time)
     }
 
     fn rides(&self) -> impl Iterator<Item = Edge> {
@@ -50,7 +96,6 @@ impl Map {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use consort_skills::environment::Routes;
 
     #[test]
     fn routes_lead_over_lifts_where_no_lane_does() {

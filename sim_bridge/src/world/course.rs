@@ -39,7 +39,7 @@ pub(crate) enum Stop {
 
 impl Course {
     pub(crate) fn new(whole: Drive, speed_mps: f64, floor: &Floor) -> Course {
-        let stops = whole.lane.map_or(vec![], |stretch| stops(floor, stretch, whole.length_m));
+        let stops = whole.lane.map_or(vec![], |stretch| stops(floor, stretch, whole.length_m()));
         Course { whole, speed_mps, done_m: 0.0, until_m: 0.0, stops, next: 0 }
     }
 
@@ -54,14 +54,14 @@ impl Course {
 
     /// How far it has come at the next stop, or at the end.
     pub(crate) fn next_stop_m(&self) -> f64 {
-        self.stops.get(self.next).map_or(self.whole.length_m, |(at, _)| at.min(self.whole.length_m))
+        self.stops.get(self.next).map_or(self.whole.length_m(), |(at, _)| at.min(self.whole.length_m()))
     }
 
     /// How far it has come where it next has to stand, unless it may go on at once, or at the end.
     pub(crate) fn next_halt_m(&self) -> f64 {
         let ahead = self.stops.iter().skip(self.next);
         let halt = ahead.filter(|(_, stop)| matches!(stop, Stop::Enter(_))).map(|(at, _)| *at).next();
-        halt.map_or(self.whole.length_m, |at| at.min(self.whole.length_m))
+        halt.map_or(self.whole.length_m(), |at| at.min(self.whole.length_m()))
     }
 
     /// Has it come past the next door, if it is in one: which.
@@ -77,7 +77,7 @@ impl Course {
     }
 
     pub(crate) fn is_over(&self) -> bool {
-        self.done_m >= self.whole.length_m
+        self.done_m >= self.whole.length_m()
     }
 }
 

@@ -148,7 +148,7 @@ impl World {
             Some(current) if current.id == id => {
                 let left = current.ends.map_or(0.0, |ends| ends.time - self.floor.now);
                 let time_remaining = Seconds::new(left.max(0.0)).unwrap_or(Seconds::ZERO);
-                let usual = Feedback { distance_remaining: Metres::ZERO, time_remaining };
+                let usual = Feedback::left(Metres::ZERO, time_remaining);
                 let system = self.systems[current.by.0];
                 Some(GoalStatus::Executing(system.feedback(&self.floor, robot, &current.goal, usual)))
             }

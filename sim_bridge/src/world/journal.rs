@@ -188,13 +188,18 @@ pub enum Happening {
 
 /// See the [module](self).
 #[derive(Default)]
-pub(super) struct Journal(VecDeque<JournalEntry>);
+pub(super) struct Journal {
+    entries: VecDeque<JournalEntry>,
+    /// How many were ever written.
+    written: u64,
+}
 
 impl Journal {
     pub(super) fn write(&mut self, now: f64, what: Happening, kept: usize) {
-        self.0.push_back(JournalEntry { time: WorldTime::from_secs(now), what });
-        if self.0.len() > kept {
-            self.0.pop_front();
+        self.entries.push_back(JournalEntry { time: WorldTime::from_secs(now), what });
+        self.written += 1;
+        if self.entries.len() > kept {
+            self.entries.pop_front();
         }
     }
 }
@@ -202,6 +207,14 @@ impl Journal {
 impl World {
     /// What happened since this was last asked for, oldest first.
     pub fn drain_journal(&mut self) -> Vec<JournalEntry> {
-        std::mem::take(&mut self.floor.journal.0).into()
+        std::mem::take(&mut self.floor.journal.entries).into()
+    }
+
+    /// What happened after the first `number` happenings of this world, as far as it is still in the journal, oldest first;
+    /// and how many there have been by now. It stays in the journal.
+    pub(crate) fn journal_after(&self, number: u64) -> (impl Iterator<Item = &JournalEntry>, u64) {
+        let Journal { entries, written } = &self.floor.journal;
+        let new = usize::try_from(written.saturating_sub(number)).unwrap_or(usize::MAX);
+        (entries.iter().skip(entries.len().saturating_sub(new)), *written)
     }
 }

@@ -43,6 +43,7 @@ mod samples;
 mod sensing;
 mod setup;
 mod shared;
+mod stance;
 mod system;
 mod systems;
 #[cfg(test)]
@@ -53,6 +54,7 @@ pub use fittings::{DoorSetup, Object, Obstacle};
 pub use journal::{Happening, JournalEntry};
 pub use mood::{Deed, Moment, Mood};
 pub use names::{PersonName, SampleId};
+pub(crate) use reach::verb;
 pub use report::{BodyReport, PersonReport};
 pub use samples::{Keeper, SampleReport};
 pub use sensing::{Reading, Seen, Sighting};
@@ -61,6 +63,7 @@ pub use setup::{
     default_step_s,
 };
 pub use shared::SharedWorld;
+pub(crate) use stance::{Motion, Stance};
 pub use systems::power::{STOPPING_SHARE, default_idle_factor};
 pub use systems::system_names;
 

@@ -1,6 +1,8 @@
 //! Where a body is, as a function of time.
 
 use super::floor::Floor;
+use super::systems::steering::Steered;
+use crate::kinematics::StraightRun;
 use crate::map::{Map, PlaceIndex};
 use consort_protocol::pose::Pose;
 use consort_protocol::units::Metres;
@@ -36,8 +38,8 @@ pub(crate) struct Drive {
     /// Where it will stand.
     pub(crate) end_spot: Spot,
     pub(crate) end_pose: Pose,
-    pub(crate) ends: f64,
-    pub(crate) length_m: f64,
+    /// How far it has come by when.
+    pub(crate) run: StraightRun,
     /// The part of a lane it follows, if it does.
     pub(crate) lane: Option<Stretch>,
     /// Whether it drives with its back in front.
@@ -50,7 +52,16 @@ pub(crate) type Stretch = (PlaceIndex, PlaceIndex, f64, f64);
 impl Drive {
     /// Share of the drive done, from 0 to 1.
     fn share(&self, time: f64) -> f64 {
-        if time >= self.ends { 1.0 } else { ((time - self.began) / (self.ends - self.began)).clamp(0.0, 1.0) }
+        if time >= self.ends() { 1.0 } else { self.run.distance_at(time - self.began) / self.length_m() }
+    }
+
+    /// When it stands.
+    pub(crate) fn ends(&self) -> f64 {
+        self.began + self.run.duration_s()
+    }
+
+    pub(crate) fn length_m(&self) -> f64 {
+        self.run.length_m()
     }
 
     fn pose(&self, time: f64) -> Pose {
@@ -70,17 +81,16 @@ impl Drive {
 
     /// The part of it between two distances from its start, driven from `now` on.
     pub(crate) fn part(&self, from_m: f64, to_m: f64, now: f64, speed_mps: f64) -> Drive {
-        let share = |m: f64| if self.length_m > 0.0 { (m / self.length_m).clamp(0.0, 1.0) } else { 1.0 };
+        let whole_m = self.length_m();
+        let share = |m: f64| if whole_m > 0.0 { (m / whole_m).clamp(0.0, 1.0) } else { 1.0 };
         let (a, b) = (share(from_m), share(to_m));
-        let length_m = to_m - from_m;
         Drive {
             start_spot: self.spot_after(a),
             start_pose: self.pose_after(a),
             began: now,
             end_spot: self.spot_after(b),
             end_pose: self.pose_after(b),
-            ends: now + length_m / speed_mps,
-            length_m,
+            run: StraightRun::steady((to_m - from_m).max(0.0), speed_mps),
             lane: self
                 .lane
                 .map(|(from, to, first, last)| (from, to, first + (last - first) * a, first + (last - first) * b)),
@@ -89,7 +99,7 @@ impl Drive {
     }
 
     pub(crate) fn remaining(&self, time: f64) -> Metres {
-        Metres::new(self.length_m * (1.0 - self.share(time))).unwrap_or(Metres::ZERO)
+        Metres::new(self.length_m() * (1.0 - self.share(time))).unwrap_or(Metres::ZERO)
     }
 
     /// Where it stands if it stops now.
@@ -150,6 +160,15 @@ impl Whereabouts {
 }
 
 impl Floor {
+    /// Whether a robot is somewhere else in a moment, if nothing happens meanwhile.
+    pub(crate) fn is_under_way(&self, robot: Entity) -> bool {
+        let drives = match &*self.get::<Whereabouts>(robot) {
+            Whereabouts::Standing { .. } => false,
+            Whereabouts::Driving(drive) => drive.ends() > self.now,
+        };
+        drives || self.find::<Steered>(robot).is_some_and(|steered| steered.mover.is_moving())
+    }
+
     pub(crate) fn spot(&self, robot: Entity) -> Spot {
         self.get::<Whereabouts>(robot).spot(self.now)
     }

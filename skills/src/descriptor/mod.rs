@@ -8,10 +8,12 @@
 
 mod fixed;
 mod navigation;
+mod path;
 mod registry;
 
 pub use fixed::{FixedTime, STEP_TIME_S, StatedTime};
 pub use navigation::Navigation;
+pub use path::Path;
 pub use registry::{DescriptorRegistry, Estimator, MissingNeed, PriceError, ResolveError};
 
 use crate::environment::{Environment, MissingDescriptor, RouteError};

@@ -1,7 +1,8 @@
-//! Drives: the length of the shortest route over the average speed.
+//! Drives: the length of the shortest route over the average speed, with what else costs time on the way as far as the
+//! environment tells of it.
 
 use super::{Context, Estimate, EstimateError, SkillDescriptor, parsed};
-use crate::environment::{Environment, EnvironmentDescriptor, Routes};
+use crate::environment::{Environment, EnvironmentDescriptor, Passages, Routes};
 use consort_protocol::ids::{PlaceId, TaskType};
 use consort_protocol::mission::TaskSpec;
 
@@ -35,10 +36,15 @@ impl SkillDescriptor for Navigation {
     ) -> Result<Estimate, EstimateError> {
         let to = parsed(task, "to", str::parse::<PlaceId>)?;
         let routes = environment.get::<Routes>()?.without(&context.closed);
-        let length = match context.pose {
-            Some(pose) => routes.distance_left(&context.place, pose, &to)?,
-            None => routes.distance(&context.place, &to)?,
+        // Most maps have no doors, lifts or limits; then one look at a table of lengths tells all.
+        let time = match (environment.find::<Passages>().filter(|passages| !passages.is_empty()), context.pose) {
+            (None, Some(pose)) => routes.distance_left(&context.place, pose, &to)?.at(context.speed),
+            (None, None) => routes.distance(&context.place, &to)?.at(context.speed),
+            (Some(passages), pose) => {
+                let pose = pose.or(routes.pose(&context.place)).unwrap_or_default();
+                routes.time_left(&context.place, pose, &to, context.speed, passages)?
+            }
         };
-        Ok(Estimate::lasting(length.at(context.speed), context, to))
+        Ok(Estimate::lasting(time, context, to))
     }
 }

@@ -1,6 +1,6 @@
 //! The descriptors that a robot has, and pricing a whole local plan with them.
 
-use super::{Context, EstimateError, FixedTime, Navigation, STEP_TIME_S, SkillDescriptor, StatedTime};
+use super::{Context, EstimateError, FixedTime, Navigation, Path, STEP_TIME_S, SkillDescriptor, StatedTime};
 use crate::environment::Environment;
 use consort_protocol::auction::BidPart;
 use consort_protocol::ids::{TaskId, TaskType};
@@ -67,8 +67,19 @@ const SEND: &str = "send_message";
 const WAIT: &str = "wait_message";
 
 /// The skills of the standard set that take [`STEP_TIME_S`].
-const FIXED: [&str; 8] =
-    ["approach_person", "authenticate_person", "operate_drawer", "approach_robot", "pick_up", "deposit", SEND, WAIT];
+const FIXED: [&str; 11] = [
+    "approach_person",
+    "authenticate_person",
+    "operate_drawer",
+    "approach_robot",
+    "pick_up",
+    "deposit",
+    "grasp",
+    "dock",
+    "undock",
+    SEND,
+    WAIT,
+];
 
 fn own(name: &str) -> TaskType {
     TaskType::new(name).expect("the names of our own skills are slugs")
@@ -83,8 +94,10 @@ impl DescriptorRegistry {
     /// The descriptors of the skills that come with the library, and of the two messages.
     pub fn standard() -> DescriptorRegistry {
         let time = Seconds::new(STEP_TIME_S).expect("two seconds are a duration");
-        let registry =
-            DescriptorRegistry::new().with(Navigation::new(own("navigation"))).with(StatedTime::new(own("wait")));
+        let registry = DescriptorRegistry::new()
+            .with(Navigation::new(own("navigation")))
+            .with(Path::new(own("follow_path")))
+            .with(StatedTime::new(own("wait")));
         FIXED.into_iter().fold(registry, |registry, name| registry.with(FixedTime::new(own(name), time)))
     }
 

@@ -121,6 +121,7 @@ fn an_environment_without_routes_names_the_skills_that_need_them() {
         .unwrap();
     assert_eq!(
         error.to_string(),
-        "the environment lacks descriptors: carry needs `routes`, navigation needs `routes`; it has none"
+        "the environment lacks descriptors: carry needs `routes`, follow_path needs `routes`, navigation needs `routes`; \
+         it has none"
     );
 }

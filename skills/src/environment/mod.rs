@@ -4,10 +4,12 @@
 //! [`EnvironmentDescriptor`] and puts a value of it into the [`Environment`] when the node starts.
 
 mod map;
+mod passages;
 mod reference;
 mod routes;
 
 pub use map::{Edge, MapError, TopologicalMap};
+pub use passages::{Passage, Passages};
 pub use reference::ReferenceMapError;
 pub use routes::{Route, RouteError, Routes};
 
@@ -57,6 +59,11 @@ impl Environment {
     pub fn get<D: EnvironmentDescriptor>(&self) -> Result<&D, MissingDescriptor> {
         let found = self.descriptors.get(D::KIND).and_then(|descriptor| descriptor.downcast_ref());
         found.ok_or_else(|| self.missing(D::KIND))
+    }
+
+    /// The descriptor of a kind, for whoever can do without.
+    pub fn find<D: EnvironmentDescriptor>(&self) -> Option<&D> {
+        self.get().ok()
     }
 
     /// Whether there is a descriptor of a kind.

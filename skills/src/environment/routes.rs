@@ -5,9 +5,10 @@
 
 use super::EnvironmentDescriptor;
 use super::map::{MapError, TopologicalMap};
+use super::passages::Passages;
 use consort_protocol::ids::PlaceId;
 use consort_protocol::pose::Pose;
-use consort_protocol::units::Metres;
+use consort_protocol::units::{Metres, MetresPerSecond, Seconds};
 use petgraph::algo::dijkstra;
 use petgraph::graph::{DiGraph, NodeIndex};
 use petgraph::visit::{EdgeRef, Reversed};
@@ -179,6 +180,33 @@ impl Routes {
             return Ok(Metres::ZERO);
         };
         Ok(pose.distance(start) + self.distance(first, to)?)
+    }
+
+    /// How long it takes along those [`legs`](Routes::legs), at this speed where it is allowed; `passages` says what else costs
+    /// time. What is on the way to the first of the legs counts only for a body that stands at `passed`.
+    ///
+    /// # Errors
+    /// [`RouteError`] names both ends.
+    pub fn time_left(
+        &self,
+        passed: &PlaceId,
+        pose: Pose,
+        to: &PlaceId,
+        speed: MetresPerSecond,
+        passages: &Passages,
+    ) -> Result<Seconds, RouteError> {
+        let mut legs = self.legs(passed, pose, to)?;
+        let stands_there = self.pose(passed).is_some_and(|place| place.distance(pose).get() <= TOLERANCE_M);
+        let mut time = Seconds::ZERO;
+        if stands_there {
+            legs.insert(0, passed.clone());
+        } else if let Some(first) = legs.first().and_then(|first| self.pose(first)) {
+            time += pose.distance(first).at(speed);
+        }
+        for leg in legs.windows(2) {
+            time += passages.time(&leg[0], &leg[1], self.distance(&leg[0], &leg[1])?, speed);
+        }
+        Ok(time)
     }
 
     /// Where a place is.

@@ -7,13 +7,17 @@ mod approach_person;
 mod approach_robot;
 mod authenticate_person;
 mod deposit;
+mod dock;
+mod follow_path;
 mod goal_leaf;
+mod grasp;
 mod navigation;
 mod operate_drawer;
 mod pick_up;
 mod roles;
 mod wait;
 
+pub(crate) use follow_path::points as waypoints;
 pub use goal_leaf::GoalLeaf;
 
 use crate::bt::{Registry, RegistryError};
@@ -40,7 +44,7 @@ pub(crate) struct Shipped {
     pub(crate) leaves: fn(&mut Registry<TaskContext>) -> Result<(), RegistryError>,
 }
 
-pub(crate) const SHIPPED: [Shipped; 8] = [
+pub(crate) const SHIPPED: [Shipped; 12] = [
     wait::SKILL,
     navigation::SKILL,
     approach_person::SKILL,
@@ -49,6 +53,10 @@ pub(crate) const SHIPPED: [Shipped; 8] = [
     approach_robot::SKILL,
     pick_up::SKILL,
     deposit::SKILL,
+    follow_path::SKILL,
+    grasp::SKILL,
+    dock::DOCK,
+    dock::UNDOCK,
 ];
 
 /// Leaves that several skills share.

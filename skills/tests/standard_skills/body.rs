@@ -68,6 +68,11 @@ impl ScriptedBody {
         self.goals.iter().map(shown).collect()
     }
 
+    /// The same as they were asked for.
+    pub(crate) fn goals(&self) -> Vec<Goal> {
+        self.goals.iter().map(|(goal, _)| goal.clone()).collect()
+    }
+
     /// Ends the goal under way as the script says.
     pub(crate) fn end_goal(&mut self) {
         let Some((goal, status)) = self.goals.last_mut().filter(|(_, status)| !status.is_final()) else { return };
@@ -113,7 +118,7 @@ impl ScriptedBody {
 impl RobotActions for ScriptedBody {
     fn send_goal(&mut self, goal: Goal) -> GoalId {
         let busy = self.goals.last().is_some_and(|(_, status)| !status.is_final());
-        let feedback = Feedback { distance_remaining: Metres::ZERO, time_remaining: Seconds::ZERO };
+        let feedback = Feedback::left(Metres::ZERO, Seconds::ZERO);
         let status = if busy {
             GoalStatus::Aborted(ActionError { code: ErrorCode::Busy, message: "at work".to_owned() })
         } else {

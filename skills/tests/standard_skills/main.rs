@@ -4,6 +4,7 @@ mod body;
 mod drives;
 mod library;
 mod meetings;
+mod paths;
 
 use body::ScriptedBody;
 use consort_protocol::ids::{PlaceId, RobotId, RoleId, TaskType};

@@ -9,7 +9,7 @@ use consort_actors::node::NodeSettings;
 use consort_protocol::units::{Seconds, WorldTime};
 use consort_sim::map;
 use consort_skills::bt::{Cause, Leaf, LeafContext, Manifest, NodeKind, NodeSpec, Status};
-use consort_skills::environment::{Environment, Routes};
+use consort_skills::environment::Environment;
 use consort_skills::library::SkillLibrary;
 use consort_skills::skill::TaskContext;
 use std::cell::RefCell;
@@ -47,7 +47,7 @@ impl Gear {
         let drift = |act: &Act| if let Act::Drift { node, rate } = act { Some((node.clone(), *rate)) } else { None };
         let rates = schedule.steps.iter().filter_map(|step| drift(&step.act)).collect();
         let map = map::shipped("hospital").expect("the shipped map is sound");
-        let environment = Environment::new().with(Routes::new(&map.topology()).expect("the shipped map is sound"));
+        let environment = map.environment().expect("the shipped map is sound");
         let robots = cast.carriers.iter().copied().chain([ARM]);
         let mishaps: BTreeMap<String, Mishaps> = robots.map(|robot| (robot.to_owned(), Mishaps::default())).collect();
         let library = |mishaps: &Mishaps| Arc::new(stumbling(environment.clone(), mishaps));

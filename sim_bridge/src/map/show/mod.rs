@@ -2,27 +2,23 @@
 //!
 //! Each level has a panel; all panels have one scale, and one place on the floor is at one place in each. North is up.
 
+pub(crate) mod colours;
 mod labels;
 mod page;
 mod png;
 #[cfg(test)]
 mod tests;
+mod trails;
 
 pub use png::{PngError, png};
+pub use trails::{Trail, svg_with_trails};
 
 use super::{Drawn, Lane, LevelIndex, Map, Place, PlaceKind};
+use colours::{DOOR, INK, LANE, LIFT, ROBOT, THING, WALL};
 use labels::{Labels, Weight};
 use page::{Page, Panel};
 use std::collections::BTreeSet;
 use svg::node::element::{Circle, Group, Line, Polygon, Polyline, Rectangle, Text, Title};
-
-const WALL: &str = "#37474f";
-const LANE: &str = "#90caf9";
-const DOOR: &str = "#e65100";
-const LIFT: &str = "#8e24aa";
-const INK: &str = "#263238";
-const ROBOT: &str = "#d81b60";
-const THING: &str = "#6d4c41";
 
 /// Sizes of letters, in pixels.
 const NAME_PX: f64 = 13.0;
@@ -32,7 +28,10 @@ type Point = (f64, f64);
 
 /// Draws a map, and what stands on it, as SVG.
 pub fn svg(map: &Map, bodies: &[&Drawn]) -> String {
-    let page = Page::of(map, bodies);
+    document(map, bodies, &[], &Page::of(map, bodies, &[])).to_string()
+}
+
+fn document(map: &Map, bodies: &[&Drawn], trails: &[Trail], page: &Page) -> svg::Document {
     let mut document = svg::Document::new()
         .set("viewBox", (0, 0, page.width, page.height))
         .set("width", page.width)
@@ -42,9 +41,9 @@ pub fn svg(map: &Map, bodies: &[&Drawn]) -> String {
         .add(Rectangle::new().set("width", page.width).set("height", page.height).set("fill", "#ffffff"))
         .add(text(map.name(), page.title_at(), 18.0, INK).set("font-weight", "bold"));
     for (level, panel) in map.level_indices().zip(&page.panels) {
-        document = document.add(Floor::new(map, level, panel).draw(bodies));
+        document = document.add(Floor::new(map, level, panel).draw(bodies, trails));
     }
-    document.add(legend(map, bodies, &page)).to_string()
+    document.add(legend(map, bodies, trails, page))
 }
 
 /// A level on its panel.
@@ -62,7 +61,7 @@ impl<'a> Floor<'a> {
         Floor { map, level, panel, labels: Labels::default(), group }
     }
 
-    fn draw(mut self, bodies: &[&Drawn]) -> Group {
+    fn draw(mut self, bodies: &[&Drawn], trails: &[Trail]) -> Group {
         let several = self.map.levels().len() > 1;
         if several {
             let level = self.map.level(self.level);
@@ -82,9 +81,11 @@ impl<'a> Floor<'a> {
             }
         }
         self.doors();
+        self.trails(trails);
         let name = &self.map.level(self.level).name;
         for body in bodies.iter().filter(|body| body.level.as_ref().is_none_or(|level| level == name)) {
-            self.body(body);
+            let usual = if body.kind == "robot" { ROBOT } else { THING };
+            self.body(body, trail_of(body, trails).map_or(usual, colours::of_robot));
         }
         let places: Vec<&Place> = self.map.places().iter().filter(|place| place.level == self.level).collect();
         for place in &places {
@@ -146,15 +147,7 @@ impl<'a> Floor<'a> {
         let stroke = line(a, b).set("class", "lane").set("stroke", LANE).set("stroke-width", 3);
         self.add(Group::new().add(Title::new(said)).add(stroke));
         if !lane.two_way {
-            let (dx, dy) = (b.0 - a.0, b.1 - a.1);
-            let length = dx.hypot(dy).max(1e-9);
-            let (dx, dy) = (dx / length, dy / length);
-            let middle = (f64::midpoint(a.0, b.0), f64::midpoint(a.1, b.1));
-            let corner = |along: f64, across: f64| {
-                format!("{},{}", px(middle.0 + along * dx - across * dy), px(middle.1 + along * dy + across * dx))
-            };
-            let points = [corner(8.0, 0.0), corner(-5.0, 5.5), corner(-5.0, -5.5)].join(" ");
-            self.add(Polygon::new().set("class", "one-way").set("points", points).set("fill", "#1e88e5"));
+            self.add(arrow_head(a, b).set("class", "one-way").set("fill", "#1e88e5"));
         }
     }
 
@@ -185,15 +178,11 @@ impl<'a> Floor<'a> {
         let map = self.map;
         for door in map.doors() {
             let here = |place| map.level_of(place) == Some(self.level);
-            let lanes: Vec<&Lane> = door.lanes.iter().filter_map(|(a, b)| map.lane(a, b).or(map.lane(b, a))).collect();
-            if !lanes.first().is_some_and(|lane| here(&lane.from)) {
+            if !door.lanes.first().is_some_and(|(from, _)| here(from)) {
                 continue;
             }
-            let posts: Vec<(Point, Point)> = match door.span {
-                Some((a, b)) => vec![(self.panel.at(a), self.panel.at(b))],
-                None => lanes.iter().filter_map(|lane| self.ends(lane)).map(|(a, b)| self.across(a, b)).collect(),
-            };
-            for (a, b) in posts {
+            for (a, b) in map.posts(door) {
+                let (a, b) = (self.panel.at(a), self.panel.at(b));
                 let leaf = line(a, b).set("class", "door").set("stroke", DOOR).set("stroke-width", 5);
                 self.add(Group::new().add(Title::new(door.name.as_str())).add(leaf));
                 self.labels.line(a, b, Weight::Wall);
@@ -201,14 +190,6 @@ impl<'a> Floor<'a> {
                 self.label(&door.name, middle, NOTE_PX, DOOR, true);
             }
         }
-    }
-
-    /// A door of a metre across the middle of a lane.
-    fn across(&self, a: Point, b: Point) -> (Point, Point) {
-        let (dx, dy) = (b.0 - a.0, b.1 - a.1);
-        let half = 0.5 * self.panel.scale / dx.hypot(dy).max(1e-9);
-        let (x, y) = (f64::midpoint(a.0, b.0), f64::midpoint(a.1, b.1));
-        ((x - dy * half, y + dx * half), (x + dy * half, y - dx * half))
     }
 
     fn place(&mut self, place: &Place) {
@@ -220,10 +201,9 @@ impl<'a> Floor<'a> {
         self.labels.dot((x, y), radius);
     }
 
-    fn body(&mut self, body: &Drawn) {
+    fn body(&mut self, body: &Drawn, colour: &str) {
         let (x, y) = self.panel.at((body.x_m, body.y_m));
         let radius = (body.size_m.0.max(body.size_m.1) / 2.0 * self.panel.scale).clamp(5.0, 14.0);
-        let colour = if body.kind == "robot" { ROBOT } else { THING };
         let disc = Circle::new().set("class", "body").set("cx", px(x)).set("cy", px(y)).set("r", px(radius));
         let disc = disc.set("fill", colour).set("fill-opacity", 0.35).set("stroke", colour);
         let said = format!("{} {}", body.kind, body.name);
@@ -246,20 +226,23 @@ impl<'a> Floor<'a> {
     }
 }
 
+/// Which of the trails is a robot's own.
+fn trail_of(body: &Drawn, trails: &[Trail]) -> Option<usize> {
+    trails.iter().position(|trail| trail.name == body.name).filter(|_| body.kind == "robot")
+}
+
 /// Colour and radius of a place.
 fn dot(kind: PlaceKind) -> (&'static str, f64) {
-    match kind {
-        PlaceKind::Room => ("#2e7d32", 6.0),
-        PlaceKind::Lab => ("#00838f", 6.0),
-        PlaceKind::Corridor => ("#90a4ae", 3.5),
-        PlaceKind::Dock => ("#1565c0", 6.0),
-        PlaceKind::Charger => ("#f9a825", 6.0),
-        PlaceKind::Other => ("#546e7a", 5.0),
-    }
+    let radius = match kind {
+        PlaceKind::Corridor => 3.5,
+        PlaceKind::Other => 5.0,
+        PlaceKind::Room | PlaceKind::Lab | PlaceKind::Dock | PlaceKind::Charger => 6.0,
+    };
+    (colours::of_place(kind), radius)
 }
 
 /// What the colours mean, of those that are there, and a bar to measure by.
-fn legend(map: &Map, bodies: &[&Drawn], page: &Page) -> Group {
+fn legend(map: &Map, bodies: &[&Drawn], trails: &[Trail], page: &Page) -> Group {
     let mut group = Group::new().set("class", "legend");
     let (mut x, y) = page.legend_at();
     let (metres, bar) = page.bar();
@@ -273,7 +256,7 @@ fn legend(map: &Map, bodies: &[&Drawn], page: &Page) -> Group {
     let others = [
         ("door", DOOR, !map.doors().is_empty()),
         ("lift", LIFT, !map.lifts().is_empty()),
-        ("robot", ROBOT, there(|body| body.kind == "robot")),
+        ("robot", ROBOT, bodies.iter().any(|body| body.kind == "robot" && trail_of(body, trails).is_none())),
         ("thing", THING, there(|body| body.kind != "robot")),
     ];
     entries.extend(others.into_iter().filter(|(.., there)| *there).map(|(name, colour, _)| (name, colour)));
@@ -283,6 +266,18 @@ fn legend(map: &Map, bodies: &[&Drawn], page: &Page) -> Group {
         x += 30.0 + labels::width(name, NOTE_PX);
     }
     group
+}
+
+/// A small triangle in the middle of a line that points to its end.
+fn arrow_head(a: Point, b: Point) -> Polygon {
+    let (dx, dy) = (b.0 - a.0, b.1 - a.1);
+    let length = dx.hypot(dy).max(1e-9);
+    let (dx, dy) = (dx / length, dy / length);
+    let middle = (f64::midpoint(a.0, b.0), f64::midpoint(a.1, b.1));
+    let corner = |along: f64, across: f64| {
+        format!("{},{}", px(middle.0 + along * dx - across * dy), px(middle.1 + along * dy + across * dx))
+    };
+    Polygon::new().set("points", [corner(8.0, 0.0), corner(-5.0, 5.5), corner(-5.0, -5.5)].join(" "))
 }
 
 fn line(a: Point, b: Point) -> Line {

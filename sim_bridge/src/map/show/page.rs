@@ -1,6 +1,6 @@
 //! Where on the picture things are.
 
-use super::Point;
+use super::{Point, Trail};
 use crate::map::{Drawn, Map};
 
 /// The picture is at most about this large, in pixels.
@@ -14,6 +14,13 @@ const HEAD: f64 = 36.0;
 const FOOT: f64 = 36.0;
 /// Room for the legend, in pixels.
 const NARROWEST: f64 = 640.0;
+/// Room for what is said of one trail, in pixels.
+const COLUMN: f64 = 210.0;
+const ROW: f64 = 20.0;
+
+fn columns_in(width: f64) -> usize {
+    ((width - MARGIN) / COLUMN).floor().max(1.0) as usize
+}
 
 /// The whole picture.
 #[derive(Debug)]
@@ -22,6 +29,8 @@ pub(super) struct Page {
     pub(super) height: f64,
     /// One for each level.
     pub(super) panels: Vec<Panel>,
+    /// Room for what is said of trails, above the legend.
+    trails_at: f64,
 }
 
 /// Where one level is drawn.
@@ -48,11 +57,12 @@ impl Panel {
 }
 
 impl Page {
-    pub(super) fn of(map: &Map, bodies: &[&Drawn]) -> Page {
+    pub(super) fn of(map: &Map, bodies: &[&Drawn], trails: &[Trail]) -> Page {
         let ((mut west, mut south), (mut east, mut north)) = map.bounds();
-        for body in bodies {
-            (west, south) = (west.min(body.x_m), south.min(body.y_m));
-            (east, north) = (east.max(body.x_m), north.max(body.y_m));
+        let stand = bodies.iter().map(|body| (body.x_m, body.y_m));
+        for (x, y) in stand.chain(trails.iter().flat_map(Trail::points)) {
+            (west, south) = (west.min(x), south.min(y));
+            (east, north) = (east.max(x), north.max(y));
         }
         // Half a metre at least: places may all be on one line.
         let (wide, high) = ((east - west).max(0.5), (north - south).max(0.5));
@@ -70,15 +80,21 @@ impl Page {
             let corner = (column * step.0 + MARGIN, HEAD + row * step.1 + MARGIN);
             Panel { scale, corner, north_west: (west, north) }
         };
-        Page {
-            width: (across * step.0).max(NARROWEST).ceil(),
-            height: (HEAD + down * step.1 + FOOT).ceil(),
-            panels: (0..count).map(panel).collect(),
-        }
+        let width = (across * step.0).max(NARROWEST).ceil();
+        let rows = trails.len().div_ceil(columns_in(width)) as f64;
+        let trails_at = (HEAD + down * step.1).ceil();
+        let height = (trails_at + rows * ROW + FOOT).ceil();
+        Page { width, height, panels: (0..count).map(panel).collect(), trails_at }
     }
 
     pub(super) fn title_at(&self) -> Point {
         (MARGIN / 2.0, 30.0)
+    }
+
+    /// Where it is said whose trail this is, by its place among all.
+    pub(super) fn trail_at(&self, place: usize) -> Point {
+        let (row, column) = (place / columns_in(self.width), place % columns_in(self.width));
+        (MARGIN / 2.0 + column as f64 * COLUMN, self.trails_at + (row as f64 + 0.5) * ROW)
     }
 
     pub(super) fn legend_at(&self) -> Point {

@@ -10,7 +10,8 @@ use crate::world::setup::RobotBody;
 use crate::world::system::{Kind, System, kinds};
 use crate::world::whereabouts::Whereabouts;
 use consort_protocol::ids::PlaceId;
-use consort_skills::actions::{ActionError, ErrorCode, Goal};
+use consort_protocol::units::Seconds;
+use consort_skills::actions::{ActionError, ErrorCode, Feedback, Goal, Progress};
 use hecs::Entity;
 
 /// Whether a robot is connected to the charger at its place.
@@ -55,6 +56,11 @@ impl System for Docking {
         }
         floor.connect(robot, matches!(goal, Goal::Dock { .. }));
         Ok(())
+    }
+
+    fn feedback(&self, floor: &Floor, _robot: Entity, _goal: &Goal, usual: Feedback) -> Feedback {
+        let taken_s = floor.durations.dock_s - usual.time_remaining.get();
+        Feedback { progress: Progress::Docking(Seconds::new(taken_s.max(0.0)).unwrap_or(Seconds::ZERO)), ..usual }
     }
 
     fn observe(&self, floor: &mut Floor, what: &Happening) {

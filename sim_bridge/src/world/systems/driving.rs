@@ -13,6 +13,7 @@
 //!              └─▶ something in the way: blocked                                        └─▶ the next errand
 //! ```
 
+use crate::kinematics::StraightRun;
 use crate::map::{Facing, PlaceIndex, limits};
 use crate::world::components::{Beside, Body, Departures};
 use crate::world::course::{Course, SAME_M, SIGHT_M, Stop};
@@ -30,7 +31,7 @@ use crate::world::whereabouts::{Drive, Spot, Stretch, Whereabouts};
 use consort_protocol::ids::{PlaceId, RobotId};
 use consort_protocol::pose::Pose;
 use consort_protocol::units::{Metres, Seconds};
-use consort_skills::actions::{ActionError, ErrorCode, Feedback, Goal, Waypoint};
+use consort_skills::actions::{ActionError, ErrorCode, Feedback, Goal, Progress, Waypoint};
 use hecs::Entity;
 use std::collections::VecDeque;
 
@@ -127,8 +128,15 @@ impl System for Driving {
         floor.drop_errand(robot);
     }
 
-    fn feedback(&self, floor: &Floor, robot: Entity, _goal: &Goal, usual: Feedback) -> Feedback {
-        floor.journey_left(robot).unwrap_or(usual)
+    fn feedback(&self, floor: &Floor, robot: Entity, goal: &Goal, usual: Feedback) -> Feedback {
+        let progress = match goal {
+            Goal::FollowWaypoints { waypoints } => {
+                let to_come = floor.get::<Journey>(robot).afterwards.len();
+                Progress::Waypoint(u32::try_from(waypoints.len().saturating_sub(to_come + 1)).unwrap_or(u32::MAX))
+            }
+            _ => Progress::Unsaid,
+        };
+        Feedback { progress, ..floor.journey_left(robot).unwrap_or(usual) }
     }
 
     fn wake(&self, floor: &mut Floor, Wake { about: robot, .. }: Wake) {
@@ -234,9 +242,8 @@ impl Floor {
         };
         let (limit, backward) = lane.map_or((None, false), |stretch| self.rules(stretch));
         let speed_mps = limit.map_or(body.speed.get(), |limit| body.speed.get().min(limit));
-        let ends = self.now + length_m / speed_mps;
-        let drive =
-            Drive { start_spot, start_pose, began: self.now, end_spot, end_pose, ends, length_m, lane, backward };
+        let (began, run) = (self.now, StraightRun::steady(length_m, speed_mps));
+        let drive = Drive { start_spot, start_pose, began, end_spot, end_pose, run, lane, backward };
         Ok(Way::Drive(drive, speed_mps))
     }
 
@@ -304,7 +311,7 @@ impl Floor {
     fn set_off(&mut self, robot: Entity, way: Way) {
         match way {
             Way::Drive(drive, speed_mps) => {
-                if drive.length_m > 0.0 {
+                if drive.length_m() > 0.0 {
                     self.depart(robot);
                 }
                 let course = Course::new(drive, speed_mps, self);
@@ -369,7 +376,7 @@ impl Floor {
             return self.watch_for_doors(robot);
         }
         *self.get_mut::<Whereabouts>(robot) = Whereabouts::Driving(part);
-        let wake = self.arrange(part.ends, robot, 0);
+        let wake = self.arrange(part.ends(), robot, 0);
         let mut journey = self.get_mut::<Journey>(robot);
         (journey.stage, journey.wake) = (Stage::Rolling(course), Some(wake));
     }
@@ -406,8 +413,8 @@ impl Floor {
     fn seen_ahead(&self, course: &Course) -> Option<(f64, String)> {
         let (from, to, first, last) = course.whole.lane?;
         let ahead = self.in_the_way(from, to).into_iter().filter_map(|(share, what)| {
-            let at = (share - first) / (last - first) * course.whole.length_m;
-            let ahead = at + SAME_M >= course.done_m && at <= course.whole.length_m + SAME_M;
+            let at = (share - first) / (last - first) * course.whole.length_m();
+            let ahead = at + SAME_M >= course.done_m && at <= course.whole.length_m() + SAME_M;
             ahead.then(|| ((at - SIGHT_M).max(course.done_m), what))
         });
         ahead.min_by(|a, b| a.0.total_cmp(&b.0).then_with(|| a.1.cmp(&b.1)))
@@ -556,7 +563,7 @@ impl Floor {
         let journey = self.get::<Journey>(robot);
         let (course, left_m, left_s) = match (&journey.stage, &*self.get::<Whereabouts>(robot)) {
             (Stage::Rolling(course), Whereabouts::Driving(part)) => {
-                (course, part.remaining(self.now).get(), (part.ends - self.now).max(0.0))
+                (course, part.remaining(self.now).get(), (part.ends() - self.now).max(0.0))
             }
             (Stage::Rolling(course), Whereabouts::Standing { .. }) => {
                 let (left_m, left_s) = self.steered_left(robot, course.speed_mps);
@@ -566,10 +573,10 @@ impl Floor {
             (Stage::Idle | Stage::AtLift(_) | Stage::InLift, _) => return None,
         };
         let begun_m = if matches!(journey.stage, Stage::Rolling(_)) { course.until_m } else { course.done_m };
-        let beyond_m = course.whole.length_m - begun_m;
-        Some(Feedback {
-            distance_remaining: Metres::new(left_m + beyond_m).unwrap_or(Metres::ZERO),
-            time_remaining: Seconds::new(left_s + beyond_m / course.speed_mps).unwrap_or(Seconds::ZERO),
-        })
+        let beyond_m = course.whole.length_m() - begun_m;
+        Some(Feedback::left(
+            Metres::new(left_m + beyond_m).unwrap_or(Metres::ZERO),
+            Seconds::new(left_s + beyond_m / course.speed_mps).unwrap_or(Seconds::ZERO),
+        ))
     }
 }

@@ -145,7 +145,7 @@ impl Steered {
 
     /// How much of the part of its way that is under way is left, in metres.
     fn left_m(&self) -> f64 {
-        self.course.map_or(0.0, |course| course.length_m * (1.0 - course.share_beside(&self.pose())))
+        self.course.map_or(0.0, |course| course.length_m() * (1.0 - course.share_beside(&self.pose())))
     }
 
     fn pose(&self) -> Pose {

@@ -7,7 +7,7 @@ use crate::world::system::{Kind, System, kinds};
 use crate::world::systems::steering::Steered;
 use crate::world::whereabouts::Whereabouts;
 use consort_protocol::pose::Pose;
-use consort_skills::actions::{ActionError, ErrorCode, Goal};
+use consort_skills::actions::{ActionError, ErrorCode, Feedback, Goal, Progress};
 use hecs::Entity;
 
 /// Radians per second at which robots turn: Nav2's greatest for its spin behavior.
@@ -44,6 +44,12 @@ impl System for Turning {
             return Some(Err(refused(ErrorCode::Unknown, message)));
         }
         Some(Ok(floor.now + angle_rad.abs() / TURN_RADPS))
+    }
+
+    fn feedback(&self, _floor: &Floor, _robot: Entity, goal: &Goal, usual: Feedback) -> Feedback {
+        let Goal::Spin { angle_rad } = *goal else { return usual };
+        let left_rad = (usual.time_remaining.get() * TURN_RADPS).min(angle_rad.abs());
+        Feedback { progress: Progress::Turned(angle_rad - left_rad.copysign(angle_rad)), ..usual }
     }
 
     fn finish(&self, floor: &mut Floor, robot: Entity, goal: &Goal) -> Result<(), ActionError> {

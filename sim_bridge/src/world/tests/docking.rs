@@ -2,7 +2,7 @@
 
 use super::*;
 use consort_protocol::pose::Pose;
-use consort_skills::actions::Waypoint;
+use consort_skills::actions::{Progress, Waypoint};
 
 fn yard() -> WorldSetup {
     let text = "{name: yard, places: [{name: Charger, kind: charger, x_m: 0, y_m: 0}, {name: Gate, kind: other, x_m: 10, y_m: 0}, \
@@ -111,4 +111,33 @@ fn waypoints_are_followed_one_after_the_other_through_doors() {
     assert_eq!((far.place, far.pose), (place("Far"), Pose::new(10.0, 5.0, 0.0)));
     let status = refusal(&mut world, "r1", 3, Goal::FollowWaypoints { waypoints: vec![] });
     assert_eq!(status, aborted(ErrorCode::Unknown, "there are no waypoints to follow"));
+}
+
+#[test]
+fn feedback_is_in_the_terms_of_the_goal() {
+    let mut world = World::new(yard().robot(half_full("r1", "Charger"))).unwrap();
+    let progress = |world: &World, id: u64| match world.status(&robot("r1"), GoalId(id)) {
+        Some(GoalStatus::Executing(feedback)) => feedback.progress,
+        other => panic!("{other:?}"),
+    };
+    let free = |x: f64| Waypoint { pose: Pose::new(x, 0.0, 0.0), place: None };
+    let waypoints = vec![free(1.0), free(2.0), free(3.0)];
+    world.start(&robot("r1"), GoalId(1), Goal::FollowWaypoints { waypoints });
+    // A metre in two seconds.
+    let reached = [1.0, 3.0, 5.0].map(|seconds| {
+        world.advance(at(seconds));
+        progress(&world, 1)
+    });
+    assert_eq!(reached, [0, 1, 2].map(Progress::Waypoint));
+    world.advance(at(10.0));
+    world.start(&robot("r1"), GoalId(2), Goal::Spin { angle_rad: -3.0 });
+    let turned = [10.0, 11.0, 12.5].map(|seconds| {
+        world.advance(at(seconds));
+        progress(&world, 2)
+    });
+    assert_eq!(turned, [0.0, -1.0, -2.5].map(Progress::Turned));
+    let mut world = World::new(yard().robot(half_full("r1", "Charger"))).unwrap();
+    world.start(&robot("r1"), GoalId(3), dock());
+    world.advance(at(1.5));
+    assert_eq!(progress(&world, 3), Progress::Docking(Seconds::new(1.5).unwrap()));
 }

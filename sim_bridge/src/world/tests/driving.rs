@@ -33,8 +33,7 @@ fn feedback_counts_down_and_the_end_is_said_once() {
     let goal = go(&world, "Laboratory Corridor");
     world.start(&robot("r1"), GoalId(1), goal);
     assert_eq!(world.advance(at(6.0)), []);
-    let feedback =
-        Feedback { distance_remaining: Metres::new(1.0).unwrap(), time_remaining: Seconds::new(2.0).unwrap() };
+    let feedback = Feedback::left(Metres::new(1.0).unwrap(), Seconds::new(2.0).unwrap());
     assert_eq!(world.status(&robot("r1"), GoalId(1)), Some(GoalStatus::Executing(feedback)));
     assert_eq!(world.telemetry(&robot("r1")).unwrap().place, place("Laboratory"));
     assert_eq!(world.advance(at(100.0)), [ended("r1", 1, GoalStatus::Succeeded)]);

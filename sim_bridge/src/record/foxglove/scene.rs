@@ -1,0 +1,203 @@
+//! The map and who is on it, as things to be drawn in three dimensions. Colours are those of pictures of maps.
+
+use super::message::{
+    Arrow, Colour, Cube, Cylinder, Line, Pose, SceneEntity, SceneEntityDeletion, SceneUpdate, Text, Time, Vector3,
+    elevation_m,
+};
+use super::{WORLD_FRAME, frame_of};
+use crate::map::show::colours::{self, DOOR, INK, LANE, LIFT, WALL};
+use crate::map::{Door, LevelIndex, Map, PlaceKind};
+use crate::world::{PersonReport, RobotBody};
+use consort_protocol::ids::PlaceId;
+
+/// How thick and how high things are drawn that have no size on the map, in metres.
+const WALL_M: f64 = 0.12;
+const LANE_M: f64 = 0.06;
+const DOOR_M: f64 = 0.1;
+const CABIN_M: f64 = 1.2;
+const PERSON_M: (f64, f64) = (0.4, 1.7);
+const ROBOT_HIGH_M: f64 = 0.6;
+const NAME_M: f64 = 0.3;
+/// A door that stands open.
+const OPEN: &str = "#43a047";
+const BLOCKED: &str = "#d50000";
+
+/// Walls, lanes, places and lifts, an entity for each kind and level.
+pub(super) fn map(map: &Map, at_s: f64) -> SceneUpdate {
+    let mut entities = vec![];
+    for level in map.level_indices() {
+        let (name, z) = (&map.level(level).name, elevation_m(map, level));
+        let point = |(x, y): (f64, f64)| Vector3::new(x, y, z);
+        let mut walls = entity(&format!("walls of {name}"), at_s);
+        walls.lines = map.walls_on(level).map(|wall| line(0, WALL_M, wall.iter().copied().map(point), WALL)).collect();
+        let mut lanes = entity(&format!("lanes of {name}"), at_s);
+        let at = |place: &PlaceId| map.place(place).map(|place| point((place.pose.x, place.pose.y)));
+        let ends = map.lanes_on(level).filter_map(|lane| Some([at(&lane.from)?, at(&lane.to)?])).flatten();
+        lanes.lines = vec![line(2, LANE_M, ends, LANE)];
+        entities.extend([walls, lanes, places(map, level, at_s), lifts(map, level, at_s)]);
+    }
+    let drawn = |entity: &SceneEntity| {
+        entity.lines.iter().any(|line| !line.points.is_empty())
+            || !entity.cubes.is_empty()
+            || !entity.cylinders.is_empty()
+    };
+    entities.retain(drawn);
+    SceneUpdate { entities, ..SceneUpdate::default() }
+}
+
+fn places(map: &Map, level: LevelIndex, at_s: f64) -> SceneEntity {
+    let mut places = entity(&format!("places of {}", map.level(level).name), at_s);
+    let z = elevation_m(map, level);
+    for place in map.places().iter().filter(|place| place.level == level) {
+        let (x, y) = (place.pose.x, place.pose.y);
+        let wide = if place.kind == PlaceKind::Corridor { 0.2 } else { 0.4 };
+        places.cylinders.push(cylinder(Vector3::new(x, y, z), wide, 0.02, colours::of_place(place.kind), 1.0));
+        if place.kind != PlaceKind::Corridor {
+            places.texts.push(text(Vector3::new(x, y, z + 0.1), place.id.as_str(), INK));
+        }
+    }
+    places
+}
+
+fn lifts(map: &Map, level: LevelIndex, at_s: f64) -> SceneEntity {
+    let mut lifts = entity(&format!("lifts of {}", map.level(level).name), at_s);
+    let z = elevation_m(map, level);
+    for lift in map.lifts() {
+        let here = lift.stops.iter().filter_map(|stop| map.place(stop)).filter(|stop| stop.level == level);
+        for stop in here {
+            let (x, y) = (stop.pose.x, stop.pose.y);
+            lifts.cubes.push(Cube {
+                pose: Pose::upright(Vector3::new(x, y, z + 1.0)),
+                size: Vector3::new(CABIN_M, CABIN_M, 2.0),
+                color: Colour::of(LIFT, 0.25),
+            });
+            lifts.texts.push(text(Vector3::new(x, y, z + 2.2), &lift.name, LIFT));
+        }
+    }
+    lifts
+}
+
+/// All doors, closed.
+pub(super) fn doors(map: &Map, at_s: f64) -> SceneUpdate {
+    let entities = map.doors().iter().map(|door| leaf(map, door, false, at_s)).collect();
+    SceneUpdate { entities, ..SceneUpdate::default() }
+}
+
+/// One door as it stands now.
+pub(super) fn door(map: &Map, name: &str, open: bool, at_s: f64) -> SceneUpdate {
+    let entities = map.door(name).map(|door| leaf(map, door, open, at_s)).into_iter().collect();
+    SceneUpdate { entities, ..SceneUpdate::default() }
+}
+
+fn leaf(map: &Map, door: &Door, open: bool, at_s: f64) -> SceneEntity {
+    let mut drawn = entity(&door.name, at_s);
+    let level = door.lanes.first().and_then(|(from, _)| map.level_of(from)).unwrap_or_default();
+    let z = elevation_m(map, level) + 0.05;
+    let colour = if open { OPEN } else { DOOR };
+    let posts = map.posts(door).into_iter().flat_map(|(a, b)| [a, b]).map(|(x, y)| Vector3::new(x, y, z));
+    drawn.lines = vec![line(2, DOOR_M, posts, colour)];
+    drawn
+}
+
+/// What stands in the middle of a lane, for all that is told of it.
+pub(super) fn obstacle(map: &Map, name: &str, (a, b): &(PlaceId, PlaceId), at_s: f64) -> SceneUpdate {
+    let mut drawn = entity(name, at_s);
+    if let (Some(a), Some(b)) = (map.place(a), map.place(b)) {
+        let (x, y) = (f64::midpoint(a.pose.x, b.pose.x), f64::midpoint(a.pose.y, b.pose.y));
+        let z = elevation_m(map, a.level);
+        drawn.cubes.push(Cube {
+            pose: Pose::upright(Vector3::new(x, y, z + 0.4)),
+            size: Vector3::new(0.6, 0.6, 0.8),
+            color: Colour::of(BLOCKED, 0.8),
+        });
+        drawn.texts.push(text(Vector3::new(x, y, z + 1.0), name, BLOCKED));
+    }
+    SceneUpdate { entities: vec![drawn], ..SceneUpdate::default() }
+}
+
+/// People at their places.
+pub(super) fn people(map: &Map, people: impl Iterator<Item = PersonReport>, at_s: f64) -> SceneUpdate {
+    let drawn = people.filter_map(|person| {
+        let place = map.place(&person.place)?;
+        let (wide, high) = PERSON_M;
+        let foot = Vector3::new(place.pose.x, place.pose.y, elevation_m(map, place.level));
+        let mut drawn = entity(person.name.as_str(), at_s);
+        drawn.cylinders.push(cylinder(foot, wide, high, colours::THING, 0.6));
+        drawn.texts.push(text(Vector3 { z: foot.z + high + 0.2, ..foot }, person.name.as_str(), colours::THING));
+        Some(drawn)
+    });
+    SceneUpdate { entities: drawn.collect(), ..SceneUpdate::default() }
+}
+
+/// Robots, each in its own frame: it goes where that goes.
+pub(super) fn robots(bodies: impl Iterator<Item = RobotBody>, at_s: f64) -> SceneUpdate {
+    let drawn = bodies.enumerate().map(|(place, body)| {
+        let (wide, colour) = (2.0 * body.radius_m, colours::of_robot(place));
+        let mut drawn =
+            SceneEntity { frame_id: frame_of(&body.id), frame_locked: true, ..entity(body.id.as_str(), at_s) };
+        drawn.cylinders.push(cylinder(Vector3::default(), wide, ROBOT_HIGH_M, colour, 0.8));
+        drawn.arrows.push(Arrow {
+            pose: Pose::upright(Vector3::new(0.0, 0.0, ROBOT_HIGH_M)),
+            shaft_length: 0.7 * wide,
+            shaft_diameter: 0.06,
+            head_length: 0.3 * wide,
+            head_diameter: 0.16,
+            color: Colour::of(colour, 1.0),
+        });
+        drawn.texts.push(text(Vector3::new(0.0, 0.0, ROBOT_HIGH_M + 0.4), body.id.as_str(), colour));
+        drawn
+    });
+    SceneUpdate { entities: drawn.collect(), ..SceneUpdate::default() }
+}
+
+/// Something is there no longer.
+pub(super) fn gone(id: &str, at_s: f64) -> SceneUpdate {
+    // Only what is older is taken away: a nanosecond later it all is.
+    let timestamp = Time::of(at_s + 1e-9);
+    let deletions = vec![SceneEntityDeletion { timestamp, kind: 0, id: id.to_owned() }];
+    SceneUpdate { deletions, ..SceneUpdate::default() }
+}
+
+fn entity(id: &str, at_s: f64) -> SceneEntity {
+    SceneEntity {
+        timestamp: Time::of(at_s),
+        frame_id: WORLD_FRAME.to_owned(),
+        id: id.to_owned(),
+        ..SceneEntity::default()
+    }
+}
+
+fn line(kind: u8, thickness: f64, points: impl Iterator<Item = Vector3>, colour: &str) -> Line {
+    Line {
+        kind,
+        pose: Pose::upright(Vector3::default()),
+        thickness,
+        scale_invariant: false,
+        points: points.collect(),
+        color: Colour::of(colour, 1.0),
+        colors: vec![],
+        indices: vec![],
+    }
+}
+
+/// One that stands at `foot`.
+fn cylinder(foot: Vector3, wide: f64, high: f64, colour: &str, opaque: f64) -> Cylinder {
+    Cylinder {
+        pose: Pose::upright(Vector3 { z: foot.z + high / 2.0, ..foot }),
+        size: Vector3::new(wide, wide, high),
+        bottom_scale: 1.0,
+        top_scale: 1.0,
+        color: Colour::of(colour, opaque),
+    }
+}
+
+fn text(at: Vector3, text: &str, colour: &str) -> Text {
+    Text {
+        pose: Pose::upright(at),
+        billboard: true,
+        font_size: NAME_M,
+        scale_invariant: false,
+        color: Colour::of(colour, 1.0),
+        text: text.to_owned(),
+    }
+}

@@ -1,0 +1,171 @@
+//! What each kind of message is called and holds, as JSON schemas: by these names Foxglove knows how to draw them. Fields are
+//! those of <https://docs.foxglove.dev/docs/sdk/schemas>.
+
+use serde_json::{Value, json};
+
+/// A kind of message.
+pub(super) struct Schema {
+    /// Its name.
+    pub(super) name: &'static str,
+    fields: fn() -> Vec<Field>,
+}
+
+type Field = (&'static str, Value);
+
+impl Schema {
+    /// The schema itself, as JSON.
+    pub(super) fn describe(&self) -> Value {
+        object(self.name, (self.fields)())
+    }
+}
+
+pub(super) const SCENE_UPDATE: Schema = Schema {
+    name: "foxglove.SceneUpdate",
+    fields: || {
+        let kind = ("type", number("integer"));
+        let deletion = object("foxglove.SceneEntityDeletion", vec![("timestamp", time()), kind, ("id", text())]);
+        vec![("deletions", list(deletion)), ("entities", list(entity()))]
+    },
+};
+
+pub(super) const FRAME_TRANSFORMS: Schema = Schema {
+    name: "foxglove.FrameTransforms",
+    fields: || {
+        let transform = vec![
+            ("timestamp", time()),
+            ("parent_frame_id", text()),
+            ("child_frame_id", text()),
+            ("translation", vector()),
+            ("rotation", quaternion()),
+        ];
+        vec![("transforms", list(object("foxglove.FrameTransform", transform)))]
+    },
+};
+
+pub(super) const POSE_IN_FRAME: Schema = Schema {
+    name: "foxglove.PoseInFrame",
+    fields: || vec![("timestamp", time()), ("frame_id", text()), ("pose", pose())],
+};
+
+pub(super) const LOG: Schema = Schema {
+    name: "foxglove.Log",
+    fields: || {
+        vec![
+            ("timestamp", time()),
+            ("level", number("integer")),
+            ("message", text()),
+            ("name", text()),
+            ("file", text()),
+            ("line", number("integer")),
+        ]
+    },
+};
+
+/// Our own: what a robot's pose does not say of it.
+pub(super) const ROBOT_STATE: Schema = Schema {
+    name: "consort.RobotState",
+    fields: || {
+        vec![
+            ("timestamp", time()),
+            ("place", text()),
+            ("battery", number("number")),
+            ("able", flag()),
+            ("drawer_open", flag()),
+            ("carries", list(text())),
+        ]
+    },
+};
+
+fn entity() -> Value {
+    let pair = object("foxglove.KeyValuePair", vec![("key", text()), ("value", text())]);
+    let solid = |title, more: Vec<Field>| {
+        let fields = [vec![("pose", pose())], more, vec![("color", colour())]].concat();
+        list(object(title, fields))
+    };
+    let size = || vec![("size", vector())];
+    let arrow = ["shaft_length", "shaft_diameter", "head_length", "head_diameter"].map(|name| (name, number("number")));
+    let scales = ["bottom_scale", "top_scale"].map(|name| (name, number("number")));
+    let mesh = || vec![("points", list(vector())), ("colors", list(colour())), ("indices", list(number("integer")))];
+    let line =
+        [vec![("type", number("integer")), ("thickness", number("number")), ("scale_invariant", flag())], mesh()];
+    let label =
+        vec![("billboard", flag()), ("font_size", number("number")), ("scale_invariant", flag()), ("text", text())];
+    let model = vec![
+        ("scale", vector()),
+        ("override_color", flag()),
+        ("url", text()),
+        ("media_type", text()),
+        ("data", text()),
+    ];
+    object(
+        "foxglove.SceneEntity",
+        vec![
+            ("timestamp", time()),
+            ("frame_id", text()),
+            ("id", text()),
+            ("lifetime", span("duration")),
+            ("frame_locked", flag()),
+            ("metadata", list(pair)),
+            ("arrows", solid("foxglove.ArrowPrimitive", arrow.into())),
+            ("cubes", solid("foxglove.CubePrimitive", size())),
+            ("spheres", solid("foxglove.SpherePrimitive", size())),
+            ("cylinders", solid("foxglove.CylinderPrimitive", [size(), scales.into()].concat())),
+            ("lines", solid("foxglove.LinePrimitive", line.concat())),
+            ("triangles", solid("foxglove.TriangleListPrimitive", mesh())),
+            ("texts", solid("foxglove.TextPrimitive", label)),
+            ("models", solid("foxglove.ModelPrimitive", model)),
+        ],
+    )
+}
+
+/// All its fields are always there.
+fn object(title: &str, fields: Vec<Field>) -> Value {
+    let required: Vec<&str> = fields.iter().map(|(name, _)| *name).collect();
+    let properties: serde_json::Map<String, Value> =
+        fields.iter().map(|(name, kind)| ((*name).to_owned(), kind.clone())).collect();
+    json!({ "title": title, "type": "object", "properties": properties, "required": required })
+}
+
+fn list(items: Value) -> Value {
+    json!({ "type": "array", "items": items })
+}
+
+fn text() -> Value {
+    json!({ "type": "string" })
+}
+
+fn flag() -> Value {
+    json!({ "type": "boolean" })
+}
+
+fn number(kind: &str) -> Value {
+    json!({ "type": kind })
+}
+
+fn time() -> Value {
+    span("time")
+}
+
+fn span(title: &str) -> Value {
+    object(title, vec![("sec", number("integer")), ("nsec", number("integer"))])
+}
+
+fn numbers(title: &str, names: &[&'static str]) -> Value {
+    object(title, names.iter().map(|name| (*name, number("number"))).collect())
+}
+
+fn vector() -> Value {
+    numbers("foxglove.Vector3", &["x", "y", "z"])
+}
+
+fn quaternion() -> Value {
+    numbers("foxglove.Quaternion", &["x", "y", "z", "w"])
+}
+
+fn colour() -> Value {
+    numbers("foxglove.Color", &["r", "g", "b", "a"])
+}
+
+fn pose() -> Value {
+    object("foxglove.Pose", vec![("position", vector()), ("orientation", quaternion())])
+}

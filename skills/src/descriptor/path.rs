@@ -1,0 +1,48 @@
+//! Paths over points: their length over the average speed.
+
+use super::{Context, Estimate, EstimateError, SkillDescriptor, parsed};
+use crate::environment::{Environment, EnvironmentDescriptor, Routes};
+use crate::skill::waypoints;
+use consort_protocol::ids::TaskType;
+use consort_protocol::mission::TaskSpec;
+use consort_protocol::pose::Pose;
+use consort_protocol::units::Metres;
+
+/// A drive over the points in parameter `waypoints`, in straight lines from where the robot is.
+#[derive(Debug, Clone)]
+pub struct Path {
+    task_type: TaskType,
+}
+
+impl Path {
+    /// Tasks of this type are such drives.
+    pub fn new(task_type: TaskType) -> Path {
+        Path { task_type }
+    }
+}
+
+impl SkillDescriptor for Path {
+    fn task_type(&self) -> &TaskType {
+        &self.task_type
+    }
+
+    fn needs(&self) -> Vec<&'static str> {
+        vec![Routes::KIND]
+    }
+
+    fn estimate(
+        &self,
+        task: &TaskSpec,
+        context: &Context,
+        environment: &Environment,
+    ) -> Result<Estimate, EstimateError> {
+        let points = parsed(task, "waypoints", |text| waypoints(text.split(';')))?;
+        let routes = environment.get::<Routes>()?;
+        let start = context.pose.or(routes.pose(&context.place));
+        let poses = start.into_iter().chain(points.into_iter().map(|(x, y)| Pose::new(x, y, 0.0)));
+        let poses: Vec<Pose> = poses.collect();
+        let length = poses.windows(2).fold(Metres::ZERO, |length, leg| length + leg[0].distance(leg[1]));
+        // It is off the lanes then, with the way back to where it left them.
+        Ok(Estimate::lasting(length.at(context.speed), context, context.place.clone()))
+    }
+}

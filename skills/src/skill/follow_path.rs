@@ -1,0 +1,67 @@
+//! `follow_path`: over the points in parameter `waypoints`, one after the other and in straight lines, off the lanes of the
+//! map too. The worked example for who writes skills: see `skills/README.md`.
+//!
+//! The points are `x,y` in metres, with `;` between: `6.0,2.5; 7.5,3.0`. The body faces where the path goes on. One that was
+//! halted on the way begins with the first point again.
+
+use super::{GoalLeaf, Shipped, TaskContext};
+use crate::actions::{Goal, Waypoint};
+use crate::bt::{
+    Cause, Instant, LeafContext, Manifest, NodeKind, PortSpec, PortType, PortValue, Registry, RegistryError, Value,
+};
+use consort_protocol::pose::Pose;
+
+pub(super) const SKILL: Shipped =
+    Shipped { task_type: "follow_path", xml: include_str!("../../trees/follow_path.xml"), leaves };
+
+fn leaves(registry: &mut Registry<TaskContext>) -> Result<(), RegistryError> {
+    // Points into poses: nothing the body is asked for, so it answers at once.
+    let ports = [PortSpec::input("points", PortType::List), PortSpec::output("poses", PortType::List)];
+    registry.register(Manifest::new("HeadAlong", NodeKind::Action, ports), |_: &TaskContext| {
+        Box::new(Instant(|leaf: &mut LeafContext<'_, '_>| {
+            let texts: Vec<String> = leaf.read::<Vec<Value>>("points")?.iter().map(Value::to_string).collect();
+            let points = points(texts.iter().map(String::as_str)).map_err(Cause::new)?;
+            let here = leaf.actions().telemetry().map(|telemetry| telemetry.pose);
+            leaf.write("poses", heading_along(&points, here).into_iter().map(Value::Pose).collect::<Vec<_>>())?;
+            Ok(true)
+        }))
+    })?;
+    // One goal for the whole path: the leaf only says which; sending, watching and canceling it is the same for all goals.
+    let ports = [PortSpec::input("poses", PortType::List)];
+    GoalLeaf::register(registry, "FollowWaypoints", ports, |_: &TaskContext, leaf| {
+        let poses = leaf.read::<Vec<Value>>("poses")?.into_iter().map(|value| {
+            let pose = value.convert(PortType::Pose).map_err(|error| Cause::new(error.to_string()))?;
+            let pose = Pose::from_value(pose).expect("converted to a pose");
+            Ok(Waypoint { pose, place: None })
+        });
+        Ok(Goal::FollowWaypoints { waypoints: poses.collect::<Result<_, Cause>>()? })
+    })
+}
+
+/// Points as they are written: `x,y` in metres, at least one.
+///
+/// # Errors
+/// What is wrong, and what is allowed.
+pub(crate) fn points<'t>(texts: impl Iterator<Item = &'t str>) -> Result<Vec<(f64, f64)>, String> {
+    let point = |text: &str| {
+        let (x, y) = text.split_once(',')?;
+        let number = |text: &str| text.trim().parse().ok().filter(|number: &f64| number.is_finite());
+        Some((number(x)?, number(y)?))
+    };
+    let read = |text| point(text).ok_or_else(|| format!("{text:?} is not a point: allowed is `x,y` in metres"));
+    let points: Vec<(f64, f64)> = texts.map(read).collect::<Result<_, _>>()?;
+    if points.is_empty() { Err("there are no waypoints to follow".to_owned()) } else { Ok(points) }
+}
+
+/// Poses at points, each facing the next; the last as one comes to it, from `here` if it is the only one.
+fn heading_along(points: &[(f64, f64)], here: Option<Pose>) -> Vec<Pose> {
+    let pose = |(index, (x, y)): (usize, &(f64, f64))| {
+        let before = index.checked_sub(1).map(|index| points[index]).or(here.map(|pose| (pose.x, pose.y)));
+        let (dx, dy) = match points.get(index + 1) {
+            Some((next_x, next_y)) => (next_x - x, next_y - y),
+            None => before.map_or((0.0, 0.0), |(before_x, before_y)| (x - before_x, y - before_y)),
+        };
+        Pose::new(*x, *y, dy.atan2(dx))
+    };
+    points.iter().enumerate().map(pose).collect()
+}

@@ -1,0 +1,14 @@
+//! `grasp`: the thing in parameter `object`, from the table of the robot's place.
+
+use super::{GoalLeaf, Shipped, TaskContext};
+use crate::actions::Goal;
+use crate::bt::{PortSpec, PortType, Registry, RegistryError};
+
+pub(super) const SKILL: Shipped = Shipped { task_type: "grasp", xml: include_str!("../../trees/grasp.xml"), leaves };
+
+fn leaves(registry: &mut Registry<TaskContext>) -> Result<(), RegistryError> {
+    let ports = [PortSpec::input("object", PortType::Text)];
+    GoalLeaf::register(registry, "Grasp", ports, |_: &TaskContext, leaf| {
+        Ok(Goal::Grasp { object: leaf.read("object")? })
+    })
+}
