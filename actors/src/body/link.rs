@@ -341,8 +341,14 @@ impl BodyLinkState {
             for order in commands {
                 let bytes = codec::encode(&BodyCommand { order: order.clone() }).expect("a goal fits a message");
                 let Ok(mut replies) = bus.query(&key, Bytes::from(bytes), limit).await else { return };
+                // Other hosts may hear it, too, and refuse.
+                let mut answer = replies.recv().await;
+                while answer.as_ref().is_some_and(|reply| reply.payload.is_err()) {
+                    let Some(next) = replies.recv().await else { break };
+                    answer = Some(next);
+                }
                 // What follows waits for this to be answered: a goal must not be canceled before it has begun.
-                let Some(reply) = replies.recv().await else { return };
+                let Some(reply) = answer else { return };
                 if to.cast(BodyLinkMessage::Answered(order, reply)).is_err() {
                     return;
                 }
