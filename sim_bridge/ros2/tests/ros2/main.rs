@@ -1,0 +1,8 @@
+//! Held to the published formats of `rmw_zenoh`, `rosidl` and `nav2_msgs`, and tried from end to end on loopback.
+
+mod formats;
+mod graph;
+mod nav2;
+mod robots;
+mod support;
+mod type_hashes;
