@@ -3,6 +3,7 @@
 mod formats;
 mod graph;
 mod nav2;
+mod program;
 mod robots;
 mod support;
 mod type_hashes;

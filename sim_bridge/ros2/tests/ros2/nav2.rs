@@ -1,9 +1,11 @@
 //! A robot of the fleet under Nav2: our own skill drives an action server, which is hiroz's own.
 
 use crate::support::{LIMIT, Router, bus, carrier, hospital, host, keys, until, within};
+use bytes::Bytes;
 use consort_actors::body::{Body, BodyLinkSettings};
-use consort_actors::bus::ZenohBus;
+use consort_actors::bus::{Bus, ZenohBus};
 use consort_protocol::ids::{RobotId, TaskType};
+use consort_protocol::keys::Key;
 use consort_protocol::mission::TaskSpec;
 use consort_ros2::drive::{DriveSettings, drive};
 use consort_ros2::mapping::from_ros;
@@ -42,7 +44,7 @@ fn ada() -> RobotId {
 struct Driven {
     router: Router,
     body: Body,
-    _bus: ZenohBus,
+    bus: ZenohBus,
     _tasks: JoinSet<()>,
 }
 
@@ -73,7 +75,7 @@ impl Driven {
         };
         let body = Body::link(link, &supervisor.get_cell()).await.unwrap();
         until("word of the body", async || body.is_at_rest()).await;
-        Driven { router, body, _bus: bus_of_robot, _tasks: tasks }
+        Driven { router, body, bus: bus_of_robot, _tasks: tasks }
     }
 
     /// A Nav2 of its own machine, seen by the driver's graph by the time that this returns.
@@ -132,15 +134,24 @@ async fn the_navigation_skill_drives_nav2_leg_by_leg() {
             poses.push((pose.x, pose.y));
             goal.succeed(Outcome::default()).unwrap();
         }
-        // What a client asks for after the end is still answered.
-        tokio::time::sleep(Duration::from_millis(500)).await;
-        poses
+        // It stays on the graph: what is asked for after the end is still answered.
+        (server, poses)
     });
     assert_eq!(driven.run(&mut navigation("Laboratory")).await, SkillStatus::Succeeded);
-    assert_eq!(nav2.await.unwrap(), [(6.0, 7.0), (13.5, 7.0), (13.5, 11.0)]);
+    let (_server, poses) = nav2.await.unwrap();
+    assert_eq!(poses, [(6.0, 7.0), (13.5, 7.0), (13.5, 11.0)]);
     driven.body.refresh();
     assert_eq!(driven.body.telemetry().unwrap().place.as_str(), "Laboratory");
     assert_eq!(driven.run(&mut navigation("Laboratory")).await, SkillStatus::Succeeded, "it is there");
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn only_the_world_answers_for_people_and_for_what_there_is_to_see() {
+    let driven = Driven::new().await;
+    let mut answers = driven.bus.query(&keys().write(&Key::ViewWorld), Bytes::new(), LIMIT).await.unwrap();
+    let view = within("the world", answers.recv()).await.unwrap().payload.unwrap();
+    assert!(view.starts_with(b"{"), "{view:?}");
+    assert!(within("the end", answers.recv()).await.is_none(), "the adapter has answered, too");
 }
 
 #[tokio::test(flavor = "multi_thread")]

@@ -79,7 +79,8 @@ async fn a_goal_that_is_canceled_midway_leaves_the_robot_between_two_places() {
     assert_eq!((canceled.return_code, named), (0, vec![handle.id()]));
     assert_eq!(ended(handle).await, (GoalStatus::Canceled, Outcome::default()));
     let (_, here) = place(&offered, "ada");
-    tokio::time::sleep(std::time::Duration::from_millis(200)).await;
+    let then = offered.world.now().as_secs() + 2.0;
+    until("two seconds of the world", async || offered.world.now().as_secs() > then).await;
     assert_eq!(place(&offered, "ada").1, here, "it stands");
     let room = crate::support::hospital().place(&"PC Room 8".parse().unwrap()).unwrap().pose;
     assert!(here.distance(room).get() > 5.0, "{here:?}");

@@ -118,23 +118,30 @@ pub(crate) struct Offered {
     pub(crate) router: Router,
     pub(crate) world: SharedWorld,
     host: ActorRef<HostMessage>,
-    _bus: ZenohBus,
-    _tasks: JoinSet<()>,
+    pub(crate) bus: ZenohBus,
+    tasks: JoinSet<()>,
 }
 
 impl Offered {
+    /// By this process.
     pub(crate) async fn with(robots: Vec<RobotBody>) -> Offered {
-        let (router, bus_of_world) = (Router::start().await, bus(None).await);
-        let (host, world) = host(&bus_of_world, robots).await;
-        let shared: SharedBus = Arc::new(bus(Some(&bus_of_world)).await);
+        let mut offered = Offered::not_yet(robots).await;
+        let (router, bus_of_world) = (&offered.router, &offered.bus);
+        let shared: SharedBus = Arc::new(bus(Some(bus_of_world)).await);
         let ros = router.join("consort_bridge");
-        let mut tasks = JoinSet::new();
-        tasks.spawn(async move {
+        offered.tasks.spawn(async move {
             let atlas = Arc::new(Atlas::new(hospital()).unwrap());
             let settings = ServeSettings { bus: shared, keys: keys(), atlas, first_goal: 1 };
             panic!("it serves no longer: {}", serve(&ros, settings).await.unwrap_err());
         });
-        Offered { router, world, host, _bus: bus_of_world, _tasks: tasks }
+        offered
+    }
+
+    /// By nobody yet.
+    pub(crate) async fn not_yet(robots: Vec<RobotBody>) -> Offered {
+        let (router, bus) = (Router::start().await, bus(None).await);
+        let (host, world) = host(&bus, robots).await;
+        Offered { router, world, host, bus, tasks: JoinSet::new() }
     }
 
     /// The world ends, without a word.
