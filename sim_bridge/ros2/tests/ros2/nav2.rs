@@ -2,16 +2,19 @@
 
 use crate::support::{LIMIT, Router, bus, carrier, hospital, host, keys, until, within};
 use bytes::Bytes;
-use consort_actors::body::{Body, BodyLinkSettings};
-use consort_actors::bus::{Bus, ZenohBus};
+use consort_actors::body::{Body, BodyCommand, BodyLinkSettings, BodyState};
+use consort_actors::bus::{Bus, Encoding, ZenohBus};
+use consort_protocol::codec;
 use consort_protocol::ids::{RobotId, TaskType};
-use consort_protocol::keys::Key;
+use consort_protocol::keys::{BodyCall, Key};
 use consort_protocol::mission::TaskSpec;
+use consort_protocol::pose::Pose;
+use consort_protocol::units::{BatteryShare, WorldTime};
 use consort_ros2::drive::{DriveSettings, drive};
 use consort_ros2::mapping::from_ros;
 use consort_ros2::messages::{NavigateToPose, Outcome, Progress};
 use consort_ros2::ros::Ros;
-use consort_skills::actions::RobotActions;
+use consort_skills::actions::{Goal, GoalStatus, RobotActions, Telemetry};
 use consort_skills::environment::{Environment, Routes};
 use consort_skills::library::{ActiveSkill, SkillContext, SkillLibrary, SkillStatus};
 use hiroz::Builder;
@@ -65,15 +68,7 @@ impl Driven {
         };
         let mut tasks = JoinSet::new();
         tasks.spawn(async move { panic!("it drives no longer: {}", drive(&ros, settings).await.unwrap_err()) });
-        let (supervisor, _) = Actor::spawn(None, Nobody, ()).await.unwrap();
-        let link = BodyLinkSettings {
-            robot: ada(),
-            keys: keys(),
-            bus: Arc::new(bus_of_robot.clone()),
-            first_goal: 1,
-            beat: Duration::from_millis(300),
-        };
-        let body = Body::link(link, &supervisor.get_cell()).await.unwrap();
+        let body = driver(&bus_of_robot).await;
         until("word of the body", async || body.is_at_rest()).await;
         Driven { router, body, bus: bus_of_robot, _tasks: tasks }
     }
@@ -103,6 +98,14 @@ impl Driven {
             }
         }
     }
+}
+
+/// A driver of ada's body.
+async fn driver(bus: &ZenohBus) -> Body {
+    let (supervisor, _) = Actor::spawn(None, Nobody, ()).await.unwrap();
+    let (bus, beat) = (Arc::new(bus.clone()), Duration::from_millis(300));
+    let link = BodyLinkSettings { robot: ada(), keys: keys(), bus, first_goal: 1, beat };
+    Body::link(link, &supervisor.get_cell()).await.unwrap()
 }
 
 /// Our navigation skill.
@@ -143,6 +146,40 @@ async fn the_navigation_skill_drives_nav2_leg_by_leg() {
     driven.body.refresh();
     assert_eq!(driven.body.telemetry().unwrap().place.as_str(), "Laboratory");
     assert_eq!(driven.run(&mut navigation("Laboratory")).await, SkillStatus::Succeeded, "it is there");
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn whoever_refuses_a_command_is_not_the_bodys_host_however_soon_it_answers() {
+    let (bus_of_world, place) = (bus(None).await, Pose::default());
+    let bus_of_robot = bus(Some(&bus_of_world)).await;
+    host(&bus_of_world, vec![carrier("bob", "Crossing", 1.0)]).await;
+    // Ada's host takes its time: the world has refused long before.
+    let command = keys().write(&Key::Body(ada(), BodyCall::Command));
+    let mut commands = bus_of_world.serve(&command).await.unwrap();
+    let serves = tokio::spawn(async move {
+        let mut number = 0;
+        while let Some(query) = commands.recv().await {
+            let BodyCommand { order } = codec::decode(&query.payload).unwrap();
+            let goals = order.iter().map(|order| (order.goal(), GoalStatus::Succeeded)).collect();
+            let telemetry = Telemetry {
+                time: WorldTime::ZERO,
+                pose: place,
+                place: "Dock".parse().unwrap(),
+                battery: BatteryShare::FULL,
+                able: true,
+                closed: vec![],
+            };
+            number += 1;
+            let state = BodyState { robot: ada(), number, telemetry, goals, done: vec![] };
+            tokio::time::sleep(Duration::from_millis(100)).await;
+            let bytes = Bytes::from(codec::encode(&state).unwrap());
+            query.replier.reply(&query.key, bytes, Encoding::Wire).await.unwrap();
+        }
+    });
+    let mut body = driver(&bus_of_robot).await;
+    let goal = body.send_goal(Goal::Undock);
+    until("the end of the goal", async || body.status(goal) == Some(GoalStatus::Succeeded)).await;
+    serves.abort();
 }
 
 #[tokio::test(flavor = "multi_thread")]
