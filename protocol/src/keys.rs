@@ -250,6 +250,11 @@ impl Keys {
         format!("{}/wire/body/*/{}", self.prefix, BodyCall::Command.word())
     }
 
+    /// Key expression for all bodies' states: what tells which bodies there are.
+    pub fn any_body_state(&self) -> String {
+        format!("{}/wire/body/*/{}", self.prefix, BodyCall::State.word())
+    }
+
     /// Key expression for a member's consensus calls.
     pub fn any_raft(&self, member: u64) -> String {
         format!("{}/wire/raft/{member:016x}/*", self.prefix)
@@ -424,6 +429,7 @@ mod tests {
         assert_eq!(counted.len(), KeyKind::ALL.len());
         assert_eq!(KeyKind::of(&keys.any_bid()), KeyKind::Work);
         assert_eq!(KeyKind::of(&keys.any_body_command()), KeyKind::BodyCommand);
+        assert_eq!(KeyKind::of(&keys.any_body_state()), KeyKind::BodyState);
         assert_eq!(KeyKind::of("consort"), KeyKind::Other);
     }
 

@@ -354,6 +354,12 @@ pub trait BodyHost: Send + Sync {
     /// The robots whose bodies are here.
     fn robots(&self) -> Vec<RobotId>;
 
+    /// Whether people are asked, and the world is looked at, here. Of all hosts of a fleet one does that; an adapter to a
+    /// single robot does not.
+    fn has_people(&self) -> bool {
+        true
+    }
+
     /// Begins a goal. A refusal, too, comes as [`BodyEvent::GoalEnded`] from the next `advance`. A goal sent while
     /// another is under way is refused with [`ErrorCode::Busy`]; a repeated id changes nothing.
     fn start(&mut self, robot: &RobotId, id: GoalId, goal: Goal);

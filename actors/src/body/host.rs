@@ -116,10 +116,12 @@ impl Actor for Host {
     ) -> Result<Self::State, ActorProcessingErr> {
         let mut tasks = Tasks::default();
         tasks.forward(settings.bus.serve(&settings.keys.any_body_command()).await?, &myself, HostMessage::Command);
-        let ask = settings.keys.write(&Key::People(PeopleCall::Ask));
-        tasks.forward(settings.bus.serve(&ask).await?, &myself, HostMessage::Ask);
-        let view = settings.keys.write(&Key::ViewWorld);
-        tasks.forward(settings.bus.serve(&view).await?, &myself, HostMessage::View);
+        if world.has_people() {
+            let ask = settings.keys.write(&Key::People(PeopleCall::Ask));
+            tasks.forward(settings.bus.serve(&ask).await?, &myself, HostMessage::Ask);
+            let view = settings.keys.write(&Key::ViewWorld);
+            tasks.forward(settings.bus.serve(&view).await?, &myself, HostMessage::View);
+        }
         tasks.beat(settings.beat, &myself, || HostMessage::Beat);
         let (now, mut bodies) = (settings.clock.now(), BTreeMap::new());
         for robot in world.robots() {

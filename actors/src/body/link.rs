@@ -1,7 +1,7 @@
 //! A robot's node drives its body: a local mirror that skills use without waiting, and the actor that keeps it true.
 
 use super::wire::{BodyCommand, BodyState, Order};
-use crate::bus::{Reply, Sample, SharedBus};
+use crate::bus::{Reply, Sample, SharedBus, Stream};
 use crate::tasks::Tasks;
 use bytes::Bytes;
 use consort_protocol::codec;
@@ -287,6 +287,18 @@ impl Mirror {
     }
 }
 
+/// The first answer that is no refusal, else the last refusal: a command is heard by hosts of other bodies, too.
+async fn answer(mut replies: Stream<Reply>) -> Option<Reply> {
+    let mut refusal = None;
+    while let Some(reply) = replies.recv().await {
+        if reply.payload.is_ok() {
+            return Some(reply);
+        }
+        refusal = Some(reply);
+    }
+    refusal
+}
+
 #[ractor::async_trait]
 impl Actor for BodyLink {
     type Msg = BodyLinkMessage;
@@ -340,9 +352,9 @@ impl BodyLinkState {
         self.tasks.spawn(async move {
             for order in commands {
                 let bytes = codec::encode(&BodyCommand { order: order.clone() }).expect("a goal fits a message");
-                let Ok(mut replies) = bus.query(&key, Bytes::from(bytes), limit).await else { return };
+                let Ok(replies) = bus.query(&key, Bytes::from(bytes), limit).await else { return };
                 // What follows waits for this to be answered: a goal must not be canceled before it has begun.
-                let Some(reply) = replies.recv().await else { return };
+                let Some(reply) = answer(replies).await else { return };
                 if to.cast(BodyLinkMessage::Answered(order, reply)).is_err() {
                     return;
                 }

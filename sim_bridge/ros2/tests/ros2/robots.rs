@@ -1,0 +1,150 @@
+//! Simulated robots as a client of ROS 2 meets them; the client is hiroz's own.
+
+use crate::support::{LIMIT, Offered, carrier, to_place, to_pose, until, within};
+use consort_protocol::pose::Pose;
+use consort_ros2::mapping::FRAME;
+use consort_ros2::messages::{NavigateToPose, Outcome, Progress};
+use consort_ros2::ros::Ros;
+use consort_skills::actions::BodyHost;
+use hiroz::Builder;
+use hiroz::action::GoalStatus;
+use hiroz::action::client::{GoalHandle, ZActionClient};
+
+type Client = ZActionClient<NavigateToPose>;
+type Handle = GoalHandle<NavigateToPose>;
+
+/// A client of ada's action server, on a session of its own.
+async fn client(offered: &Offered) -> (Ros, Client) {
+    let ros = offered.router.join("rviz");
+    let client = ros.node.create_action_client::<NavigateToPose>("/ada/navigate_to_pose").build().unwrap();
+    assert!(client.wait_for_server(LIMIT).await, "an action server within {LIMIT:?}");
+    (ros, client)
+}
+
+async fn send(client: &Client, goal: consort_ros2::messages::Goal) -> Handle {
+    within("acceptance", client.send_goal(goal)).await.unwrap()
+}
+
+/// How a goal ended: its status, the error's code, and the words.
+async fn ended(mut handle: Handle) -> (GoalStatus, Outcome) {
+    let mut status = handle.status_watch().unwrap();
+    // Statuses travel on a topic of their own, and the client forgets a goal with its result.
+    let last = *within("a last status", status.wait_for(GoalStatus::is_terminal)).await.unwrap();
+    (last, within("the result", handle.result()).await.unwrap())
+}
+
+fn place(offered: &Offered, robot: &str) -> (String, Pose) {
+    let telemetry = offered.world.telemetry(&robot.parse().unwrap()).unwrap();
+    (telemetry.place.to_string(), telemetry.pose)
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_robot_drives_where_it_is_sent_and_tells_of_it_one_goal_after_the_other() {
+    let offered = Offered::with(vec![carrier("ada", "Dock", 1.0)]).await;
+    let (_ros, client) = client(&offered).await;
+    let mut handle = send(&client, to_place("Laboratory")).await;
+    let mut feedback = handle.feedback().unwrap();
+    let outcome = within("the result", handle.result()).await.unwrap();
+    assert_eq!(outcome, Outcome::default());
+    let (name, pose) = place(&offered, "ada");
+    assert_eq!((name.as_str(), pose.x, pose.y), ("Laboratory", 13.5, 11.0));
+
+    let told: Vec<Progress> = std::iter::from_fn(|| feedback.try_recv().ok()).collect();
+    let left: Vec<f32> = told.iter().map(|told| told.distance_remaining).collect();
+    // From the dock by the crossing and the corridor: 4.5 m, 7.5 m and 4 m.
+    assert!(left.len() > 2 && left.is_sorted_by(|a, b| a >= b) && left[0] <= 16.0 && left[0] > 10.0, "{left:?}");
+    for told in &told {
+        assert_eq!(told.current_pose.header.frame_id, FRAME);
+        // At half a metre a second, as far as it is.
+        let remaining_s =
+            f64::from(told.estimated_time_remaining.sec) + f64::from(told.estimated_time_remaining.nanosec) * 1e-9;
+        assert!((remaining_s - f64::from(told.distance_remaining) / 0.5).abs() < 0.1, "{told:?}");
+    }
+
+    for name in ["Crossing", "Dock", "Crossing"] {
+        let outcome = within(name, send(&client, to_place(name)).await.result()).await.unwrap();
+        assert_eq!((outcome, place(&offered, "ada").0.as_str()), (Outcome::default(), name));
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_goal_that_is_canceled_midway_leaves_the_robot_between_two_places() {
+    let offered = Offered::with(vec![carrier("ada", "Dock", 1.0)]).await;
+    let (_ros, client) = client(&offered).await;
+    let mut handle = send(&client, to_place("PC Room 8")).await;
+    let mut feedback = handle.feedback().unwrap();
+    within("feedback", feedback.recv()).await.unwrap();
+    let canceled = within("an answer", handle.cancel()).await.unwrap();
+    let named: Vec<_> = canceled.goals_canceling.iter().map(|info| info.goal_id).collect();
+    assert_eq!((canceled.return_code, named), (0, vec![handle.id()]));
+    assert_eq!(ended(handle).await, (GoalStatus::Canceled, Outcome::default()));
+    let (_, here) = place(&offered, "ada");
+    let then = offered.world.now().as_secs() + 2.0;
+    until("two seconds of the world", async || offered.world.now().as_secs() > then).await;
+    assert_eq!(place(&offered, "ada").1, here, "it stands");
+    let room = crate::support::hospital().place(&"PC Room 8".parse().unwrap()).unwrap().pose;
+    assert!(here.distance(room).get() > 5.0, "{here:?}");
+    // And it can be sent on from there.
+    let outcome = within("the way back", send(&client, to_place("Dock")).await.result()).await.unwrap();
+    assert_eq!((outcome, place(&offered, "ada").0.as_str()), (Outcome::default(), "Dock"));
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn what_cannot_be_reached_is_aborted_with_the_code_of_nav2() {
+    let offered = Offered::with(vec![carrier("ada", "Dock", 1.0)]).await;
+    let (_ros, client) = client(&offered).await;
+    let (status, outcome) = ended(send(&client, to_pose(Pose::new(100.0, 0.0, 0.0))).await).await;
+    let error_msg = "no route: no way to (100.00, 0.00) on the map \"hospital\": it lies outside".to_owned();
+    assert_eq!((status, outcome), (GoalStatus::Aborted, Outcome { error_code: 208, error_msg }));
+    let mut elsewhere = to_place("Crossing");
+    elsewhere.pose.header.frame_id = "odom".to_owned();
+    let (status, outcome) = ended(send(&client, elsewhere).await).await;
+    assert_eq!((status, outcome.error_code), (GoalStatus::Aborted, 9002));
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_later_goal_takes_the_place_of_an_earlier_one() {
+    let offered = Offered::with(vec![carrier("ada", "Dock", 1.0)]).await;
+    let (_ros, client) = client(&offered).await;
+    let first = send(&client, to_place("PC Room 8")).await;
+    let second = send(&client, to_place("Crossing")).await;
+    let (status, outcome) = ended(first).await;
+    assert_eq!((status, outcome.error_msg.as_str()), (GoalStatus::Aborted, "another goal has taken its place"));
+    assert_eq!(ended(second).await, (GoalStatus::Succeeded, Outcome::default()));
+    assert_eq!(place(&offered, "ada").0, "Crossing");
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_robot_that_dies_on_the_way_is_an_abort_and_so_is_a_world() {
+    // 6 % is enough for about ten seconds.
+    let offered = Offered::with(vec![carrier("ada", "Dock", 0.06)]).await;
+    let (_ros, client) = client(&offered).await;
+    let (status, outcome) = ended(send(&client, to_place("Laboratory")).await).await;
+    assert_eq!((status, outcome.error_code), (GoalStatus::Aborted, 9000), "{}", outcome.error_msg);
+    assert!(outcome.error_msg.starts_with("battery low: "), "{}", outcome.error_msg);
+
+    let offered = Offered::with(vec![carrier("ada", "Dock", 1.0)]).await;
+    let (_ros, client) = self::client(&offered).await;
+    let mut handle = send(&client, to_place("PC Room 8")).await;
+    let mut feedback = handle.feedback().unwrap();
+    within("feedback", feedback.recv()).await.unwrap();
+    offered.kill_the_world();
+    let (status, outcome) = ended(handle).await;
+    let error_msg = "timed out: ada: its body has said nothing for 3 s".to_owned();
+    assert_eq!((status, outcome), (GoalStatus::Aborted, Outcome { error_code: 9003, error_msg }));
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn each_robot_has_a_server_under_a_name_that_ros_allows() {
+    let robots =
+        vec![carrier("ada", "Dock", 1.0), carrier("lab-arm.2", "Laboratory", 1.0), carrier("7of9", "Crossing", 1.0)];
+    let offered = Offered::with(robots).await;
+    let ros = offered.router.join("rviz");
+    let expected = ["/ada/navigate_to_pose", "/lab_arm_2/navigate_to_pose", "/robot_7of9/navigate_to_pose"];
+    until("three action servers", async || expected.iter().all(|name| ros.node.graph().has_action_server(name))).await;
+    let mut seen: Vec<(String, String)> = ros.node.graph().get_action_names_and_types();
+    seen.sort();
+    // The type of the feedback's topic, from which ROS 2 takes that of the action.
+    let kind = "nav2_msgs::action::dds_::NavigateToPose_FeedbackMessage_";
+    assert_eq!(seen, expected.map(|name| (name.to_owned(), kind.to_owned())));
+}
