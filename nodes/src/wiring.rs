@@ -8,7 +8,7 @@ use consort_actors::clock::Clock;
 use consort_actors::node::{FleetSettings, HostPart, NodeSettings, RobotPart};
 use consort_actors::replica::StoreIdentity;
 use consort_actors::store::{DurableStore, Owner, Store};
-use consort_protocol::auction::Limits;
+use consort_protocol::auction::{Exact, Limits};
 use consort_protocol::ensemble::Ensemble;
 use consort_protocol::ids::{NodeId, PlaceId};
 use consort_protocol::knowledge::{Availability, Worker};
@@ -101,6 +101,7 @@ pub fn fleet_settings(config: &FleetConfig) -> Result<FleetSettings, Problems> {
         ensemble: Arc::new(ensemble),
         domain: Arc::new(Domain::hospital()),
         limits: limits(config),
+        choice: Arc::new(Exact),
         terms: LeaseTerms {
             lease: Duration::from_millis(config.lease.lease_ms),
             grace: Duration::from_millis(config.lease.grace_ms),
