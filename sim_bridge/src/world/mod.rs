@@ -36,6 +36,7 @@ mod report;
 mod samples;
 mod setup;
 mod shared;
+mod speed;
 mod system;
 mod systems;
 #[cfg(test)]
