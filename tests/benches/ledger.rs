@@ -23,7 +23,7 @@ use consort_actors::replica::{Leadership, RaftId, Replica, ReplicaSettings, Stor
 use consort_actors::store::{DurableStore, LEDGER, Owner};
 use consort_protocol::codec;
 use consort_protocol::ids::{FleetId, MissionId, NodeId, RequestId};
-use consort_protocol::ledger::{Command, Ledger, Outcome, Priority, Submission};
+use consort_protocol::ledger::{Command, Ledger, Outcome, Submission};
 use consort_protocol::mission::{Domain, shipped};
 use consort_protocol::plan::divide_and_check;
 use serde_json::{Value, json};
@@ -241,16 +241,10 @@ async fn ask_all(
             while left.fetch_update(Ordering::SeqCst, Ordering::SeqCst, take).is_ok() {
                 let command = match open.take() {
                     Some(mission) => Command::Cancel { mission, by: "a client".to_owned(), places: BTreeMap::new() },
-                    None => Command::Submit(Box::new(Submission {
-                        request: RequestId::new(format!("client-{client}-{}", answers.at.len())).expect("a slug"),
-                        mission: mission.clone(),
-                        division: division.clone(),
-                        parameters: BTreeMap::new(),
-                        recovery: None,
-                        priority: Priority::default(),
-                        deadline_ms: None,
-                        at_ms: 0,
-                    })),
+                    None => {
+                        let request = RequestId::new(format!("client-{client}-{}", answers.at.len())).expect("a slug");
+                        Command::Submit(Box::new(Submission::of(request, mission.clone(), division.clone())))
+                    }
                 };
                 let asked = Instant::now();
                 let question = Bytes::from(codec::encode(&command).expect("it is small"));

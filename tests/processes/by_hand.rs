@@ -93,11 +93,14 @@ fn a_mission_is_submitted_watched_and_canceled_with_the_commands_and_the_example
 
     // The same request again is the same mission.
     let again = fleet.run(&[&submit[..], &["--json"]].concat(), "ada").expect(0).json();
-    assert_eq!(again, json!({ "mission": "lab-samples-1", "again": true }));
+    assert_eq!(again, json!({ "mission": "lab-samples-1", "again": true, "request": "order-1" }));
 
     // A mission for which there are no robots waits, and says why; it can be withdrawn, once.
     let pending = fleet.run(&["submit", "bed-transfer", "--json"], "ada").expect(0).json();
-    assert_eq!(pending, json!({ "mission": "bed-transfer-2", "again": false }));
+    let request = pending["request"].as_str().expect("a request that was not named is").to_owned();
+    assert_eq!(pending, json!({ "mission": "bed-transfer-2", "again": false, "request": request }));
+    let again = fleet.run(&["submit", "bed-transfer", "--json", "--request", &request], "world").expect(0).json();
+    assert_eq!(again, json!({ "mission": "bed-transfer-2", "again": true, "request": request }));
     until("the auction of bed-transfer-2 says why it fails", Duration::from_secs(30), || {
         let missions = fleet.run(&["missions", "--json"], "world").expect(0).json();
         let entry = mission(&missions, "bed-transfer-2");

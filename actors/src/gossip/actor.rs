@@ -211,7 +211,11 @@ impl Actor for Gossip {
                 Ok(Event::Answered(round, None))
             }
             Message::Answered(round, None) => Ok(Event::Answered(round, None)),
-            Message::Woke => Ok(Event::Woke),
+            Message::Woke => {
+                // It has rung: whatever is due next is to be set again, be it the same instant.
+                state.alarm.send_if_modified(|set| set.take().is_none());
+                Ok(Event::Woke)
+            }
             Message::Closed(what) => return Err(format!("the bus brings no more {what}").into()),
         };
         let now = state.clock.now();
@@ -261,7 +265,8 @@ impl State {
         if self.gossiper.take_changed() {
             self.shared.announce_change();
         }
-        self.alarm.send_replace(self.gossiper.next_due());
+        let due = self.gossiper.next_due();
+        self.alarm.send_if_modified(|set| std::mem::replace(set, due) != due);
     }
 
     fn send(&self, outgoing: Outgoing) {

@@ -5,7 +5,7 @@ use super::succession::Resigned;
 use super::types::{LogId, Peer, RaftId, Reign, reign_of};
 use consort_protocol::ids::NodeId;
 use consort_protocol::mutants::{self, Mutant};
-use openraft::ServerState;
+use openraft::{ServerState, StoredMembership};
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -62,6 +62,8 @@ pub(super) struct Watcher {
     pub(super) acked_by_raft: Option<Instant>,
     pub(super) me: RaftId,
     pub(super) acks: watch::Receiver<Acks>,
+    /// On what grounds the present belief was told.
+    pub(super) told: Option<Grounds>,
 }
 
 impl Watcher {
@@ -153,8 +155,15 @@ impl Watcher {
         doubted.as_nanos() % round.as_nanos().max(1) < (self.election_max * 4).as_nanos()
     }
 
-    fn tell(&self, metrics: &Metrics, quorum: Quorum) {
-        let mut next = believe(metrics, quorum, self.found);
+    fn tell(&mut self, metrics: &Metrics, quorum: Quorum) {
+        let resigned = self.resigned.covers(metrics.current_term);
+        let grounds = Grounds::of(metrics, quorum, self.found, resigned);
+        // Metrics come with every message, and seldom change what is believed.
+        if self.told.as_ref() == Some(&grounds) {
+            return;
+        }
+        let mut next = grounds.belief();
+        self.told = Some(grounds);
         self.leadership.send_if_modified(|now| {
             // Asked here, under the watch's lock: whoever resigns does so first and then takes that lock.
             if self.resigned.covers(next.term) {
@@ -178,30 +187,56 @@ enum Quorum {
     Silent,
 }
 
-/// What a node believes, given openraft's metrics and what is known of its majority.
-fn believe(metrics: &Metrics, quorum: Quorum, found: Option<LogId>) -> Leadership {
-    let running = metrics.running_state.is_ok() && metrics.state != ServerState::Shutdown;
-    let reign = reign_of(&metrics.vote).filter(|_| running && metrics.vote.is_committed());
-    let elected = running && metrics.state == ServerState::Leader;
-    // The first entry of a reign is openraft's blank one: once it is applied, so is all that was committed before.
-    let begun = reign.is_some() && metrics.last_applied.map(|at| at.leader_id.term) == reign.map(|now| now.term);
-    // A leader that was started anew leads on in its old reign, where that entry says nothing: what it had in its log may
-    // have been committed and acknowledged before, and is applied anew only after a majority has confirmed it.
-    let resumed = found.filter(|last| reign.is_some_and(|now| now.term == last.leader_id.term));
-    let caught_up = begun && resumed.is_none_or(|last| metrics.last_applied >= Some(last));
-    let cut_off = elected && quorum == Quorum::Silent;
-    let reign = reign.filter(|_| !cut_off);
-    let membership = metrics.membership_config.membership();
-    let name = |id: RaftId| membership.get_node(&id).map(|peer| peer.name.clone());
-    let named = |ids: Vec<RaftId>| ids.into_iter().filter_map(|id| Some((id, name(id)?))).collect();
-    Leadership {
-        term: metrics.current_term,
-        reign,
-        leader: reign.and_then(|reign| name(reign.leader)),
-        is_me: elected && caught_up && quorum == Quorum::Hears,
-        cut_off,
-        voters: named(membership.voter_ids().collect()),
-        changing_to: membership.get_joint_config().get(1).cloned(),
-        observers: named(membership.learner_ids().collect()),
+/// All that a belief depends on.
+#[derive(Debug, PartialEq)]
+pub(super) struct Grounds {
+    term: u64,
+    reign: Option<Reign>,
+    elected: bool,
+    caught_up: bool,
+    quorum: Quorum,
+    resigned: bool,
+    membership: Arc<StoredMembership<RaftId, Peer>>,
+}
+
+impl Grounds {
+    /// What openraft's metrics say, and what is known of the majority. A node that has resigned only counts as changed: who
+    /// tells of a belief asks for that again.
+    fn of(metrics: &Metrics, quorum: Quorum, found: Option<LogId>, resigned: bool) -> Grounds {
+        let running = metrics.running_state.is_ok() && metrics.state != ServerState::Shutdown;
+        let reign = reign_of(&metrics.vote).filter(|_| running && metrics.vote.is_committed());
+        // The first entry of a reign is openraft's blank one: once it is applied, so is all that was committed before.
+        let begun = reign.is_some() && metrics.last_applied.map(|at| at.leader_id.term) == reign.map(|now| now.term);
+        // A leader that was started anew leads on in its old reign, where that entry says nothing: what it had in its log
+        // may have been committed and acknowledged before, and is applied anew only after a majority has confirmed it.
+        let resumed = found.filter(|last| reign.is_some_and(|now| now.term == last.leader_id.term));
+        Grounds {
+            term: metrics.current_term,
+            reign,
+            elected: running && metrics.state == ServerState::Leader,
+            caught_up: begun && resumed.is_none_or(|last| metrics.last_applied >= Some(last)),
+            quorum,
+            resigned,
+            membership: Arc::clone(&metrics.membership_config),
+        }
+    }
+
+    /// What a node believes on these grounds.
+    fn belief(&self) -> Leadership {
+        let cut_off = self.elected && self.quorum == Quorum::Silent;
+        let reign = self.reign.filter(|_| !cut_off);
+        let membership = self.membership.membership();
+        let name = |id: RaftId| membership.get_node(&id).map(|peer| peer.name.clone());
+        let named = |ids: Vec<RaftId>| ids.into_iter().filter_map(|id| Some((id, name(id)?))).collect();
+        Leadership {
+            term: self.term,
+            reign,
+            leader: reign.and_then(|reign| name(reign.leader)),
+            is_me: self.elected && self.caught_up && self.quorum == Quorum::Hears,
+            cut_off,
+            voters: named(membership.voter_ids().collect()),
+            changing_to: membership.get_joint_config().get(1).cloned(),
+            observers: named(membership.learner_ids().collect()),
+        }
     }
 }

@@ -24,9 +24,10 @@
 
 use super::network::{Presence, Switchboard};
 use super::settings::{APPEND_MAX, ReplicaSettings};
-use super::types::{LogId, Raft, RaftId, StateMachine, Vote};
+use super::types::{LogId, Peer, Raft, RaftId, StateMachine, Vote};
 use futures::FutureExt as _;
 use openraft::ServerState;
+use openraft::metrics::RaftServerMetrics;
 use rand::{RngExt as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;
 use serde::{Deserialize, Serialize};
@@ -217,10 +218,13 @@ pub(super) async fn canvass<S: StateMachine>(
 ) {
     let mut chance = ChaCha8Rng::seed_from_u64(seed);
     let beat = settings.heartbeat;
-    loop {
+    let mut metrics = raft.server_metrics();
+    // Who leads hears no leader, and who has no vote is told of none: they would ask for ever.
+    while metrics.wait_for(|now| may_stand(now, board.me)).await.is_ok() {
         let patience = chance.random_range(settings.election_min..settings.election_max);
         sleep_until(ear.leader() + patience).await;
-        while ear.leader().elapsed() >= patience {
+        let since = Instant::now();
+        while ear.leader().elapsed() >= patience && may_stand(&metrics.borrow(), board.me) {
             // The question takes time: a leader may have spoken, or a candidate got our vote, while it was answered.
             let stands = ear.gave_way(settings.election_max)
                 && ear.hears_none(patience, beat)
@@ -235,23 +239,27 @@ pub(super) async fn canvass<S: StateMachine>(
                 let vote = raft.with_raft_state(|state| *state.vote_ref()).await;
                 ear.decided(vote.ok());
             }
-            // An election takes a few round trips; those whose elections failed together part by chance.
-            let pause =
-                if stands { chance.random_range(beat..beat * 2) } else { chance.random_range(beat / 8..beat / 4) };
-            sleep(pause).await;
+            // An election takes a few round trips; those whose elections failed together part by chance. Whoever has asked
+            // for longer than an election may take waits for links or nodes, and asks less often.
+            let long = since.elapsed() >= settings.election_max;
+            let pause = match (stands, long) {
+                (true, _) => beat..beat * 2,
+                (false, false) => beat / 8..beat / 4,
+                (false, true) => beat / 2..beat,
+            };
+            sleep(chance.random_range(pause)).await;
         }
     }
 }
 
+/// Whether a node votes and does not lead.
+fn may_stand(metrics: &RaftServerMetrics<RaftId, Peer>, me: RaftId) -> bool {
+    let votes = metrics.membership_config.membership().get_joint_config().iter().any(|half| half.contains(&me));
+    votes && metrics.state != ServerState::Leader
+}
+
 async fn would_be_elected<S: StateMachine>(raft: &Raft<S>, board: &Switchboard, limit: Duration) -> bool {
-    let (voters, leads) = {
-        let metrics = raft.server_metrics();
-        let now = metrics.borrow();
-        (now.membership_config.membership().get_joint_config().clone(), now.state == ServerState::Leader)
-    };
-    if leads || !voters.iter().any(|half| half.contains(&board.me)) {
-        return false;
-    }
+    let voters = raft.server_metrics().borrow().membership_config.membership().get_joint_config().clone();
     let question = Canvass { last: raft.data_metrics().borrow().last_log };
     let mut willing = BTreeSet::from([board.me]);
     let others: BTreeSet<RaftId> = voters.iter().flatten().copied().filter(|voter| *voter != board.me).collect();

@@ -152,6 +152,7 @@ impl<S: StateMachine> Replica<S> {
             acked_by_raft: None,
             me: id,
             acks: acks.subscribe(),
+            told: None,
         };
         let watching = Task::spawn(watcher.run(raft.metrics()));
         let ear = Arc::new(Ear::new());

@@ -4,7 +4,7 @@ use consort_actors::replica::{Replica, ReplicaSettings, StoreIdentity};
 use consort_actors::store::{DurableStore, LEDGER, Owner, ledger_of};
 use consort_nodes::config::FleetConfig;
 use consort_protocol::ids::{ClusterId, NodeId, RequestId};
-use consort_protocol::ledger::{Command, Ledger, Priority, Submission};
+use consort_protocol::ledger::{Command, Ledger, Submission};
 use consort_protocol::mission::{Domain, shipped};
 use consort_protocol::plan::divide_and_check;
 use std::collections::BTreeMap;
@@ -51,16 +51,9 @@ fn three_voters(folder: &Folder) {
     let template = &shipped()["lab-samples"];
     let mission = template.instantiate(&BTreeMap::new(), &Domain::hospital()).expect("a shipped mission");
     let submit = |request: &str| {
-        Command::Submit(Box::new(Submission {
-            request: RequestId::new(request).expect("a slug"),
-            division: divide_and_check(&mission).expect("a shipped mission"),
-            mission: mission.clone(),
-            parameters: BTreeMap::new(),
-            recovery: None,
-            priority: Priority::default(),
-            deadline_ms: None,
-            at_ms: 0,
-        }))
+        let (request, division) = (RequestId::new(request).expect("a slug"), divide_and_check(&mission));
+        let division = division.expect("a shipped mission");
+        Command::Submit(Box::new(Submission::of(request, mission.clone(), division)))
     };
     let commands = [
         Command::Found { cluster: ClusterId(1) },

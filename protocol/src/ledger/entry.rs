@@ -33,6 +33,22 @@ pub struct Submission {
     pub at_ms: u64,
 }
 
+impl Submission {
+    /// A request for a mission and nothing beyond it: no recovery branch, of usual priority, without a deadline, made at 0.
+    pub fn of(request: RequestId, mission: Mission, division: Division) -> Submission {
+        Submission {
+            request,
+            mission,
+            division,
+            parameters: BTreeMap::new(),
+            recovery: None,
+            priority: Priority::default(),
+            deadline_ms: None,
+            at_ms: 0,
+        }
+    }
+}
+
 /// A mission's recovery branch, divided and proven like the mission itself.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Recovery {

@@ -5,7 +5,7 @@ use crate::support::{Event, Explored, Team, Tree, explore_from, mission, slow_or
 use consort_protocol::auction::{AuctionId, AuctionRecord};
 use consort_protocol::ids::{ItemId, RequestId, RobotId, RoleId};
 use consort_protocol::lease::Epoch;
-use consort_protocol::ledger::{Branch, Command, Ledger, Priority, RolePhase, Submission};
+use consort_protocol::ledger::{Branch, Command, Ledger, RolePhase, Submission};
 use consort_protocol::mission::{Body, Domain, Mission, RoleKind};
 use consort_protocol::plan::{Division, DivisionError, DivisionFault, check_division, divide_and_check, item_moves};
 use proptest::prelude::*;
@@ -40,16 +40,7 @@ const AWARD: Epoch = Epoch { term: 1, index: 2 };
 /// A ledger with the mission, of which every managed role is held and confirmed by a robot of its name.
 fn held(mission: &Mission, division: &Division) -> Ledger {
     let mut ledger = Ledger::default();
-    let submission = Submission {
-        request: RequestId::new("a").unwrap(),
-        mission: mission.clone(),
-        division: division.clone(),
-        parameters: BTreeMap::new(),
-        recovery: None,
-        priority: Priority::default(),
-        deadline_ms: None,
-        at_ms: 0,
-    };
+    let submission = Submission::of(RequestId::new("a").unwrap(), mission.clone(), division.clone());
     ledger.apply(Epoch { term: 1, index: 1 }, Command::Submit(Box::new(submission)));
     let mission = ledger.missions().next().unwrap().id.clone();
     let auction = AuctionId { mission: mission.clone(), term: 1, round: 1 };

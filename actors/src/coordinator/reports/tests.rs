@@ -2,7 +2,7 @@ use super::*;
 use consort_protocol::auction::{AuctionId, AuctionRecord};
 use consort_protocol::ids::{RequestId, RoleId};
 use consort_protocol::lease::Epoch;
-use consort_protocol::ledger::{Priority, Recovery, Submission};
+use consort_protocol::ledger::{Recovery, Submission};
 use consort_protocol::message::TaskFailure;
 use consort_protocol::mission::{Domain, Format, MissionTemplate};
 use consort_protocol::plan::divide_and_check;
@@ -31,16 +31,7 @@ fn ledger(lost: bool) -> (Ledger, MissionId) {
     let division = divide_and_check(&mission).unwrap();
     let recovery = recovery.map(|mission| Recovery { division: divide_and_check(&mission).unwrap(), mission });
     let mut ledger = Ledger::default();
-    let submission = Submission {
-        request: RequestId::new("a").unwrap(),
-        mission,
-        division,
-        parameters: BTreeMap::new(),
-        recovery,
-        priority: Priority::default(),
-        deadline_ms: None,
-        at_ms: 0,
-    };
+    let submission = Submission { recovery, ..Submission::of(RequestId::new("a").unwrap(), mission, division) };
     let at = |index| Epoch { term: 1, index };
     ledger.apply(at(1), Command::Submit(Box::new(submission)));
     let mission = ledger.missions().next().unwrap().id.clone();

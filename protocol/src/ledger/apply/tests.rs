@@ -1,4 +1,3 @@
-use super::super::entry::Priority;
 use super::*;
 use crate::auction::AuctionId;
 use crate::ids::{TaskId, TaskType};
@@ -34,16 +33,8 @@ fn submission(request: &str) -> Box<Submission> {
     ];
     let cart = vec![Step { action: StepAction::Wait(signal), after: vec![] }];
     let plan = |name: &str, steps| (role(name), LocalPlan::of(role(name), steps));
-    Box::new(Submission {
-        request: RequestId::new(request).unwrap(),
-        mission,
-        division: Division { plans: BTreeMap::from([plan("lab_arm", arm), plan("r1", cart)]) },
-        parameters: BTreeMap::new(),
-        recovery: None,
-        priority: Priority::default(),
-        deadline_ms: None,
-        at_ms: 0,
-    })
+    let division = Division { plans: BTreeMap::from([plan("lab_arm", arm), plan("r1", cart)]) };
+    Box::new(Submission::of(RequestId::new(request).unwrap(), mission, division))
 }
 
 fn record() -> AuctionRecord {

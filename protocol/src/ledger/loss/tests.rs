@@ -1,4 +1,4 @@
-use super::super::entry::{Branch, Priority, Recovery, Submission};
+use super::super::entry::{Branch, Recovery, Submission};
 use super::*;
 use crate::auction::{AuctionId, AuctionRecord};
 use crate::ids::RequestId;
@@ -43,16 +43,7 @@ fn submission(request: &str, template: &MissionTemplate) -> Submission {
     let (mission, recovery) = template.instantiate_both(&BTreeMap::new(), &Domain::hospital()).unwrap();
     let division = divide_and_check(&mission).unwrap();
     let recovery = recovery.map(|mission| Recovery { division: divide_and_check(&mission).unwrap(), mission });
-    Submission {
-        request: RequestId::new(request).unwrap(),
-        mission,
-        division,
-        parameters: BTreeMap::new(),
-        recovery,
-        priority: Priority::default(),
-        deadline_ms: None,
-        at_ms: 0,
-    }
+    Submission { recovery, ..Submission::of(RequestId::new(request).unwrap(), mission, division) }
 }
 
 /// A robot that has something, where it is, and whether that is certain.
