@@ -9,7 +9,7 @@ use crate::allegiance::{Allegiance, ClusterBus};
 use crate::answer;
 use crate::attendant::{Attendant, AttendantSettings};
 use crate::autopilot::{Bootstrap, Farewell, LeaveError, Leaver};
-use crate::body::{Body, BodyLinkSettings, Host, HostSettings};
+use crate::body::{Body, BodyLinkSettings, Host, HostSettings, SILENCE};
 use crate::bus::{BusError, Query, SharedBus, Stream};
 use crate::clock::Clock;
 use crate::coordinator::{Coordinator, CoordinatorSettings};
@@ -443,7 +443,7 @@ async fn assemble(
             clock,
             speed: host.speed,
             beat: Duration::from_millis(500),
-            silence: Duration::from_secs(3),
+            silence: SILENCE,
         };
         Actor::spawn_linked(None, Host, (host_settings, host.world), supervisor.clone()).await?;
         let attendant = AttendantSettings {

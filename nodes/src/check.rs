@@ -5,6 +5,7 @@ use crate::{floor, source, wiring};
 use consort_protocol::ids::TaskId;
 use consort_protocol::mission::{Domain, Format, IhtnReading, Mission, MissionTemplate, TemplateKind, import_ihtn};
 use consort_protocol::plan::divide_and_check;
+use consort_sim::map::MapForm;
 use serde_json::Value;
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
@@ -17,7 +18,7 @@ pub enum Kind {
     Mission,
     /// A mission in the flat iHTN form of the MissionControl replication package.
     Ihtn,
-    /// A map, in YAML or JSON.
+    /// A map, in YAML or JSON, as a drawing or as an Open-RMF building.
     Map,
     /// A fleet, in TOML.
     Fleet,
@@ -150,6 +151,9 @@ fn ihtn(text: &str, path: &Path, file: &str) -> Result<String, Problems> {
 fn recognise(text: &str, file: &str) -> Result<Kind, Problems> {
     if file.ends_with(".toml") {
         return recognise_toml(text, file);
+    }
+    if MapForm::of(file).is_foreign() {
+        return Ok(Kind::Map);
     }
     let value: Value = source::any_format(text, file)?;
     let all_tasks = |map: &serde_json::Map<String, Value>| {

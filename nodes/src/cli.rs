@@ -1,7 +1,7 @@
 //! The command line.
 
 use crate::command::{
-    cancel, chaos, check, dry_run, fleet, leave, missions, recover, rescue, robot, station, submit, world,
+    bench, cancel, chaos, check, dry_run, fleet, leave, map, missions, recover, rescue, robot, station, submit, world,
 };
 use crate::demo;
 use crate::exit::Failure;
@@ -60,9 +60,11 @@ enum Command {
     Fleet(fleet::Args),
     Leave(leave::Args),
     Check(check::Args),
+    Map(map::Args),
     DryRun(dry_run::Args),
     Recover(recover::Args),
     Chaos(chaos::Args),
+    Bench(bench::Args),
 }
 
 /// Runs the program.
@@ -79,9 +81,11 @@ pub fn run() -> ExitCode {
         Command::Fleet(args) => fleet::run(args),
         Command::Leave(args) => leave::run(args),
         Command::Check(args) => check::run(args),
+        Command::Map(args) => map::run(args),
         Command::DryRun(args) => dry_run::run(args),
         Command::Recover(args) => recover::run(args),
         Command::Chaos(args) => chaos::run(&args),
+        Command::Bench(args) => bench::run(args),
     };
     match done {
         Ok(()) => ExitCode::SUCCESS,

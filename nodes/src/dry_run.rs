@@ -77,7 +77,7 @@ fn tender(worker: &WorkerEntry, call: &CallForBids, equipment: &Equipment) -> Te
     let bidder = Bidder::new(worker.name.clone(), Arc::clone(&equipment.estimator));
     let membership = Membership { member: true, reason: "named in the file".to_owned(), age_ms: 0 };
     let own = worker.worker(&equipment.places);
-    bidder.tender(call, &Circumstance { worker: &own, age_ms: 0, membership })
+    bidder.tender(call, &Circumstance { worker: &own, closed: &[], age_ms: 0, membership })
 }
 
 fn offer(answer: Answer, limits: &Limits) -> (RoleId, Offer) {

@@ -2,7 +2,7 @@
 
 use crate::config::{Problem, Problems};
 use consort_sim::map::{self, Map, MapError};
-use consort_skills::environment::{Edge, TopologicalMap};
+use consort_skills::environment::TopologicalMap;
 use std::path::Path;
 
 /// A map that was read.
@@ -27,16 +27,23 @@ pub fn load(name: &str) -> Result<Floor, Problems> {
     if is_shipped(name) {
         return map::shipped(name).map(Floor::from).map_err(|error| problems(name, error));
     }
-    let path = Path::new(name);
-    let text = std::fs::read_to_string(path).map_err(|error| {
-        let shipped = map::SHIPPED.join(", ");
-        Problem::of(name, format!("this map cannot be read: {error}; it is the path of a file, or one of {shipped}"))
-    })?;
-    read(&text, name)
+    read(&text(name)?, name)
 }
 
-/// Reads a map from the text of a file: in our own form, or in that of the published evaluation, which has `nodes` and
-/// `edges`. `file` names it in messages.
+/// The text of a map file.
+///
+/// # Errors
+/// [`Problems`] that it cannot be read, with the maps that are shipped.
+pub fn text(name: &str) -> Result<String, Problems> {
+    std::fs::read_to_string(Path::new(name)).map_err(|error| {
+        let shipped = map::SHIPPED.join(", ");
+        let what = format!("this map cannot be read: {error}; it is the path of a file, or one of {shipped}");
+        Problem::of(name, what).into()
+    })
+}
+
+/// Reads a map from the text of a file: in our own form, as a drawing or a building by the file's ending, or in the form of
+/// the published evaluation, which has `nodes` and `edges`. `file` names it in messages.
 ///
 /// # Errors
 /// [`Problems`] with all that is wrong.
@@ -55,7 +62,8 @@ pub fn is_published_form(text: &str) -> bool {
     value.is_ok_and(|value| value.get("nodes").is_some() && value.get("edges").is_some())
 }
 
-fn problems(file: &str, error: MapError) -> Problems {
+/// What is wrong with a map, as problems of its file.
+pub fn problems(file: &str, error: MapError) -> Problems {
     match error {
         MapError::Unsound { problems, .. } => {
             Problems(problems.iter().map(|problem| Problem::of(file, problem)).collect())
@@ -67,18 +75,6 @@ fn problems(file: &str, error: MapError) -> Problems {
 
 impl From<Map> for Floor {
     fn from(map: Map) -> Floor {
-        Floor { topology: topology(&map), map: Some(map) }
+        Floor { topology: map.topology(), map: Some(map) }
     }
-}
-
-/// The places and lanes of a simulator's map as estimators and skills see them.
-pub fn topology(map: &Map) -> TopologicalMap {
-    let places = map.places().iter().map(|place| (place.id.clone(), place.pose)).collect();
-    let edge = |lane: &map::Lane| Edge {
-        a: lane.from.clone(),
-        b: lane.to.clone(),
-        length_m: lane.length.get(),
-        one_way: !lane.two_way,
-    };
-    TopologicalMap { places, edges: map.lanes().iter().map(edge).collect() }
 }

@@ -231,10 +231,15 @@ pub fn build_world(world: &WorldConfig, fleet: &FleetConfig) -> Result<World, Pr
         map,
         robots: world.robot.clone(),
         people: world.person.clone(),
+        objects: world.object.clone(),
+        doors: world.door.clone(),
+        obstacles: world.obstacle.clone(),
         seed: world.seed,
         durations: world.durations,
         limits: world.limits,
         systems: world.systems.clone(),
+        step_s: world.step_s,
+        gusts: world.gusts,
     };
     World::new(setup).map_err(|errors| Problems(errors.0.iter().map(|problem| Problem::of("", problem)).collect()))
 }

@@ -54,6 +54,11 @@ pub enum Goal {
         /// Whose drawer.
         from: RobotId,
     },
+    /// Take a thing that lies on the table of the robot's place.
+    Grasp {
+        /// Which thing.
+        object: String,
+    },
     /// Put what is held into another robot's open drawer or, without one, onto the place's table.
     Deposit {
         /// Whose drawer, if one.
@@ -64,6 +69,33 @@ pub enum Goal {
         /// For how long.
         time: Seconds,
     },
+    /// Drive to poses one after the other, each in a straight line along one leg; all of them, or none of those after the
+    /// first that cannot be reached.
+    FollowWaypoints {
+        /// Where to, in this order.
+        waypoints: Vec<Waypoint>,
+    },
+    /// Turn on the spot.
+    Spin {
+        /// By how much, in radians; to the left if it is positive.
+        angle_rad: f64,
+    },
+    /// Connect to the charger at the robot's place, and charge from then on.
+    Dock {
+        /// The place of the charger, if it must be this one.
+        charger: Option<PlaceId>,
+    },
+    /// Disconnect from the charger. A robot that drives off disconnects too.
+    Undock,
+}
+
+/// Somewhere on the way.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Waypoint {
+    /// Where it is.
+    pub pose: Pose,
+    /// The place on the map that the pose stands for, if it is one.
+    pub place: Option<PlaceId>,
 }
 
 impl Goal {
@@ -76,8 +108,13 @@ impl Goal {
             | Goal::AuthenticatePerson { .. }
             | Goal::OperateDrawer { .. }
             | Goal::ApproachRobot { .. }
-            | Goal::Wait { .. } => true,
-            Goal::PickUp { .. } | Goal::Deposit { .. } => false,
+            | Goal::Wait { .. }
+            | Goal::FollowWaypoints { .. }
+            | Goal::Dock { .. }
+            | Goal::Undock => true,
+            // Turned once more it faces elsewhere.
+            Goal::Spin { .. } => false,
+            Goal::PickUp { .. } | Goal::Grasp { .. } | Goal::Deposit { .. } => false,
         }
     }
 }
@@ -129,20 +166,26 @@ pub struct ActionError {
 pub enum ErrorCode {
     /// No such robot, person or place here.
     Unknown,
-    /// The way is blocked or there is none.
+    /// There is no way.
     NoRoute,
+    /// There is a way, and something stands in it: [`Telemetry::closed`] says between which places.
+    Blocked,
     /// Not close enough to who or what is needed.
     OutOfReach,
     /// The person is not who they should be, or declined.
     NotAuthenticated,
     /// The drawer is closed, open, full or empty where it must not be.
     DrawerState,
+    /// It weighs more than the arm can lift.
+    TooHeavy,
     /// The battery is too low to move.
     BatteryLow,
     /// The robot is doing something else.
     Busy,
     /// Not done within the time allowed.
     TimedOut,
+    /// The charger is not one, or gives nothing.
+    Charger,
 }
 
 impl std::fmt::Display for ErrorCode {
@@ -150,12 +193,49 @@ impl std::fmt::Display for ErrorCode {
         f.write_str(match self {
             ErrorCode::Unknown => "unknown",
             ErrorCode::NoRoute => "no route",
+            ErrorCode::Blocked => "blocked",
             ErrorCode::OutOfReach => "out of reach",
             ErrorCode::NotAuthenticated => "not authenticated",
             ErrorCode::DrawerState => "drawer state",
+            ErrorCode::TooHeavy => "too heavy",
             ErrorCode::BatteryLow => "battery low",
             ErrorCode::Busy => "busy",
             ErrorCode::TimedOut => "timed out",
+            ErrorCode::Charger => "charger",
+        })
+    }
+}
+
+impl Goal {
+    /// The code by which `nav2_msgs` (of ROS 2 Jazzy) knows an error of such a goal, `error_code` in the action's result;
+    /// `None` for goals that Nav2 does not have.
+    pub fn nav2_code(&self, error: ErrorCode) -> Option<u16> {
+        Some(match (self, error) {
+            // What the planner and the controller under the navigator say shows through.
+            (Goal::NavigateToPose { .. }, ErrorCode::NoRoute) => 208, // ComputePathToPose: NO_VALID_PATH
+            (Goal::NavigateToPose { .. }, ErrorCode::Blocked) => 105, // FollowPath: FAILED_TO_MAKE_PROGRESS
+            (Goal::NavigateToPose { .. }, ErrorCode::TimedOut) => 9003, // TIMEOUT
+            (Goal::NavigateToPose { .. }, _) => 9000,                 // UNKNOWN
+            (Goal::FollowWaypoints { .. }, ErrorCode::NoRoute | ErrorCode::Blocked) => 601, // TASK_EXECUTOR_FAILED
+            (Goal::FollowWaypoints { .. }, _) => 600,                 // UNKNOWN
+            (Goal::Spin { .. }, ErrorCode::TimedOut) => 701,          // TIMEOUT
+            (Goal::Spin { .. }, ErrorCode::Blocked) => 703,           // COLLISION_AHEAD
+            (Goal::Spin { .. } | Goal::Wait { .. }, _) => 700,        // UNKNOWN
+            (Goal::Dock { .. }, ErrorCode::Unknown) => 901,           // DOCK_NOT_IN_DB
+            (Goal::Dock { .. } | Goal::Undock, ErrorCode::Charger) => 902, // DOCK_NOT_VALID
+            (Goal::Dock { .. }, ErrorCode::OutOfReach) => 903,        // FAILED_TO_STAGE
+            (Goal::Dock { .. } | Goal::Undock, ErrorCode::Blocked) => 905, // FAILED_TO_CONTROL
+            (Goal::Dock { .. } | Goal::Undock, _) => 999,             // UNKNOWN
+            (
+                Goal::ApproachPerson { .. }
+                | Goal::AuthenticatePerson { .. }
+                | Goal::OperateDrawer { .. }
+                | Goal::ApproachRobot { .. }
+                | Goal::PickUp { .. }
+                | Goal::Grasp { .. }
+                | Goal::Deposit { .. },
+                _,
+            ) => return None,
         })
     }
 }
@@ -173,6 +253,9 @@ pub struct Telemetry {
     pub battery: BatteryShare,
     /// Whether it can still move: false once its battery fell below the stopping share.
     pub able: bool,
+    /// Ways between neighbouring places that the body has found closed, or was told are: each once, by its two ends. What
+    /// it has not met it does not know, and what it met long ago it has forgotten: the way may be open again.
+    pub closed: Vec<(PlaceId, PlaceId)>,
 }
 
 /// A body as its robot's skills drive it. Calls never wait: answers show in [`status`](RobotActions::status) later.
@@ -224,6 +307,15 @@ pub enum BodyEvent {
     /// A robot's battery fell below the share it needs to move: it stands where it is.
     Stranded {
         /// Which robot.
+        robot: RobotId,
+    },
+    /// A person calls off the mission for which a robot came to them.
+    CalledOff {
+        /// Who says so.
+        by: String,
+        /// The role they play.
+        role: RoleId,
+        /// The robot that came.
         robot: RobotId,
     },
     /// A person ended what they were asked to do.

@@ -99,6 +99,7 @@ fn context(robot: &Value) -> Context {
         place: PlaceId::new(robot["location"].as_str().unwrap()).unwrap(),
         speed: MetresPerSecond::new(robot["avg_speed"].as_f64().unwrap()).unwrap(),
         discharge: SharePerSecond::new(robot["battery_discharge_rate"].as_f64().unwrap()).unwrap(),
+        closed: vec![],
     }
 }
 

@@ -21,7 +21,7 @@ use consort_protocol::units::{BatteryShare, MetresPerSecond, Seconds, SharePerSe
 use consort_sim::map;
 use consort_skills::descriptor::{Context, DescriptorRegistry, Estimator};
 use consort_skills::environment::{Environment, Routes};
-use consort_tests::{slug, topology};
+use consort_tests::slug;
 use criterion::{BenchmarkId, Criterion, criterion_group, criterion_main};
 use std::collections::{BTreeMap, BTreeSet};
 use std::hint::black_box;
@@ -43,7 +43,7 @@ struct Scene {
 impl Scene {
     fn new(workers: usize) -> Scene {
         let map = map::shipped("hospital").expect("the shipped map is sound");
-        let environment = Environment::new().with(Routes::new(&topology(&map)).expect("the shipped map is sound"));
+        let environment = Environment::new().with(Routes::new(&map.topology()).expect("the shipped map is sound"));
         let estimator = Arc::new(DescriptorRegistry::standard().resolve(environment).expect("routes are there"));
         let room = BTreeMap::from([("room".to_owned(), "IC Room 6".to_owned())]);
         let mission = shipped()["lab-samples"].instantiate(&room, &Domain::hospital()).expect("a shipped mission");
@@ -67,7 +67,7 @@ impl Scene {
             // Bidders live as long as the program does, and borrow what they know of themselves.
             let worker: &'static Worker = Box::leak(Box::new(worker(number)));
             let membership = Membership { member: true, reason: "has the skills".to_owned(), age_ms: 0 };
-            Circumstance { worker, age_ms: 0, membership }
+            Circumstance { worker, closed: &[], age_ms: 0, membership }
         };
         Scene {
             call: CallForBids {
@@ -106,7 +106,8 @@ impl Scene {
         let bid = |(robot, circumstance): (&RobotId, &Circumstance<'_>)| {
             let worker = circumstance.worker;
             let (place, speed, discharge) = (worker.place.clone(), worker.speed?, worker.discharge);
-            let parts = self.estimator.price(plan, &Context { place, pose: None, speed, discharge }).ok()?;
+            let parts =
+                self.estimator.price(plan, &Context { place, pose: None, speed, discharge, closed: vec![] }).ok()?;
             let energy: f64 = parts.iter().map(|part| part.energy).sum();
             let bid = Bid {
                 robot: robot.clone(),

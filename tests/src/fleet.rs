@@ -11,10 +11,10 @@ use consort_actors::store::Store;
 use consort_protocol::event::Happening;
 use consort_protocol::ids::NodeId;
 use consort_protocol::keys::Keys;
-use consort_sim::map::{self, Map};
+use consort_sim::map;
 use consort_sim::world::{JournalEntry, Person, SharedWorld, World, WorldSetup};
 use consort_skills::descriptor::DescriptorRegistry;
-use consort_skills::environment::{Edge, Environment, Routes, TopologicalMap};
+use consort_skills::environment::{Environment, Routes};
 use consort_skills::library::SkillLibrary;
 use serde_json::Value;
 use std::collections::BTreeMap;
@@ -86,6 +86,7 @@ impl Fleet {
                 role: slug("nurse"),
                 place: slug(room),
                 samples: vec![format!("sample of {room}").as_str().into()],
+                mood: vec![],
             });
         }
         let world = SharedWorld::new(World::new(setup).expect("the test's own world"));
@@ -145,7 +146,7 @@ impl Fleet {
         let member = self.members.get(name).expect("a robot of this fleet").clone();
         let robot = self.world.with(|world| {
             let map = world.map();
-            let environment = Environment::new().with(Routes::new(&topology(map)).expect("the shipped map is sound"));
+            let environment = Environment::new().with(Routes::new(&map.topology()).expect("the shipped map is sound"));
             let mut library = SkillLibrary::standard(environment.clone());
             if let Some(train) = member.trained {
                 train(&mut library);
@@ -344,16 +345,4 @@ impl Fleet {
     pub fn tale(&self) -> String {
         self.chronicle.tale()
     }
-}
-
-/// The places of a map and the ways between them, as estimators know them.
-pub fn topology(map: &Map) -> TopologicalMap {
-    let places = map.places().iter().map(|place| (place.id.clone(), place.pose)).collect();
-    let edges = map.lanes().iter().map(|lane| Edge {
-        a: lane.from.clone(),
-        b: lane.to.clone(),
-        length_m: lane.length.get(),
-        one_way: !lane.two_way,
-    });
-    TopologicalMap { places, edges: edges.collect() }
 }

@@ -13,7 +13,7 @@ mod stations;
 mod ward;
 
 pub use chronicle::{Chronicle, Entry, Spell};
-pub use fleet::{Adjust, Fleet, topology};
+pub use fleet::{Adjust, Fleet};
 pub use member::Member;
 pub use stations::Stations;
 

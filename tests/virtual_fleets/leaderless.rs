@@ -1,7 +1,7 @@
 //! Requests that come while nobody coordinates.
 
 use consort_protocol::keys::ApiCall;
-use consort_tests::{Fleet, Member, tell};
+use consort_tests::{Fleet, Member, slug, tell};
 use serde_json::json;
 use std::time::Duration;
 use tokio::time::Instant;
@@ -10,10 +10,17 @@ const ROOM: &str = "IC Room 6";
 
 #[test]
 fn a_request_in_a_leaderless_second_is_answered_at_once_by_one_voice_and_done_once_when_made_again() {
-    tell([621, 622, 623], async |seed| {
+    tell([621, 622, 623, 624], async |seed| {
         let robots = vec![Member::carrier("fern", "Dock"), Member::carrier("gorse", "IC Room 4")];
         let mut fleet = Fleet::hospital(seed, robots, &["aster", "basil", "clove"], &[ROOM]).await;
         fleet.coordinator().await;
+        // Nobody is elected until the others reach one another, however soon they cease to believe in the last.
+        let names = ["aster", "basil", "clove", "fern", "gorse", "lab-arm"];
+        for (from, to) in names.iter().flat_map(|from| names.iter().map(move |to| (*from, *to))) {
+            if from != to {
+                fleet.network.cut(slug(from), slug(to));
+            }
+        }
         fleet.kill_coordinator().await;
         let asked = json!({ "mission": "lab-samples", "parameters": { "room": ROOM }, "request": "my-7" });
         let mut put_off = 0;
@@ -33,6 +40,7 @@ fn a_request_in_a_leaderless_second_is_answered_at_once_by_one_voice_and_done_on
             assert_eq!(voice["retry_after_ms"], 300, "seed {seed}");
             assert!(at.elapsed() < Duration::from_millis(300), "seed {seed}: not at once: {:?}", at.elapsed());
             put_off += 1;
+            fleet.network.heal();
             tokio::time::sleep(Duration::from_millis(20)).await;
         };
         assert!(put_off > 0, "seed {seed}: nobody said that nobody coordinates\n{}", fleet.tale());

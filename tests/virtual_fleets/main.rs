@@ -1,6 +1,7 @@
 //! Whole fleets on virtual time.
 
 mod again;
+mod building;
 mod canceling;
 mod clusters;
 mod deadlines;

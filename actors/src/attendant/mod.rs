@@ -10,7 +10,7 @@
 mod asks;
 
 use self::asks::{Asked, Dismissals, Matter};
-use crate::body::{PeopleAsk, PersonDone, PersonState};
+use crate::body::{PeopleAsk, PersonState, PersonWord};
 use crate::bus::{BusError, Sample, SharedBus};
 use crate::events::Events;
 use crate::robot::{Move, Outdated, Sequencer, Talk, ask as send_report};
@@ -19,7 +19,7 @@ use bytes::Bytes;
 use consort_protocol::codec;
 use consort_protocol::event::Happening;
 use consort_protocol::ids::{ClusterId, MissionId, NodeId, RobotId, RoleId};
-use consort_protocol::keys::{Key, Keys, PeopleCall};
+use consort_protocol::keys::{ApiCall, Key, Keys, PeopleCall};
 use consort_protocol::lease::Epoch;
 use consort_protocol::ledger::Branch;
 use consort_protocol::message::{Beacon, FailureKind, Live, LivePlan, Report, ReportAnswer, Said, TaskFailure};
@@ -29,6 +29,9 @@ use ractor::{Actor, ActorProcessingErr, ActorRef};
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
 use tracing::{debug, warn};
+
+/// How long the coordinator may take to write down that a mission was called off.
+const CANCEL_LIMIT: Duration = Duration::from_secs(2);
 
 /// How an attendant works.
 pub struct AttendantSettings {
@@ -79,6 +82,10 @@ pub struct AttendantState {
     looks: u64,
     seen: u64,
     dismissals: Dismissals,
+    /// Missions that people called off, and who did: asked of the coordinator until they are no longer under way.
+    called_off: BTreeMap<MissionId, String>,
+    /// The words by which they did, so that a repeated one does not call off the next mission too.
+    heard: BTreeSet<(String, RobotId, u64)>,
     talk: Talk,
     /// Signals under awards no longer in force, counted since the start.
     outdated: u64,
@@ -125,6 +132,8 @@ impl Actor for Attendant {
             looks: 0,
             seen: 0,
             dismissals: Dismissals::default(),
+            called_off: BTreeMap::new(),
+            heard: BTreeSet::new(),
             talk: Talk::new(bus, keys),
             outdated: 0,
             tasks,
@@ -152,8 +161,9 @@ impl Actor for Attendant {
                 Err(problem) => warn!(key = sample.key, %problem, "a signal that cannot be read"),
             },
             AttendantMessage::Said(said) => state.hear(&myself, &said).await,
-            AttendantMessage::Done(sample) => match codec::decode::<PersonDone>(&sample.payload) {
-                Ok(done) => state.person_ended(&myself, done.id, done.result).await,
+            AttendantMessage::Done(sample) => match codec::decode::<PersonWord>(&sample.payload) {
+                Ok(PersonWord::Done { id, result }) => state.person_ended(&myself, id, result).await,
+                Ok(PersonWord::CallOff { by, role, robot, said_ms }) => state.call_off(&by, &role, &robot, said_ms),
                 Err(problem) => warn!(%problem, "a person's word that cannot be read"),
             },
             AttendantMessage::Asked(_, PersonState::Asked) => {}
@@ -191,6 +201,11 @@ impl AttendantState {
             if let Some(asked) = &job.ask {
                 ask_person(&self.settings, &mut self.tasks, myself, asked.id(), Some(asked.ask()));
             }
+        }
+        let jobs = &self.jobs;
+        self.called_off.retain(|mission, _| jobs.keys().any(|(live, _)| live == mission));
+        for (mission, by) in self.called_off.clone() {
+            self.withdraw(mission, by);
         }
         for id in self.dismissals.open() {
             ask_person(&self.settings, &mut self.tasks, myself, id, None);
@@ -322,6 +337,30 @@ impl AttendantState {
         }
         self.report(myself, &key);
         self.advance(myself, &key).await;
+    }
+
+    /// Somebody calls off the mission for which a robot came to them: whichever it is in which the robot and they have a part.
+    fn call_off(&mut self, by: &str, role: &RoleId, robot: &RobotId, said_ms: u64) {
+        let theirs = |((_, plays), job): &(&(MissionId, RoleId), &Job)| {
+            plays == role && job.sequencer.holders().values().any(|holding| holding.robot == *robot)
+        };
+        let Some(mission) = self.jobs.iter().find(theirs).map(|((mission, _), _)| mission.clone()) else { return };
+        if self.heard.insert((by.to_owned(), robot.clone(), said_ms)) {
+            self.called_off.insert(mission.clone(), by.to_owned());
+            self.withdraw(mission, by.to_owned());
+        }
+    }
+
+    /// Asks the coordinator to cancel a mission, as any client would. Each beat repeats it while the mission is under way.
+    fn withdraw(&mut self, mission: MissionId, by: String) {
+        let request = serde_json::json!({ "mission": mission, "by": by }).to_string();
+        let (bus, key) = (self.settings.bus.clone(), self.settings.keys.write(&Key::Api(ApiCall::Cancel)));
+        self.tasks.spawn(async move {
+            let Ok(mut replies) = bus.query(&key, Bytes::from(request), CANCEL_LIMIT).await else { return };
+            while let Some(reply) = replies.recv().await {
+                debug!(%mission, answered = reply.payload.is_ok(), "a cancel was answered");
+            }
+        });
     }
 
     /// Somebody has called off what is still wanted: this attendant itself, before it knew better, or another.

@@ -1,6 +1,6 @@
 //! The host's side: an actor that lets a [`BodyHost`]'s time pass and carries commands to it.
 
-use super::wire::{BodyCommand, BodyState, Order, PeopleAsk, PersonDone, PersonState};
+use super::wire::{BodyCommand, BodyState, Order, PeopleAsk, PersonState, PersonWord};
 use crate::answer;
 use crate::bus::{Delivery, Encoding, Query, SharedBus};
 use crate::clock::Clock;
@@ -19,6 +19,9 @@ use tracing::{info, warn};
 
 /// Latest goals of each body that its states tell of.
 const GOALS_TOLD: usize = 8;
+
+/// How often a word is repeated that nobody answers, once a beat: it may be lost on the way.
+const WORDS_REPEATED: u32 = 5;
 
 /// Longest time that a host rests while something is due; then it looks again.
 const REST_MAX: Duration = Duration::from_secs(3600);
@@ -67,6 +70,8 @@ pub struct HostState {
     bodies: BTreeMap<RobotId, BodyEntry>,
     /// The asks that have not ended, and when they were last made.
     asks: BTreeMap<GoalId, NodeTime>,
+    /// What people said that nobody answers, and how often it is still to be repeated.
+    words: Vec<(PersonWord, u32)>,
     number: u64,
     /// What the earliest wake-up under way is for.
     armed: Option<WorldTime>,
@@ -127,7 +132,7 @@ impl Actor for Host {
         // People may be asked for attendants who speak to a former host, or who are gone.
         let asks = world.asks().into_iter().map(|ask| (ask, now)).collect();
         let (started, origin, number) = (settings.clock.now(), world.now(), settings.clock.wall_ms() << 16);
-        Ok(HostState { settings, world, started, origin, bodies, asks, number, armed: None, tasks })
+        Ok(HostState { settings, world, started, origin, bodies, asks, words: vec![], number, armed: None, tasks })
     }
 
     async fn handle(
@@ -265,9 +270,15 @@ impl HostState {
                     warn!(%robot, "battery empty: stands where it is");
                     moved.push(robot);
                 }
+                BodyEvent::CalledOff { by, role, robot } => {
+                    info!(by, %robot, "calls the mission off");
+                    let said_ms = (self.world.now().as_secs() * 1000.0) as u64;
+                    let word = PersonWord::CallOff { by, role, robot, said_ms };
+                    self.speak(&word).await;
+                    self.words.push((word, WORDS_REPEATED));
+                }
                 BodyEvent::PersonEnded { ask, result } => {
-                    let key = self.settings.keys.write(&Key::People(PeopleCall::Done));
-                    self.publish(&key, &PersonDone { id: ask, result }).await;
+                    self.speak(&PersonWord::Done { id: ask, result }).await;
                 }
             }
         }
@@ -277,7 +288,19 @@ impl HostState {
         }
     }
 
+    /// Says for people what they have to say.
+    async fn speak(&self, word: &PersonWord) {
+        let key = self.settings.keys.write(&Key::People(PeopleCall::Done));
+        self.publish(&key, word).await;
+    }
+
     async fn publish_all(&mut self) {
+        for (word, left) in std::mem::take(&mut self.words) {
+            self.speak(&word).await;
+            if left > 1 {
+                self.words.push((word, left - 1));
+            }
+        }
         for robot in self.bodies.keys().cloned().collect::<Vec<_>>() {
             self.publish_state(&robot).await;
         }

@@ -395,6 +395,7 @@ mod tests {
             place: "Dock".parse().unwrap(),
             battery: BatteryShare::FULL,
             able: true,
+            closed: vec![],
         };
         let goals = goals.iter().map(|(id, status)| (GoalId(*id), status.clone())).collect();
         BodyState { robot: "ada".parse().unwrap(), number, telemetry, goals, done: vec![] }

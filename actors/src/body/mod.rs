@@ -17,6 +17,12 @@ mod host;
 mod link;
 mod wire;
 
+use std::time::Duration;
+
+/// How long a driver may be silent until its body stops: a promise of every host, on which awards rest. Whoever gives a role
+/// back while its body cannot be reached counts on it.
+pub const SILENCE: Duration = Duration::from_secs(3);
+
 pub use host::{Host, HostMessage, HostSettings};
 pub use link::{Body, BodyLink, BodyLinkMessage, BodyLinkSettings};
-pub use wire::{BodyCommand, BodyState, Order, PeopleAsk, PersonDone, PersonState};
+pub use wire::{BodyCommand, BodyState, Order, PeopleAsk, PersonState, PersonWord};

@@ -1,6 +1,6 @@
 //! What drivers and hosts say to one another.
 
-use consort_protocol::ids::RobotId;
+use consort_protocol::ids::{RobotId, RoleId};
 use consort_skills::actions::{ActionError, Goal, GoalId, GoalStatus, PersonAsk, Telemetry};
 use serde::{Deserialize, Serialize};
 
@@ -72,11 +72,25 @@ pub enum PersonState {
     Dismissed,
 }
 
-/// Published when a person has ended what they were asked to do.
+/// Published when a person has something to say.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct PersonDone {
-    /// The ask.
-    pub id: GoalId,
-    /// What came of it.
-    pub result: Result<(), ActionError>,
+pub enum PersonWord {
+    /// They have ended what they were asked to do.
+    Done {
+        /// The ask.
+        id: GoalId,
+        /// What came of it.
+        result: Result<(), ActionError>,
+    },
+    /// They call off the mission for which a robot came to them. Repeated for some beats.
+    CallOff {
+        /// Who says so.
+        by: String,
+        /// The role they play.
+        role: RoleId,
+        /// The robot that came.
+        robot: RobotId,
+        /// Tells one such word from the next: milliseconds of world time.
+        said_ms: u64,
+    },
 }

@@ -219,8 +219,15 @@ pub(super) async fn canvass<S: StateMachine>(
     let mut chance = ChaCha8Rng::seed_from_u64(seed);
     let beat = settings.heartbeat;
     let mut metrics = raft.server_metrics();
-    // Who leads hears no leader, and who has no vote is told of none: they would ask for ever.
-    while metrics.wait_for(|now| may_stand(now, board.me)).await.is_ok() {
+    loop {
+        if !may_stand(&metrics.borrow(), board.me) {
+            // Who leads hears no leader, and who has no vote is told of none: they would ask for ever. Whoever has just got
+            // a vote leaves the founder of the ledger a moment to lead.
+            if metrics.wait_for(|now| may_stand(now, board.me)).await.is_err() {
+                return;
+            }
+            sleep(chance.random_range(beat / 8..beat / 4)).await;
+        }
         let patience = chance.random_range(settings.election_min..settings.election_max);
         sleep_until(ear.leader() + patience).await;
         let since = Instant::now();

@@ -13,7 +13,7 @@ use crate::tasks::Tasks;
 use consort_protocol::auction::CallForBids;
 use consort_protocol::codec;
 use consort_protocol::event::Happening;
-use consort_protocol::ids::{NodeId, RoleId};
+use consort_protocol::ids::{NodeId, PlaceId, RoleId};
 use consort_protocol::keys::Key;
 use consort_protocol::knowledge::{Availability, Worker};
 use consort_protocol::lease::{Epoch, Event, Holding, Tenure};
@@ -267,12 +267,18 @@ impl RobotState {
         let actions = self.tenure.handle(Event::Tick, now);
         self.perform(myself, actions).await?;
         let held_up = self.job.as_ref().is_some_and(|job| job.failure.is_none() && job.sequencer.awaits_ledger());
-        if held_up || now.since(self.reported_at) >= self.settings.terms.lease / 4 {
+        let owes = self.job.as_ref().is_some_and(|job| !job.gave_back && self.gives_back(job).is_some());
+        if held_up || owes || now.since(self.reported_at) >= self.settings.terms.lease / 4 {
             self.report(myself);
         }
         self.ask_around(myself, now);
         self.look_after_work(myself, now).await?;
         self.advance(myself).await
+    }
+
+    /// The ways that the body has found closed.
+    pub(super) fn closed(&self) -> &[(PlaceId, PlaceId)] {
+        self.settings.body.telemetry().map_or(&[], |report| &report.closed)
     }
 
     /// Properties sensing (thesis, Listing 3.1): takes in what the body reports and lets others know.
@@ -353,7 +359,7 @@ impl RobotState {
         let membership =
             self.settings.knowledge.read(|base| self.settings.ensemble.judge(&me, &coordinator, base, now));
         let age_ms = self.settings.body.telemetry_age_ms();
-        let circumstance = Circumstance { worker: &self.worker, age_ms, membership };
+        let circumstance = Circumstance { worker: &self.worker, closed: self.closed(), age_ms, membership };
         let tender = self.bidder.tender(&call, &circumstance);
         let key = self.settings.keys.write(&Key::Bid(self.settings.robot.clone()));
         answer::wire(query, &key, &tender).await;

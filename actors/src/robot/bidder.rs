@@ -3,7 +3,7 @@
 use super::forecast::context;
 use consort_protocol::auction::{Answer, Bid, CallForBids, Refusal, RefusalReason, Tender};
 use consort_protocol::ensemble::Membership;
-use consort_protocol::ids::{RobotId, RoleId, TaskType};
+use consort_protocol::ids::{PlaceId, RobotId, RoleId, TaskType};
 use consort_protocol::knowledge::{Availability, Worker};
 use consort_protocol::plan::LocalPlan;
 use consort_protocol::units::Seconds;
@@ -23,6 +23,8 @@ pub struct Bidder {
 pub struct Circumstance<'a> {
     /// Its own account.
     pub worker: &'a Worker,
+    /// The ways that its body has found closed, each by its two ends.
+    pub closed: &'a [(PlaceId, PlaceId)],
     /// How old that is, in milliseconds.
     pub age_ms: u64,
     /// Whether it counts itself a member of the ensemble that was called.
@@ -55,7 +57,7 @@ impl Bidder {
         plan: &LocalPlan,
         circumstance: &Circumstance<'_>,
     ) -> Result<Bid, RefusalReason> {
-        let Circumstance { worker, age_ms, membership } = circumstance;
+        let Circumstance { worker, closed, age_ms, membership } = circumstance;
         match &worker.availability {
             Availability::Free => {}
             Availability::Holding { mission, role, .. } => {
@@ -75,9 +77,8 @@ impl Bidder {
         if !missing.is_empty() {
             return Err(RefusalReason::MissingSkills { skills: missing });
         }
-        let parts = self.estimator.price(plan, &context(worker)).map_err(|problem| RefusalReason::NotFeasible {
-            task: problem.task.clone(),
-            problem: problem.to_string(),
+        let parts = self.estimator.price(plan, &context(worker, closed)).map_err(|problem| {
+            RefusalReason::NotFeasible { task: problem.task.clone(), problem: problem.to_string() }
         })?;
         let time = parts.iter().fold(Seconds::ZERO, |sum, part| sum + part.time);
         let energy: f64 = parts.iter().map(|part| part.energy).sum();

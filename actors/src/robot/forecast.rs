@@ -2,6 +2,7 @@
 //! the way.
 
 use consort_protocol::auction::Limits;
+use consort_protocol::ids::PlaceId;
 use consort_protocol::knowledge::Worker;
 use consort_protocol::plan::LocalPlan;
 use consort_protocol::units::{BatteryShare, MetresPerSecond};
@@ -22,7 +23,7 @@ pub struct Forecast {
 }
 
 impl Forecast {
-    /// Prices the rest of a plan from where the robot is, with the charge it has.
+    /// Prices the rest of a plan from where the robot is, with the charge it has, round the ways that it knows to be closed.
     ///
     /// # Errors
     /// [`PriceError`] when a step of it cannot be priced; whoever tries it will learn why.
@@ -30,9 +31,10 @@ impl Forecast {
         estimator: &Estimator,
         rest: &LocalPlan,
         worker: &Worker,
+        closed: &[(PlaceId, PlaceId)],
         limits: &Limits,
     ) -> Result<Forecast, PriceError> {
-        let context = Context { pose: Some(worker.pose), ..context(worker) };
+        let context = Context { pose: Some(worker.pose), ..context(worker, closed) };
         let energy: f64 = estimator.price(rest, &context)?.iter().map(|part| part.energy).sum();
         let floor = limits.floor(worker.useful_charge);
         Ok(Forecast { remaining: worker.battery.get() - energy, floor })
@@ -47,9 +49,11 @@ impl Forecast {
     }
 }
 
-/// The robot as its estimator sees it, at the place where it stands or which it passed last.
-pub(super) fn context(worker: &Worker) -> Context {
+/// The robot as its estimator sees it, at the place where it stands or which it passed last; `closed` are the ways that its
+/// body has found closed.
+pub(super) fn context(worker: &Worker, closed: &[(PlaceId, PlaceId)]) -> Context {
     // A robot that does not drive has no navigation task to price: its speed plays no part.
     let speed = worker.speed.unwrap_or(MetresPerSecond::new(1.0).expect("1 m/s is a speed"));
-    Context { place: worker.place.clone(), pose: None, speed, discharge: worker.discharge }
+    let (place, discharge, closed) = (worker.place.clone(), worker.discharge, closed.to_vec());
+    Context { place, pose: None, speed, discharge, closed }
 }

@@ -165,6 +165,8 @@ impl RobotState {
             rests_until: NodeTime::ZERO,
             on_record,
             failure: None,
+            gave_up_at: NodeTime::default(),
+            gave_back: false,
             first_goal,
             told_of_charge: false,
             outdated: BTreeSet::new(),
@@ -241,9 +243,15 @@ impl RobotState {
             at: job.and_then(|job| job.sequencer.at().cloned()),
             place: self.settings.body.telemetry().map(|report| report.place.clone()),
             resumes: self.resumes == Some(award.epoch),
-            failure: job.and_then(|job| job.failure.clone()).or_else(|| self.leaving.is_some().then(leaving)),
+            failure: match job.filter(|job| job.failure.is_some()) {
+                Some(job) => self.gives_back(job),
+                None => self.leaving.is_some().then(leaving),
+            },
         };
         let key = self.settings.keys.write(&Key::Report(beacon.node.clone()));
+        if let Some(job) = self.job.as_mut().filter(|job| job.award.epoch == report.epoch) {
+            job.gave_back = report.failure.is_some();
+        }
         self.reporting = true;
         let sent = self.settings.clock.now();
         self.reported_at = sent;

@@ -30,6 +30,9 @@ pub(super) struct Job {
     pub(super) on_record: bool,
     /// Why the role cannot be carried to its end; from then on the robot only waits to put it down.
     pub(super) failure: Option<TaskFailure>,
+    /// When the robot came to that, and whether it has told the coordinator.
+    pub(super) gave_up_at: NodeTime,
+    pub(super) gave_back: bool,
     /// The first goal of the body that belongs to the task under way, or to the next.
     pub(super) first_goal: GoalId,
     /// Whether it was told that the battery falls short.

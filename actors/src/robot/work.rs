@@ -2,13 +2,14 @@
 
 use super::actor::{RobotMessage, RobotState};
 use super::forecast::{Forecast, context};
-use super::job::Attempt;
+use super::job::{Attempt, Job};
 use super::ladder::{Rung, Setback};
 use super::patience::Stopwatch;
 use super::pen::Telling;
 use super::sequencer::{Move, Outdated, Spot};
 use super::settings::RobotSettings;
 use super::skill_runner::{Run, SkillOutcome, SkillRunner};
+use crate::body::SILENCE;
 use consort_protocol::event::Happening;
 use consort_protocol::ids::TaskId;
 use consort_protocol::message::{FailureKind, Said, TaskFailure};
@@ -23,6 +24,9 @@ use tracing::warn;
 
 /// How often the rest of the plan is priced while a task is under way.
 const PRICED_EVERY: Duration = Duration::from_secs(1);
+
+/// How much later than [`SILENCE`] a host may notice it: it looks every half a second, and clocks drift apart.
+const HOST_IS_LATE: Duration = Duration::from_secs(1);
 
 impl RobotState {
     /// The sequencing process: as many steps as can be taken now. What has ended is written down before anything new is
@@ -87,7 +91,7 @@ impl RobotState {
         spec: &TaskSpec,
     ) -> Result<(), ActorProcessingErr> {
         self.look_after_charge(myself);
-        let here = Context { pose: Some(self.worker.pose), ..context(&self.worker) };
+        let here = Context { pose: Some(self.worker.pose), ..context(&self.worker, self.closed()) };
         let Some(job) = self.job.as_mut().filter(|job| job.failure.is_none()) else { return Ok(()) };
         let (mission, role) = job.of();
         self.settings.events.tell(Happening::TaskBegan { mission, role, task: task.clone() });
@@ -182,15 +186,24 @@ impl RobotState {
 
     /// From now on the robot only waits for the coordinator to take the role from it.
     pub(super) fn give_up(&mut self, failure: TaskFailure) {
+        let now = self.settings.clock.now();
         let Some(job) = self.job.as_mut() else { return };
         let ((mission, role), TaskFailure { task, cause, kind }) = (job.of(), failure.clone());
-        job.failure = Some(failure);
+        (job.failure, job.gave_up_at) = (Some(failure), now);
         match (kind, task) {
             (FailureKind::Task | FailureKind::Crash | FailureKind::NoProgress, Some(task)) => {
                 self.tell(Happening::TaskFailed { mission, role, task, cause });
             }
             _ => self.tell(Happening::GaveUp { mission, role, kind, cause }),
         }
+    }
+
+    /// Why the role is given back, once nobody who takes it over can meet this robot at work in it: its body is at rest, or
+    /// has not been told to be for so long that its host has stopped it.
+    pub(super) fn gives_back(&self, job: &Job) -> Option<TaskFailure> {
+        let rests = self.settings.body.is_at_rest()
+            || self.settings.clock.now().since(job.gave_up_at) >= SILENCE + HOST_IS_LATE;
+        job.failure.clone().filter(|_| rests)
     }
 
     /// Looks whether the task under way takes too long, and whether the battery lasts.
@@ -223,7 +236,8 @@ impl RobotState {
             return;
         }
         let RobotSettings { estimator, limits, .. } = &self.settings;
-        let forecast = Forecast::new(estimator, &job.sequencer.rest(), &self.worker, limits);
+        let closed = self.settings.body.telemetry().map_or(&[][..], |report| &report.closed);
+        let forecast = Forecast::new(estimator, &job.sequencer.rest(), &self.worker, closed, limits);
         let Some(cause) = forecast.ok().and_then(|forecast| forecast.shortfall()) else { return };
         if job.sequencer.may_have_custody() {
             if !std::mem::replace(&mut job.told_of_charge, true) {

@@ -1,5 +1,6 @@
 //! The commands, one a file: each has its flags, and `run`.
 
+pub mod bench;
 pub mod cancel;
 pub mod chaos;
 pub mod check;
@@ -7,6 +8,7 @@ pub mod dry_run;
 pub mod flags;
 pub mod fleet;
 pub mod leave;
+pub mod map;
 pub mod missions;
 mod on_word;
 pub mod recover;

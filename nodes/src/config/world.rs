@@ -5,7 +5,9 @@ use super::read::under;
 use super::{BusConfig, ConfigFile, FleetRef, NodeFile, Surroundings};
 use crate::floor::is_shipped;
 use consort_protocol::ids::NodeId;
-use consort_sim::world::{Durations, Person, RobotBody, WorldLimits, system_names};
+use consort_sim::world::{
+    DoorSetup, Durations, Gusts, Object, Obstacle, Person, RobotBody, WorldLimits, default_step_s, system_names,
+};
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 
@@ -38,10 +40,21 @@ pub struct WorldConfig {
     pub limits: WorldLimits,
     /// What can happen there, by name, in the order in which it hears of things. Default: all that can.
     pub systems: Vec<String>,
+    /// Time between two instants at which what cannot be computed ahead is brought up to date, in seconds of world time.
+    pub step_s: f64,
+    /// Gusts that push at what hovers. Default: none.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub gusts: Option<Gusts>,
     /// The robots' bodies, by the names of their robots.
     pub robot: Vec<RobotBody>,
     /// The people.
     pub person: Vec<Person>,
+    /// Things that lie on tables at first.
+    pub object: Vec<Object>,
+    /// Automatic doors of the map that are not as usual.
+    pub door: Vec<DoorSetup>,
+    /// What stands in the way, and when.
+    pub obstacle: Vec<Obstacle>,
 }
 
 impl Default for WorldConfig {
@@ -58,8 +71,13 @@ impl Default for WorldConfig {
             durations: Durations::default(),
             limits: WorldLimits::default(),
             systems: system_names().map(str::to_owned).collect(),
+            step_s: default_step_s(),
+            gusts: None,
             robot: vec![],
             person: vec![],
+            object: vec![],
+            door: vec![],
+            obstacle: vec![],
         }
     }
 }

@@ -140,6 +140,7 @@ impl Cast {
                 role: slug::<RoleId>("nurse"),
                 place: slug(room),
                 samples: samples.clone(),
+                mood: vec![],
             };
             (!samples.is_empty()).then(nurse)
         });

@@ -1,8 +1,8 @@
 use super::support::run;
 
-const COMMANDS: [&str; 12] = [
+const COMMANDS: [&str; 14] = [
     "robot", "station", "world", "submit", "missions", "cancel", "rescue", "fleet", "check", "dry-run", "recover",
-    "chaos",
+    "chaos", "map", "bench",
 ];
 
 #[test]

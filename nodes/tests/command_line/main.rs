@@ -1,9 +1,11 @@
 //! The binary as people and scripts meet it.
 
+mod bench;
 mod chaos;
 mod dry_run;
 mod files;
 mod help;
+mod map;
 mod network;
 mod recover;
 mod requests;

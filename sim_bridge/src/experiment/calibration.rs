@@ -249,6 +249,7 @@ mod tests {
             pose: None,
             speed: MetresPerSecond::new(0.5).unwrap(),
             discharge: SharePerSecond::new(0.001).unwrap(),
+            closed: vec![],
         };
         let mut task = TaskSpec::of(TaskType::new(NAVIGATION).unwrap(), vec!["r1".parse().unwrap()]);
         task.parameters.insert("to".to_owned(), "B".to_owned());

@@ -17,6 +17,7 @@ pub fn context(robot: &ScenarioRobot) -> Context {
         pose: None,
         speed: MetresPerSecond::new(robot.speed_mps).expect("scenarios are checked"),
         discharge: SharePerSecond::new(robot.discharge).expect("scenarios are checked"),
+        closed: vec![],
     }
 }
 
@@ -78,7 +79,7 @@ mod tests {
     use consort_protocol::mission::{Domain, shipped as missions};
     use consort_protocol::plan::divide_and_check;
     use consort_skills::descriptor::DescriptorRegistry;
-    use consort_skills::environment::{Edge, Environment, Routes, TopologicalMap};
+    use consort_skills::environment::{Environment, Routes};
 
     #[test]
     fn a_robot_succeeds_as_often_as_its_battery_lasts_on_the_drives_that_are_drawn() {
@@ -89,17 +90,7 @@ mod tests {
         let plan =
             divide_and_check(&mission).unwrap().plans[&"r1".parse::<consort_protocol::ids::RoleId>().unwrap()].clone();
         let map = crate::map::shipped("hospital").unwrap();
-        let edge = |lane: &crate::map::Lane| Edge {
-            a: lane.from.clone(),
-            b: lane.to.clone(),
-            length_m: lane.length.get(),
-            one_way: !lane.two_way,
-        };
-        let topology = TopologicalMap {
-            places: map.places().iter().map(|place| (place.id.clone(), place.pose)).collect(),
-            edges: map.lanes().iter().map(edge).collect(),
-        };
-        let environment = Environment::new().with(Routes::new(&topology).unwrap());
+        let environment = Environment::new().with(Routes::new(&map.topology()).unwrap());
         let estimator = DescriptorRegistry::standard().resolve(environment).unwrap();
         let skills = design.robots[0].skills.clone();
         let able = ScenarioRobot { skills, charge: 0.9, discharge: 0.0004, ..scenario.robots[0].clone() };

@@ -2,7 +2,9 @@
 
 use super::MapProblem;
 use super::check::check;
-use super::{Facing, Map, PlaceKind};
+use super::drawing::Drawing;
+use super::import::name_by_file;
+use super::{Facing, Map, PlaceKind, drawio, rmf};
 use serde::{Deserialize, Serialize};
 use std::path::Path;
 
@@ -22,6 +24,8 @@ pub mod limits {
     pub const DOORS: usize = 10_000;
     /// Lifts on a map.
     pub const LIFTS: usize = 1_000;
+    /// Bytes that the compressed pages of a drawing may come to, all together.
+    pub const INFLATED_BYTES: usize = 32 << 20;
     /// Coordinates and lengths, in metres either way.
     pub const EXTENT_M: f64 = 100_000.0;
 }
@@ -220,21 +224,75 @@ fn join(file: &str, problems: &[MapProblem]) -> String {
     problems.iter().map(|problem| format!("map {file}: {problem}")).collect::<Vec<_>>().join("\n")
 }
 
-/// Reads a map from the text of a file; `file` names it in errors, and as JSON where it ends in `.json`.
+/// Reads a map from the text of a file; `file` names it in errors, and tells by its ending what it is ([`MapForm`]).
 ///
 /// # Errors
 /// [`MapError`] with all that is wrong.
 pub fn read(text: &str, file: &str) -> Result<Map, MapError> {
+    open(text, file, &Options::default())?.map.check(file)
+}
+
+/// What a map file is, told by the ending of its name.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum MapForm {
+    /// Our own form as YAML: whatever has no other ending.
+    Yaml,
+    /// Our own form as JSON: `.json`.
+    Json,
+    /// A drawing of diagrams.net: `.drawio`, `.xml`.
+    Drawing,
+    /// A building of Open-RMF: `.building.yaml`, `.building.yml`.
+    Building,
+}
+
+impl MapForm {
+    /// The form of a file of this name.
+    pub fn of(file: &str) -> MapForm {
+        let name = file.to_ascii_lowercase();
+        let ends = |endings: &[&str]| endings.iter().any(|ending| name.ends_with(ending));
+        if ends(&[".drawio", ".xml"]) {
+            MapForm::Drawing
+        } else if ends(&[".building.yaml", ".building.yml"]) {
+            MapForm::Building
+        } else if ends(&[".json"]) {
+            MapForm::Json
+        } else {
+            MapForm::Yaml
+        }
+    }
+
+    /// Whether it is none of our own forms.
+    pub fn is_foreign(self) -> bool {
+        matches!(self, MapForm::Drawing | MapForm::Building)
+    }
+}
+
+/// How to read what a file leaves open.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Options {
+    /// How many metres a unit of a drawing stands for, or a pixel of an Open-RMF building: a number above 0. Else the file
+    /// says, or for a drawing it is [`drawio::METRES_PER_UNIT`].
+    pub scale_m: Option<f64>,
+    /// Which of the navigation graphs of an Open-RMF building is meant; else the one of the lowest number.
+    pub graph: Option<i64>,
+}
+
+/// Reads a map, not yet checked, and what is drawn beside it; by the same endings as [`read`].
+///
+/// # Errors
+/// [`MapError::TooLarge`] and [`MapError::Syntax`].
+pub fn open(text: &str, file: &str, options: &Options) -> Result<Drawing, MapError> {
     if text.len() > limits::FILE_BYTES {
         return Err(MapError::TooLarge { file: file.to_owned(), bytes: text.len() as u64 });
     }
     let syntax = |message: String| MapError::Syntax { file: file.to_owned(), message };
-    let written: MapFile = if file.ends_with(".json") {
-        serde_json::from_str(text).map_err(|error| syntax(error.to_string()))?
-    } else {
-        serde_saphyr::from_str(text).map_err(|error| syntax(error.to_string()))?
+    let map: MapFile = match MapForm::of(file) {
+        MapForm::Drawing => return drawio::read(text, &name_by_file(file), options).map_err(|error| error.of(file)),
+        MapForm::Building => return rmf::read(text, &name_by_file(file), options).map_err(|error| error.of(file)),
+        MapForm::Json => serde_json::from_str(text).map_err(|error| syntax(error.to_string()))?,
+        MapForm::Yaml => serde_saphyr::from_str(text).map_err(|error| syntax(error.to_string()))?,
     };
-    written.check(file)
+    Ok(Drawing { map, ..Drawing::default() })
 }
 
 /// Reads a map file.
@@ -242,13 +300,21 @@ pub fn read(text: &str, file: &str) -> Result<Map, MapError> {
 /// # Errors
 /// [`MapError`] with all that is wrong.
 pub fn load(path: &Path) -> Result<Map, MapError> {
+    load_drawing(path, &Options::default())?.map.check(&path.display().to_string())
+}
+
+/// Reads a map file, not yet checked, and what is drawn beside the map.
+///
+/// # Errors
+/// [`MapError::Unreadable`], [`MapError::TooLarge`] and [`MapError::Syntax`].
+pub fn load_drawing(path: &Path, options: &Options) -> Result<Drawing, MapError> {
     let file = path.display().to_string();
     let unreadable = |source| MapError::Unreadable { file: file.clone(), source };
     let bytes = std::fs::metadata(path).map_err(unreadable)?.len();
     if bytes > limits::FILE_BYTES as u64 {
         return Err(MapError::TooLarge { file, bytes });
     }
-    read(&std::fs::read_to_string(path).map_err(unreadable)?, &file)
+    open(&std::fs::read_to_string(path).map_err(unreadable)?, &file, options)
 }
 
 impl MapFile {

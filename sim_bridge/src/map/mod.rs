@@ -27,24 +27,37 @@
 //! Kinds of place are `room`, `lab`, `corridor`, `dock`, `charger` and `other`. Opening times, capacity and speed of a
 //! lift are those above unless given. Reading a file reports *all* that is wrong with it, with the file and the place;
 //! a [`Map`] that exists is sound: every place can be reached from every other, by lanes and lifts.
+//!
+//! Drawings (`.drawio`, `.xml`: see [`drawio`]) and buildings of Open-RMF (`.building.yaml`: see [`rmf`]) are read too;
+//! what they hold beside a map is in [`Drawing`]. [`show`] draws any of them.
 
 mod building;
 #[cfg(test)]
 mod building_tests;
 mod check;
+mod drawing;
+pub mod drawio;
 mod file;
 mod fittings;
+mod import;
 mod problem;
 mod reach;
+pub mod rmf;
 mod shipped;
+pub mod show;
 #[cfg(test)]
 mod tests;
+mod topology;
 
 pub use building::{Door, DoorOnWay, Facing, GROUND, Level, LevelIndex, Lift, Ride};
-pub use file::{DoorEntry, LaneEntry, LevelEntry, LiftEntry, MapError, MapFile, PlaceEntry, limits, load, read};
+pub use drawing::{Drawing, Drawn, DrawnObject, DrawnPerson, DrawnRobot};
+pub use file::{
+    DoorEntry, LaneEntry, LevelEntry, LiftEntry, MapError, MapFile, MapForm, Options, PlaceEntry, limits, load,
+    load_drawing, open, read,
+};
 pub use fittings::FittingProblem;
 pub use problem::{LaneName, MapProblem, Seclusion};
-pub use shipped::{SHIPPED, shipped};
+pub use shipped::{SHIPPED, shipped, shipped_drawing};
 
 use consort_protocol::ids::PlaceId;
 use consort_protocol::pose::Pose;
@@ -69,6 +82,29 @@ pub enum PlaceKind {
     /// Anything else.
     #[default]
     Other,
+}
+
+impl PlaceKind {
+    /// All kinds.
+    pub const ALL: [PlaceKind; 6] =
+        [PlaceKind::Room, PlaceKind::Lab, PlaceKind::Corridor, PlaceKind::Dock, PlaceKind::Charger, PlaceKind::Other];
+
+    /// Its name in files.
+    pub fn as_str(self) -> &'static str {
+        match self {
+            PlaceKind::Room => "room",
+            PlaceKind::Lab => "lab",
+            PlaceKind::Corridor => "corridor",
+            PlaceKind::Dock => "dock",
+            PlaceKind::Charger => "charger",
+            PlaceKind::Other => "other",
+        }
+    }
+
+    /// The kind of this name.
+    pub fn named(name: &str) -> Option<PlaceKind> {
+        PlaceKind::ALL.into_iter().find(|kind| kind.as_str() == name)
+    }
 }
 
 /// A named pose on the floor.

@@ -2,6 +2,7 @@
 
 use super::file::limits;
 use super::fittings::FittingProblem;
+use super::{drawio, rmf};
 use consort_protocol::ids::{NameError, PlaceId};
 use std::fmt;
 
@@ -107,6 +108,12 @@ pub enum MapProblem {
     /// A level, a door or a lift is not as it should be.
     #[error("{0}")]
     Fitting(#[from] FittingProblem),
+    /// A drawing says what cannot be.
+    #[error("{0}")]
+    Drawn(#[from] drawio::Problem),
+    /// A building of Open-RMF says what cannot be.
+    #[error("{0}")]
+    Building(#[from] rmf::Problem),
 }
 
 /// A lane by its ends as written.

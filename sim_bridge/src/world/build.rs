@@ -3,15 +3,17 @@
 use super::components::Body;
 use super::floor::Floor;
 use super::goals::GoalBook;
-use super::samples::Handovers;
+use super::samples::{Handovers, Holder, Load};
 use super::setup::{Durations, RobotBody, SetupError, SetupErrors, WorldLimits, WorldSetup};
 use super::whereabouts::{Spot, Whereabouts};
-use super::{World, systems};
+use super::{World, fittings, systems};
 use consort_protocol::ids::PlaceId;
 use std::collections::BTreeSet;
+use std::ops::RangeInclusive;
 
-const SPEED_MPS: std::ops::RangeInclusive<f64> = 0.001..=100.0;
-const DURATION_S: std::ops::RangeInclusive<f64> = 0.0..=86_400.0;
+const SPEED_MPS: RangeInclusive<f64> = 0.001..=100.0;
+const RADIUS_M: RangeInclusive<f64> = 0.01..=10.0;
+const DURATION_S: RangeInclusive<f64> = 0.0..=86_400.0;
 
 impl World {
     /// Sets up a world at time zero.
@@ -24,10 +26,15 @@ impl World {
             return Err(SetupErrors(problems));
         }
         let systems = setup.systems.iter().filter_map(|name| systems::of_name(name)).collect();
-        let mut floor = Floor::new(setup.map.clone(), setup.durations, setup.limits);
+        let mut floor = Floor::new(setup.map.clone(), setup.durations, setup.limits, setup.step_s);
         floor.furnish(Handovers::default());
         let mut world = World { floor, systems };
         world.each_system(|system, floor| system.furnish(floor, &setup));
+        for object in &setup.objects {
+            let place = world.floor.map.index(&object.place).expect("checked: the place is on the map");
+            let load = Load { weight_kg: object.weight_kg, distance_m: object.distance_m };
+            world.floor.spawn_sample(object.name.clone(), Holder::Table(place), load);
+        }
         for body in setup.robots {
             world.spawn_robot(body);
         }
@@ -55,19 +62,30 @@ fn check(setup: &WorldSetup) -> Vec<SetupError> {
         problems.push(SetupError::TooMany { what, count, max });
     }
     check_numbers(&setup.durations, &setup.limits, &mut problems);
+    check_step(setup, &mut problems);
     check_systems(&setup.systems, &mut problems);
+    fittings::check(&setup.map, &setup.doors, &setup.obstacles, &mut problems);
     let mut seen = BTreeSet::new();
     for body in &setup.robots {
         let who = format!("robot {}", body.id);
         check_place(setup, &who, &body.place, &mut problems);
         check_body(body, &who, &mut problems);
+        check_kinematics(setup, body, &who, &mut problems);
         check_twice(who, &mut seen, &mut problems);
     }
     for person in &setup.people {
         let who = format!("person {}", person.name);
         check_name("person", person.name.as_str(), person.name.is_sound(), &mut problems);
         check_place(setup, &who, &person.place, &mut problems);
+        person.mood.iter().for_each(|mood| mood.check(&who, &mut problems));
         check_twice(who, &mut seen, &mut problems);
+    }
+    for object in &setup.objects {
+        let who = format!("object {}", object.name);
+        check_name("object", object.name.as_str(), object.name.is_sound(), &mut problems);
+        check_place(setup, &who, &object.place, &mut problems);
+        object.check(&mut problems);
+        check_twice(format!("sample {}", object.name), &mut seen, &mut problems);
     }
     for sample in samples {
         check_name("sample", sample.as_str(), sample.is_sound(), &mut problems);
@@ -100,9 +118,50 @@ fn check_body(body: &RobotBody, who: &str, problems: &mut Vec<SetupError>) {
         let (field, allowed) = ("idle_factor", "a number from 0 to 1");
         problems.push(SetupError::Number { who: who.to_owned(), field, value: body.idle_factor, allowed });
     }
+    for (field, value) in [("payload_max_kg", body.payload_max_kg), ("reach_m", body.reach_m)] {
+        fittings::at_least_zero(who, field, value, problems);
+    }
     if !SPEED_MPS.contains(&body.speed.get()) {
         let (field, allowed) = ("speed_mps", "a number from 0.001 to 100");
         problems.push(SetupError::Number { who: who.to_owned(), field, value: body.speed.get(), allowed });
+    }
+}
+
+fn check_kinematics(setup: &WorldSetup, body: &RobotBody, who: &str, problems: &mut Vec<SetupError>) {
+    if !RADIUS_M.contains(&body.radius_m) {
+        let (field, allowed) = ("radius_m", "a number of metres from 0.01 to 10");
+        problems.push(SetupError::Number { who: who.to_owned(), field, value: body.radius_m, allowed });
+    }
+    let mut number = |field, value, range: RangeInclusive<f64>, allowed| {
+        if !range.contains(&value) {
+            problems.push(SetupError::Number { who: who.to_owned(), field, value, allowed });
+        }
+    };
+    for sensor in &body.sensors {
+        number("reach_m", sensor.reach_m(), 0.0..=1_000.0, "a number of metres from 0 to 1000");
+        number("opening_rad", sensor.opening_rad(), 0.0..=std::f64::consts::TAU, "a number from 0 to 2 pi");
+        number("bearing_rad", sensor.bearing_rad(), -10.0..=10.0, "a number from -10 to 10");
+    }
+    let Some(kinematics) = &body.kinematics else { return };
+    if let Err(problem) = kinematics.check() {
+        problems.push(SetupError::Kinematics { who: who.to_owned(), problem });
+    }
+    if !["driving", "steering"].iter().all(|needed| setup.systems.iter().any(|name| name == needed)) {
+        problems.push(SetupError::NoSteering { who: who.to_owned(), systems: setup.systems.join(", ") });
+    }
+}
+
+fn check_step(setup: &WorldSetup, problems: &mut Vec<SetupError>) {
+    let mut number = |who: &str, field, value, range: RangeInclusive<f64>, allowed| {
+        if !range.contains(&value) {
+            problems.push(SetupError::Number { who: who.to_owned(), field, value, allowed });
+        }
+    };
+    number("world", "step_s", setup.step_s, 0.001..=10.0, "a number of seconds from 0.001 to 10");
+    if let Some(gusts) = setup.gusts {
+        number("gusts", "every_s", gusts.every_s, 0.01..=86_400.0, "a number of seconds from 0.01 to 86400");
+        number("gusts", "chance", gusts.chance, 0.0..=1.0, "a number from 0 to 1");
+        number("gusts", "strength_mps", gusts.strength_mps, 0.0..=10.0, "a number from 0 to 10");
     }
 }
 
@@ -115,8 +174,11 @@ fn check_numbers(durations: &Durations, limits: &WorldLimits, problems: &mut Vec
         ("approach_robot_s", durations.approach_robot_s),
         ("pick_up_s", durations.pick_up_s),
         ("deposit_s", durations.deposit_s),
+        ("dock_s", durations.dock_s),
         ("person_min_s", durations.person_min_s),
         ("person_max_s", durations.person_max_s),
+        ("door_patience_s", durations.door_patience_s),
+        ("closure_remembered_s", durations.closure_remembered_s),
     ] {
         if !DURATION_S.contains(&value) {
             problems.push(SetupError::Number { who: "durations".to_owned(), field, value, allowed });

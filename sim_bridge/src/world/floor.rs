@@ -9,9 +9,11 @@ use super::queue::{Queue, Ticket};
 use super::setup::{Durations, WorldLimits};
 use super::system::{Kind, System, Wake};
 use crate::map::Map;
+use crate::space::Walls;
 use consort_protocol::ids::RobotId;
 use consort_skills::actions::{ActionError, BodyEvent};
-use hecs::{Component, Entity, Ref, RefMut};
+use hecs::{Component, Entity, Fetch, Query, QueryMut, Ref, RefMut};
+use std::any::TypeId;
 use std::collections::{BTreeMap, VecDeque};
 
 /// What falls due at an instant.
@@ -22,6 +24,8 @@ pub(crate) enum Due {
     GoalEnds(Entity),
     /// A system, by its place among those of this world, wanted to be woken.
     Wake(usize, Wake),
+    /// An instant of the grid in which the world steps.
+    Step,
 }
 
 /// What a system asks of the world.
@@ -32,6 +36,8 @@ pub(crate) enum Order {
     Note(Happening),
     /// The goal under way, if there is one, cannot go on.
     BreakOff(Entity, ActionError),
+    /// The goal under way, if there is one, has come to its end.
+    Achieve(Entity),
 }
 
 /// A system at work: its place among those of this world, and what it may get at.
@@ -45,6 +51,8 @@ struct AtWork {
 /// See the [module](self).
 pub(crate) struct Floor {
     pub(crate) map: Map,
+    /// Its walls, by level.
+    pub(crate) walls: Vec<Walls>,
     /// Seconds since the world began.
     pub(crate) now: f64,
     pub(crate) robots: BTreeMap<RobotId, Entity>,
@@ -61,14 +69,20 @@ pub(crate) struct Floor {
     /// The entity whose components belong to the floor as a whole.
     here: Entity,
     at_work: Option<AtWork>,
+    /// Time between two instants of the grid, in seconds.
+    step_s: f64,
+    /// Whether an instant of the grid stands in the queue.
+    steps: bool,
 }
 
 impl Floor {
-    pub(super) fn new(map: Map, durations: Durations, limits: WorldLimits) -> Floor {
+    pub(super) fn new(map: Map, durations: Durations, limits: WorldLimits, step_s: f64) -> Floor {
         let mut store = hecs::World::new();
         let here = store.spawn(());
+        let walls = map.level_indices().map(|level| Walls::new(map.walls_on(level))).collect();
         Floor {
             map,
+            walls,
             now: 0.0,
             robots: BTreeMap::new(),
             people: BTreeMap::new(),
@@ -82,6 +96,8 @@ impl Floor {
             store,
             here,
             at_work: None,
+            step_s,
+            steps: false,
         }
     }
 
@@ -148,15 +164,52 @@ impl Floor {
         self.store.satisfies::<&T>(self.here)
     }
 
+    /// The entity that stands for the floor itself.
+    pub(crate) fn here(&self) -> Entity {
+        self.here
+    }
+
     /// Has the system at work woken at an instant.
     pub(crate) fn arrange(&mut self, time: f64, about: Entity, number: u64) -> Ticket {
         let place = self.at_work.as_ref().expect("only systems arrange things").place;
         self.queue.arrange(time, Due::Wake(place, Wake { about, number }))
     }
 
+    /// Has the world step from the next instant of its grid on, until no system has anything more to step.
+    pub(crate) fn step_on(&mut self) {
+        if !std::mem::replace(&mut self.steps, true) {
+            // An instant that is a hair away is the one that has just been.
+            let next = (self.now / self.step_s + 1e-6).floor() + 1.0;
+            self.queue.arrange(next * self.step_s, Due::Step);
+        }
+    }
+
+    /// Whether the world steps.
+    pub(crate) fn is_stepping(&self) -> bool {
+        self.steps
+    }
+
+    /// The instant of the grid has come that stood in the queue.
+    pub(super) fn stepped(&mut self) {
+        self.steps = false;
+    }
+
+    /// All entities that have what is asked for, always in the same order.
+    pub(crate) fn each<Q: Query>(&mut self) -> QueryMut<'_, Q> {
+        if let Some(at_work) = self.at_work.as_ref().filter(|_| cfg!(debug_assertions)) {
+            <Q::Fetch as Fetch>::for_each_borrow(|id, writes| at_work.check_id(id, writes));
+        }
+        self.store.query_mut::<Q>()
+    }
+
     /// The goal that a robot has under way, if any, cannot go on.
     pub(crate) fn break_off(&mut self, robot: Entity, why: ActionError) {
         self.orders.push_back(Order::BreakOff(robot, why));
+    }
+
+    /// The goal that a robot has under way, if any, has come to its end: for goals that began without one.
+    pub(crate) fn achieve(&mut self, robot: Entity) {
+        self.orders.push_back(Order::Achieve(robot));
     }
 
     /// Notes what happened once what was ordered before has been done.
@@ -187,5 +240,13 @@ impl AtWork {
         let allowed = self.writes.contains(&kind) || !writes && self.reads.contains(&kind);
         let does = if writes { "writes" } else { "reads" };
         assert!(allowed, "system {} {does} {}, which it does not name", self.name, kind.name());
+    }
+
+    /// The same where only the type's number is known.
+    fn check_id(&self, id: TypeId, writes: bool) {
+        let named = |kinds: &[Kind]| kinds.iter().any(|kind| kind.is(id));
+        let does = if writes { "writes" } else { "reads" };
+        let allowed = named(&self.writes) || !writes && named(&self.reads);
+        assert!(allowed, "system {} {does} one of the components it asks for without naming it", self.name);
     }
 }

@@ -23,7 +23,8 @@ pub(crate) struct GoalBook {
 struct Current {
     id: GoalId,
     goal: Goal,
-    ends: Ticket,
+    /// None for a goal that ends when who carries it out says so.
+    ends: Option<Ticket>,
     /// Who carries it out.
     by: Chosen,
 }
@@ -65,7 +66,7 @@ impl World {
             Ok((by, ends)) => {
                 let floor = &mut self.floor;
                 floor.note(Happening::GoalBegan { robot: floor.name(robot), id, goal: goal.clone() });
-                let ends = floor.queue.arrange(ends, Due::GoalEnds(robot));
+                let ends = ends.is_finite().then(|| floor.queue.arrange(ends, Due::GoalEnds(robot)));
                 floor.get_mut::<GoalBook>(robot).current = Some(Current { id, goal, ends, by });
             }
             Err(error) => {
@@ -96,7 +97,7 @@ impl World {
     /// The goal under way has come to its end: its effect is carried out if it still can be.
     pub(super) fn complete(&mut self, robot: Entity) -> Option<BodyEvent> {
         let Current { id, goal, ends, by } = self.floor.get_mut::<GoalBook>(robot).current.take()?;
-        self.floor.queue.take_back(ends);
+        ends.into_iter().for_each(|ends| self.floor.queue.take_back(ends));
         let status = match self.work(by, |system, floor| system.finish(floor, robot, &goal)) {
             Ok(()) => GoalStatus::Succeeded,
             Err(error) => GoalStatus::Aborted(error),
@@ -115,7 +116,7 @@ impl World {
     /// Ends the goal under way, if there is one, with everything as it is now.
     pub(super) fn interrupt(&mut self, robot: Entity, status: GoalStatus) -> Option<BodyEvent> {
         let Current { id, goal, ends, by } = self.floor.get_mut::<GoalBook>(robot).current.take()?;
-        self.floor.queue.take_back(ends);
+        ends.into_iter().for_each(|ends| self.floor.queue.take_back(ends));
         self.work(by, |system, floor| system.halt(floor, robot, &goal));
         Some(self.floor.record(robot, id, goal, status))
     }
@@ -145,7 +146,7 @@ impl World {
         let book = self.floor.get::<GoalBook>(robot);
         match &book.current {
             Some(current) if current.id == id => {
-                let left = current.ends.time - self.floor.now;
+                let left = current.ends.map_or(0.0, |ends| ends.time - self.floor.now);
                 let time_remaining = Seconds::new(left.max(0.0)).unwrap_or(Seconds::ZERO);
                 let usual = Feedback { distance_remaining: Metres::ZERO, time_remaining };
                 let system = self.systems[current.by.0];

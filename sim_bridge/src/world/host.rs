@@ -21,7 +21,18 @@ impl World {
                     self.floor.say(event);
                 }
             }
+            Due::Step => self.step(),
             Due::Wake(place, wake) => self.work(super::Chosen(place), |system, floor| system.wake(floor, wake)),
+        }
+    }
+
+    /// Lets all systems step, and arranges the next time if any has to go on.
+    fn step(&mut self) {
+        self.floor.stepped();
+        let mut goes_on = false;
+        self.each_system(|system, floor| goes_on |= system.step(floor));
+        if goes_on {
+            self.floor.step_on();
         }
     }
 
@@ -38,6 +49,7 @@ impl World {
                 Some(Order::Say(event)) => told.push(event),
                 Some(Order::Note(what)) => self.floor.note(what),
                 Some(Order::BreakOff(robot, why)) => told.extend(self.interrupt(robot, GoalStatus::Aborted(why))),
+                Some(Order::Achieve(robot)) => told.extend(self.complete(robot)),
                 None => return told,
             }
         }
@@ -141,6 +153,7 @@ impl BodyHost for World {
             place: floor.map.at(whereabouts.spot(floor.now).last_place()).id.clone(),
             battery: battery.as_ref().map_or(BatteryShare::FULL, |battery| battery.at(floor.now)),
             able: battery.is_none_or(|battery| battery.able),
+            closed: floor.closed_ways(robot),
         })
     }
 

@@ -7,7 +7,7 @@
 //!            start, cancel, ask_person            advance(to)
 //!  skills ────────────▶ host ──▶ goals ──▶ queue ────────────▶ goals ──▶ events, in order
 //!                                  │                             │
-//!                               systems: driving, company, drawer, arm, people, power …
+//!                               systems: steering, driving, doors, lifts, drawer, people, power …
 //!                                  └──▶ floor: components, clock, what is due ◀──┘
 //! ```
 //!
@@ -17,6 +17,9 @@
 //! not depend on the steps in which time is let pass. Two things due at one instant happen in the order in which they were
 //! arranged.
 //!
+//! What cannot be computed ahead (a chassis under control, drones that make way for one another) *steps*: while any such
+//! thing moves, and no longer, the queue also holds the next instant of a fixed grid.
+//!
 //! **Chance** (how long people take) comes from a generator per person, seeded by the world's seed and the person's
 //! position in the setup. Two worlds share nothing.
 //!
@@ -25,15 +28,19 @@
 
 mod build;
 mod components;
+mod course;
+mod fittings;
 mod floor;
 mod goals;
 mod host;
 mod journal;
+mod mood;
 mod names;
 mod queue;
 mod reach;
 mod report;
 mod samples;
+mod sensing;
 mod setup;
 mod shared;
 mod speed;
@@ -43,11 +50,17 @@ mod systems;
 mod tests;
 mod whereabouts;
 
+pub use fittings::{DoorSetup, Object, Obstacle};
 pub use journal::{Happening, JournalEntry};
+pub use mood::{Deed, Moment, Mood};
 pub use names::{PersonName, SampleId};
 pub use report::{BodyReport, PersonReport};
 pub use samples::{Keeper, SampleReport};
-pub use setup::{Durations, Person, RobotBody, SetupError, SetupErrors, WorldLimits, WorldSetup};
+pub use sensing::{Reading, Seen, Sighting};
+pub use setup::{
+    Durations, Gusts, Person, RobotBody, SetupError, SetupErrors, WorldLimits, WorldSetup, default_radius_m,
+    default_step_s,
+};
 pub use shared::SharedWorld;
 pub use systems::power::{STOPPING_SHARE, default_idle_factor};
 pub use systems::system_names;

@@ -24,8 +24,13 @@ pub(crate) fn verb(goal: &Goal) -> &'static str {
         Goal::OperateDrawer { .. } => "operate_drawer",
         Goal::ApproachRobot { .. } => "approach_robot",
         Goal::PickUp { .. } => "pick_up",
+        Goal::Grasp { .. } => "grasp",
         Goal::Deposit { .. } => "deposit",
         Goal::Wait { .. } => "wait",
+        Goal::FollowWaypoints { .. } => "follow_waypoints",
+        Goal::Spin { .. } => "spin",
+        Goal::Dock { .. } => "dock",
+        Goal::Undock => "undock",
     }
 }
 
@@ -75,7 +80,7 @@ impl Floor {
     pub(crate) fn standing_place(&self, robot: Entity) -> Result<PlaceIndex, ActionError> {
         match self.spot(robot) {
             Spot::Place(place) => Ok(place),
-            spot @ (Spot::Lane { .. } | Spot::Floor { .. }) => {
+            spot @ (Spot::Lane { .. } | Spot::Floor { .. } | Spot::Lift { .. }) => {
                 let message = format!("{} is {}, at no place", self.name(robot), spot.describe(&self.map));
                 Err(refused(ErrorCode::OutOfReach, message))
             }

@@ -33,6 +33,8 @@ pub struct PersonReport {
     pub role: RoleId,
     /// Where they stay.
     pub place: PlaceId,
+    /// Whether they have left it.
+    pub away: bool,
     /// What they have to hand over, first come first.
     pub samples: Vec<SampleId>,
 }
@@ -71,6 +73,7 @@ impl World {
                 name: who.name.clone(),
                 role: who.role.clone(),
                 place: self.floor.map.at(who.place).id.clone(),
+                away: !self.floor.is_present(&who.name),
                 samples: self.floor.held_labels(Holder::Hands(*person)),
             }
         };

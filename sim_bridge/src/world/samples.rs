@@ -60,6 +60,14 @@ pub(crate) struct Custody {
     before: VecDeque<(f64, Holder)>,
 }
 
+/// What a thing asks of an arm.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Load {
+    pub(crate) weight_kg: f64,
+    /// How far from where robots stand it lies; 0 once somebody has had it in hand.
+    pub(crate) distance_m: f64,
+}
+
 /// Running number of changes of hands, of the floor.
 #[derive(Default)]
 pub(crate) struct Handovers(u64);
@@ -78,10 +86,11 @@ impl World {
 
 impl Floor {
     /// A new thing, which somebody has from the first.
-    pub(crate) fn spawn_sample(&mut self, id: SampleId, holder: Holder) {
+    pub(crate) fn spawn_sample(&mut self, id: SampleId, holder: Holder, load: Load) {
         let since = self.next_handover();
         let sample = self.spawn();
         self.give(sample, Label(id.clone()));
+        self.give(sample, load);
         self.give(sample, Custody { holder, since, before: VecDeque::new() });
         self.samples.insert(id, sample);
     }

@@ -1,9 +1,13 @@
 //! How a world is set up.
 
+use super::fittings::{DoorSetup, Object, Obstacle};
+use super::mood::Mood;
 use super::names::{PersonName, SampleId};
 use super::systems;
 use super::systems::power::default_idle_factor;
+use crate::kinematics::{Kinematics, KinematicsError};
 use crate::map::Map;
+use crate::space::Sensor;
 use consort_protocol::ids::{PlaceId, RobotId, RoleId};
 use consort_protocol::units::{BatteryShare, MetresPerSecond, SharePerSecond};
 use serde::{Deserialize, Serialize};
@@ -17,6 +21,12 @@ pub struct WorldSetup {
     pub robots: Vec<RobotBody>,
     /// The people on it.
     pub people: Vec<Person>,
+    /// Things that lie on tables at first.
+    pub objects: Vec<Object>,
+    /// Doors of the map that are not as usual.
+    pub doors: Vec<DoorSetup>,
+    /// What stands in the way, and when.
+    pub obstacles: Vec<Obstacle>,
     /// What chance comes from.
     pub seed: u64,
     /// How long things take.
@@ -25,6 +35,35 @@ pub struct WorldSetup {
     pub limits: WorldLimits,
     /// What happens there: the names of the systems, in the order in which they hear of things.
     pub systems: Vec<String>,
+    /// Time between two instants at which what cannot be computed ahead is brought up to date, in seconds; see
+    /// [`default_step_s`].
+    pub step_s: f64,
+    /// Gusts that push at what hovers; none in a hall.
+    pub gusts: Option<Gusts>,
+}
+
+/// Between two steps of a world: 0.05 s. Longer steps are quicker to compute, and collisions are seen later.
+pub const fn default_step_s() -> f64 {
+    0.05
+}
+
+/// Gusts: at equal intervals each hovering body may be pushed.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Gusts {
+    /// From one to the next, in seconds.
+    pub every_s: f64,
+    /// How likely it is that a body is pushed, from 0 to 1.
+    pub chance: f64,
+    /// By how much its velocity changes at most, in metres per second.
+    pub strength_mps: f64,
+}
+
+impl Default for Gusts {
+    /// Those of the published swarm: every second one in five is pushed by up to 0.5 m/s.
+    fn default() -> Self {
+        Self { every_s: 1.0, chance: 0.2, strength_mps: 0.5 }
+    }
 }
 
 impl WorldSetup {
@@ -32,7 +71,10 @@ impl WorldSetup {
     pub fn new(map: Map, seed: u64) -> Self {
         let (durations, limits) = (Durations::default(), WorldLimits::default());
         let systems = systems::system_names().map(str::to_owned).collect();
-        Self { map, robots: Vec::new(), people: Vec::new(), seed, durations, limits, systems }
+        let (robots, people, objects) = (Vec::new(), Vec::new(), Vec::new());
+        let (doors, obstacles) = (Vec::new(), Vec::new());
+        let (step_s, gusts) = (default_step_s(), None);
+        Self { map, robots, people, objects, doors, obstacles, seed, durations, limits, systems, step_s, gusts }
     }
 
     /// The same with one more robot.
@@ -69,15 +111,52 @@ pub struct RobotBody {
     /// What it loses otherwise, as a part of `discharge`: 0 to 1, by default 0.1 as in the published rig.
     #[serde(default = "default_idle_factor")]
     pub idle_factor: f64,
+    /// What it gains while it is docked at a charger; what it loses meanwhile goes off that. By default 0.0005 /s, a guess:
+    /// full in somewhat more than half an hour.
+    #[serde(rename = "charging_share_per_s", default = "default_charging")]
+    pub charging: SharePerSecond,
     /// Whether it can drive.
     #[serde(default = "yes")]
     pub mobile: bool,
     /// Whether it has a drawer that people and arms reach into.
     #[serde(default)]
     pub has_drawer: bool,
-    /// Whether it has an arm that holds one sample at a time.
+    /// Whether it has an arm that holds one thing at a time.
     #[serde(default)]
     pub has_arm: bool,
+    /// What the arm lifts, in kilograms. By default 2, a guess.
+    #[serde(default = "two_kilograms")]
+    pub payload_max_kg: f64,
+    /// How far the arm reaches from where the robot stands, in metres. By default 1, a guess.
+    #[serde(default = "one_metre")]
+    pub reach_m: f64,
+    /// From its middle to its outermost part.
+    #[serde(default = "default_radius_m")]
+    pub radius_m: f64,
+    /// How it moves. Without this it drives in straight lines that are computed ahead, which costs nothing while it is under
+    /// way, and passes through whatever stands there.
+    #[serde(default)]
+    pub kinematics: Option<Kinematics>,
+    /// What it perceives with.
+    #[serde(default)]
+    pub sensors: Vec<Sensor>,
+}
+
+/// From the middle of a robot to its outermost part: 0.25 m, about that of a small hospital robot.
+pub const fn default_radius_m() -> f64 {
+    0.25
+}
+
+fn default_charging() -> SharePerSecond {
+    SharePerSecond::new(0.0005).expect("0.0005 /s is a rate")
+}
+
+fn two_kilograms() -> f64 {
+    2.0
+}
+
+fn one_metre() -> f64 {
+    1.0
 }
 
 fn yes() -> bool {
@@ -93,8 +172,23 @@ impl RobotBody {
         battery: BatteryShare,
         discharge: SharePerSecond,
     ) -> Self {
-        let idle_factor = default_idle_factor();
-        Self { id, place, speed, battery, discharge, idle_factor, mobile: true, has_drawer: true, has_arm: false }
+        Self {
+            id,
+            place,
+            speed,
+            battery,
+            discharge,
+            idle_factor: default_idle_factor(),
+            charging: default_charging(),
+            mobile: true,
+            has_drawer: true,
+            has_arm: false,
+            payload_max_kg: two_kilograms(),
+            reach_m: one_metre(),
+            radius_m: default_radius_m(),
+            kinematics: None,
+            sensors: Vec::new(),
+        }
     }
 
     /// An arm that stays where it is, on mains power.
@@ -115,7 +209,7 @@ impl RobotBody {
 }
 
 /// A person, who waits at her place for a robot.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Person {
     /// Her name.
@@ -127,10 +221,13 @@ pub struct Person {
     /// What she has to hand over, in this order.
     #[serde(default)]
     pub samples: Vec<SampleId>,
+    /// What may come over her. By default nothing: she waits, and does what she is asked.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub mood: Vec<Mood>,
 }
 
 /// How long things take, in seconds of world time. The defaults are those of the published estimates: 2 s for each
-/// step that is not driving. People take from 2 to 4 s (a guess).
+/// step that is not driving. People take from 2 to 4 s; patience and memory of robots are guesses too.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Durations {
@@ -146,10 +243,16 @@ pub struct Durations {
     pub pick_up_s: f64,
     /// Putting down.
     pub deposit_s: f64,
+    /// Connecting to a charger, or disconnecting.
+    pub dock_s: f64,
     /// The quickest a person hands something over.
     pub person_min_s: f64,
     /// The slowest a person hands something over.
     pub person_max_s: f64,
+    /// How long a robot waits before a door that lets nobody in, until it takes the way to be blocked.
+    pub door_patience_s: f64,
+    /// How long a robot takes a way to be closed that it found closed, before it tries it again.
+    pub closure_remembered_s: f64,
 }
 
 impl Default for Durations {
@@ -161,8 +264,11 @@ impl Default for Durations {
             approach_robot_s: 2.0,
             pick_up_s: 2.0,
             deposit_s: 2.0,
+            dock_s: 2.0,
             person_min_s: 2.0,
             person_max_s: 4.0,
+            door_patience_s: 120.0,
+            closure_remembered_s: 300.0,
         }
     }
 }
@@ -230,6 +336,22 @@ pub enum SetupError {
         /// The range, in words.
         allowed: &'static str,
     },
+    /// A number of a robot's kinematics that makes no sense.
+    #[error("{who}, kinematics: {problem}")]
+    Kinematics {
+        /// `robot r1`.
+        who: String,
+        /// What is wrong.
+        problem: KinematicsError,
+    },
+    /// A robot with kinematics in a world that does not know what to do with them.
+    #[error("{who} has kinematics, so the systems must name driving and steering; they are: {systems}")]
+    NoSteering {
+        /// `robot r1`.
+        who: String,
+        /// The world's systems.
+        systems: String,
+    },
     /// A system that there is not.
     #[error("there is no system {name:?}{hint}; there are: {known}")]
     UnknownSystem {
@@ -239,6 +361,36 @@ pub enum SetupError {
         known: String,
         /// The one probably meant, in words; may be empty.
         hint: String,
+    },
+    /// Something that cannot come over a person at that moment.
+    #[error("{who}: it may come over her at {allowed}")]
+    Untimely {
+        /// `person Nia: mood`.
+        who: String,
+        /// When it may, in words.
+        allowed: &'static str,
+    },
+    /// A door that is not on the map.
+    #[error("there is no door {name:?} on map {map}{hint}")]
+    UnknownDoor {
+        /// The name as given.
+        name: String,
+        /// The map.
+        map: String,
+        /// The door probably meant, in words; may be empty.
+        hint: String,
+    },
+    /// Something in a way that is none.
+    #[error("{who}: map {map} has no lane between {:?} and {:?}", a.as_str(), b.as_str())]
+    UnknownWay {
+        /// `obstacle trolley`.
+        who: String,
+        /// One end.
+        a: PlaceId,
+        /// The other end.
+        b: PlaceId,
+        /// The map.
+        map: String,
     },
     /// More than [`WorldLimits::entities_max`].
     #[error("{count} {what} are more than the {max} allowed")]

@@ -11,6 +11,7 @@
 //! | [`begin`](System::begin), [`finish`](System::finish), [`halt`](System::halt) | a goal that it carries out begins, reaches its end, is broken off |
 //! | [`ask`](System::ask), [`dismiss`](System::dismiss) | somebody asks a person for something, or no longer does |
 //! | [`wake`](System::wake) | an instant has come that it arranged |
+//! | [`step`](System::step) | an instant of the world's grid has come, while anything steps |
 //! | [`observe`](System::observe) | something happened, by whatever system |
 //!
 //! [`systems::ALL`]: super::systems::ALL
@@ -35,6 +36,11 @@ impl Kind {
         Kind { id: TypeId::of::<T>(), name: std::any::type_name::<T>() }
     }
 
+    /// Whether it is the type of this number.
+    pub(crate) fn is(self, id: TypeId) -> bool {
+        self.id == id
+    }
+
     /// Its name, without its path.
     pub(crate) fn name(self) -> &'static str {
         self.name.rsplit("::").next().unwrap_or(self.name)
@@ -46,6 +52,9 @@ macro_rules! kinds {
     ($($component:ty),* $(,)?) => { vec![$($crate::world::system::Kind::of::<$component>()),*] };
 }
 pub(crate) use kinds;
+
+/// When a goal ends whose end is not known beforehand.
+pub(crate) const LATER: f64 = f64::INFINITY;
 
 /// What a system arranged for an instant to come, for itself.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -81,7 +90,8 @@ pub(crate) trait System: Sync {
         Ok(())
     }
 
-    /// Begins a goal: when it will end, or why it cannot begin; `None` if this system does not carry out such goals.
+    /// Begins a goal: when it will end, or why it cannot begin; `None` if this system does not carry out such goals. A goal
+    /// whose end is not known beforehand ends at [`LATER`], that is, when the system says [`Floor::achieve`].
     fn begin(&self, _floor: &mut Floor, _robot: Entity, _goal: &Goal) -> Option<Result<f64, ActionError>> {
         None
     }
@@ -109,6 +119,12 @@ pub(crate) trait System: Sync {
 
     /// Withdraws an ask.
     fn dismiss(&self, _floor: &mut Floor, _id: GoalId) {}
+
+    /// An instant of the grid: brings up to now what cannot be computed ahead. Whether it has anything more to step; while
+    /// no system has, the world has no grid, and nothing to do. [`Floor::step_on`] begins it.
+    fn step(&self, _floor: &mut Floor) -> bool {
+        false
+    }
 
     /// An instant that it arranged with [`Floor::arrange`].
     fn wake(&self, _floor: &mut Floor, _wake: Wake) {}

@@ -15,6 +15,8 @@ pub(crate) enum Spot {
     Lane { from: PlaceIndex, to: PlaceIndex, share: f64 },
     /// Anywhere on the floor, having last passed `near`.
     Floor { near: PlaceIndex },
+    /// In a lift, on the way to one of its stops.
+    Lift { to: PlaceIndex },
 }
 
 /// Where a robot is.
@@ -38,6 +40,8 @@ pub(crate) struct Drive {
     pub(crate) length_m: f64,
     /// The part of a lane it follows, if it does.
     pub(crate) lane: Option<Stretch>,
+    /// Whether it drives with its back in front.
+    pub(crate) backward: bool,
 }
 
 /// Part of a lane: the lane's ends, and the shares of its length where the part begins and ends.
@@ -50,13 +54,38 @@ impl Drive {
     }
 
     fn pose(&self, time: f64) -> Pose {
-        let (a, b, share) = (self.start_pose, self.end_pose, self.share(time));
+        self.pose_after(self.share(time))
+    }
+
+    fn pose_after(&self, share: f64) -> Pose {
+        let (a, b) = (self.start_pose, self.end_pose);
         if share >= 1.0 {
             return b;
         }
         let (dx, dy) = (b.x - a.x, b.y - a.y);
-        let yaw = if share > 0.0 && (dx, dy) != (0.0, 0.0) { dy.atan2(dx) } else { a.yaw };
+        let front = if self.backward { (-dx, -dy) } else { (dx, dy) };
+        let yaw = if share > 0.0 && (dx, dy) != (0.0, 0.0) { front.1.atan2(front.0) } else { a.yaw };
         Pose::new(a.x + dx * share, a.y + dy * share, yaw)
+    }
+
+    /// The part of it between two distances from its start, driven from `now` on.
+    pub(crate) fn part(&self, from_m: f64, to_m: f64, now: f64, speed_mps: f64) -> Drive {
+        let share = |m: f64| if self.length_m > 0.0 { (m / self.length_m).clamp(0.0, 1.0) } else { 1.0 };
+        let (a, b) = (share(from_m), share(to_m));
+        let length_m = to_m - from_m;
+        Drive {
+            start_spot: self.spot_after(a),
+            start_pose: self.pose_after(a),
+            began: now,
+            end_spot: self.spot_after(b),
+            end_pose: self.pose_after(b),
+            ends: now + length_m / speed_mps,
+            length_m,
+            lane: self
+                .lane
+                .map(|(from, to, first, last)| (from, to, first + (last - first) * a, first + (last - first) * b)),
+            backward: self.backward,
+        }
     }
 
     pub(crate) fn remaining(&self, time: f64) -> Metres {
@@ -65,7 +94,10 @@ impl Drive {
 
     /// Where it stands if it stops now.
     fn spot(&self, time: f64) -> Spot {
-        let share = self.share(time);
+        self.spot_after(self.share(time))
+    }
+
+    fn spot_after(&self, share: f64) -> Spot {
         match self.lane {
             _ if share <= 0.0 => self.start_spot,
             _ if share >= 1.0 => self.end_spot,
@@ -82,6 +114,7 @@ impl Spot {
             Spot::Place(place) => place,
             Spot::Lane { from, .. } => from,
             Spot::Floor { near } => near,
+            Spot::Lift { to } => to,
         }
     }
 
@@ -92,6 +125,10 @@ impl Spot {
             Spot::Place(place) => format!("at {}", name(place)),
             Spot::Lane { from, to, .. } => format!("between {} and {}", name(from), name(to)),
             Spot::Floor { near } => format!("off the lanes near {}", name(near)),
+            Spot::Lift { to } => {
+                let lift = map.lift_at(name(to)).map_or("a lift", |lift| lift.name.as_str());
+                format!("in {lift} on the way to {}", name(to))
+            }
         }
     }
 }

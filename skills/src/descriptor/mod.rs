@@ -31,6 +31,8 @@ pub struct Context {
     pub speed: MetresPerSecond,
     /// How fast it empties its battery at work.
     pub discharge: SharePerSecond,
+    /// The ways that it knows to be closed, each by its two ends.
+    pub closed: Vec<(PlaceId, PlaceId)>,
 }
 
 /// What a task would cost.

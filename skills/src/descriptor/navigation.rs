@@ -34,7 +34,7 @@ impl SkillDescriptor for Navigation {
         environment: &Environment,
     ) -> Result<Estimate, EstimateError> {
         let to = parsed(task, "to", str::parse::<PlaceId>)?;
-        let routes = environment.get::<Routes>()?;
+        let routes = environment.get::<Routes>()?.without(&context.closed);
         let length = match context.pose {
             Some(pose) => routes.distance_left(&context.place, pose, &to)?,
             None => routes.distance(&context.place, &to)?,

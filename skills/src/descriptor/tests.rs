@@ -52,6 +52,7 @@ fn robot(at: &str) -> Context {
         place: place(at),
         speed: MetresPerSecond::new(0.5).unwrap(),
         discharge: SharePerSecond::new(0.001).unwrap(),
+        closed: vec![],
     }
 }
 
@@ -89,6 +90,16 @@ fn an_unreachable_destination_is_no_bid_rather_than_a_bid_of_nothing() {
     let error = estimator().price(&plan, &robot("A")).unwrap_err();
     assert_eq!((error.step, error.task.as_str()), (1, "to_d"));
     assert_eq!(error.to_string(), "step 1 (to_d): no route from A to D: the map has no way between them");
+}
+
+#[test]
+fn a_way_known_to_be_closed_is_priced_round_or_not_at_all() {
+    let to_c = plan(vec![doing("to_c", task("navigation", &[("to", "C")]))]);
+    let closed = Context { closed: vec![(place("B"), place("A"))], ..robot("A") };
+    let error = estimator().price(&to_c, &closed).unwrap_err();
+    assert_eq!(error.to_string(), "step 0 (to_c): no route from A to C: the ways between them are closed");
+    let elsewhere = Context { closed: vec![(place("A"), place("D")), (place("A"), place("X"))], ..robot("A") };
+    assert_eq!(estimator().price(&to_c, &elsewhere), estimator().price(&to_c, &robot("A")), "no such way");
 }
 
 #[test]

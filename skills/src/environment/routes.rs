@@ -11,7 +11,8 @@ use consort_protocol::units::Metres;
 use petgraph::algo::dijkstra;
 use petgraph::graph::{DiGraph, NodeIndex};
 use petgraph::visit::{EdgeRef, Reversed};
-use std::collections::BTreeMap;
+use std::borrow::Cow;
+use std::collections::{BTreeMap, BTreeSet};
 use std::sync::OnceLock;
 
 /// How far from a leg's straight line a body may be and still count as on it: Nav2's default goal tolerance.
@@ -24,6 +25,8 @@ pub struct Routes {
     index: BTreeMap<PlaceId, NodeIndex>,
     /// By destination: metres from every node, infinite where there is no way.
     distances: Vec<OnceLock<Vec<f64>>>,
+    /// Whether ways of the map are left out because they are closed.
+    reduced: bool,
 }
 
 /// A shortest way.
@@ -47,6 +50,14 @@ pub enum RouteError {
         to: PlaceId,
         /// The one that is not on the map.
         place: PlaceId,
+    },
+    /// Both are on the map, and all that leads from one to the other is closed, as far as is known.
+    #[error("no route from {from} to {to}: the ways between them are closed")]
+    Closed {
+        /// From where.
+        from: PlaceId,
+        /// To where.
+        to: PlaceId,
     },
     /// Both are on the map, and nothing leads from one to the other.
     #[error("no route from {from} to {to}: the map has no way between them")]
@@ -78,7 +89,22 @@ impl Routes {
             }
         }
         let distances = vec![OnceLock::new(); index.len()];
-        Ok(Routes { graph, index, distances })
+        Ok(Routes { graph, index, distances, reduced: false })
+    }
+
+    /// The same routes without the ways between these places, whichever way they lead. Those that are not on the map make
+    /// no difference.
+    pub fn without(&self, closed: &[(PlaceId, PlaceId)]) -> Cow<'_, Routes> {
+        let ends = closed.iter().filter_map(|(a, b)| Some((*self.index.get(a)?, *self.index.get(b)?)));
+        let edges = ends.flat_map(|(a, b)| [self.graph.find_edge(a, b), self.graph.find_edge(b, a)]);
+        let edges: BTreeSet<_> = edges.flatten().collect();
+        if edges.is_empty() {
+            return Cow::Borrowed(self);
+        }
+        let graph =
+            self.graph.filter_map(|_, place| Some(place.clone()), |edge, m| (!edges.contains(&edge)).then_some(*m));
+        let distances = vec![OnceLock::new(); self.index.len()];
+        Cow::Owned(Routes { graph, index: self.index.clone(), distances, reduced: true })
     }
 
     /// How long the shortest route is; 0 m from a place to itself.
@@ -88,7 +114,10 @@ impl Routes {
     pub fn distance(&self, from: &PlaceId, to: &PlaceId) -> Result<Metres, RouteError> {
         let (start, end) = (self.node(from, from, to)?, self.node(to, from, to)?);
         let length = Metres::new(self.to(end)[start.index()]);
-        length.map_err(|_| RouteError::Unreachable { from: from.clone(), to: to.clone() })
+        length.map_err(|_| match self.reduced {
+            true => RouteError::Closed { from: from.clone(), to: to.clone() },
+            false => RouteError::Unreachable { from: from.clone(), to: to.clone() },
+        })
     }
 
     /// The shortest route. Where several are equally short, the one whose places come first in the order of names.

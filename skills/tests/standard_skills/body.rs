@@ -29,6 +29,7 @@ impl ScriptedBody {
             place: place(name),
             battery: BatteryShare::FULL,
             able: true,
+            closed: vec![],
         };
         ScriptedBody { telemetry, script: VecDeque::new(), goals: Vec::new(), canceling: None, done: vec![] }
     }
@@ -55,9 +56,14 @@ impl ScriptedBody {
             Goal::OperateDrawer { open } => format!("drawer {open}"),
             Goal::ApproachRobot { robot } => format!("approach robot {robot}"),
             Goal::PickUp { from } => format!("pick up from {from}"),
+            Goal::Grasp { object } => format!("grasp {object}"),
             Goal::Deposit { into: Some(robot) } => format!("deposit into {robot}"),
             Goal::Deposit { into: None } => "deposit".to_owned(),
             Goal::Wait { time } => format!("wait {time}"),
+            Goal::FollowWaypoints { waypoints } => format!("follow {} waypoints", waypoints.len()),
+            Goal::Spin { angle_rad } => format!("spin {angle_rad}"),
+            Goal::Dock { .. } => "dock".to_owned(),
+            Goal::Undock => "undock".to_owned(),
         };
         self.goals.iter().map(shown).collect()
     }
@@ -66,7 +72,12 @@ impl ScriptedBody {
     pub(crate) fn end_goal(&mut self) {
         let Some((goal, status)) = self.goals.last_mut().filter(|(_, status)| !status.is_final()) else { return };
         *status = match self.script.pop_front().unwrap_or(Ok(())) {
-            Err(error) => GoalStatus::Aborted(error),
+            Err(error) => {
+                if let (ErrorCode::Blocked, Goal::NavigateToPose { place: Some(to), .. }) = (error.code, &*goal) {
+                    self.telemetry.closed.push((self.telemetry.place.clone(), to.clone()));
+                }
+                GoalStatus::Aborted(error)
+            }
             Ok(()) => {
                 if let Goal::NavigateToPose { pose, place: Some(place) } = goal {
                     (self.telemetry.pose, self.telemetry.place) = (*pose, place.clone());

@@ -103,3 +103,54 @@ fn a_resumed_drive_is_planned_from_where_the_body_came_to_a_stop() {
     assert_eq!(skill.tick(&mut body), SkillStatus::Succeeded);
     assert_eq!(body.sent(), ["drive B 10"], "it rolled on to B while it stopped");
 }
+
+/// A – B – C, and a longer way from A over E to C.
+fn ring() -> SkillLibrary {
+    let names = [("A", 0.0), ("B", 10.0), ("C", 20.0), ("E", 15.0)];
+    let edge = |(a, b, length_m)| Edge { a: place(a), b: place(b), length_m, one_way: false };
+    let map = TopologicalMap {
+        places: names.map(|(name, x)| (place(name), Pose::new(x, 0.0, 0.0))).into(),
+        edges: [("A", "B", 10.0), ("B", "C", 10.0), ("A", "E", 30.0), ("E", "C", 30.0)].map(edge).into(),
+    };
+    SkillLibrary::standard(Environment::new().with(Routes::new(&map).unwrap()))
+}
+
+fn blocked() -> Result<(), ActionError> {
+    Err(error(ErrorCode::Blocked, "a bed stands in it"))
+}
+
+#[test]
+fn a_drive_that_is_blocked_goes_another_way() {
+    let mut body = ScriptedBody::at("A").playing([Ok(()), blocked()]);
+    let mut skill = ring().load(&task("navigation", &[("to", "C")]), &context()).unwrap();
+    assert_eq!(run(&mut skill, &mut body), SkillStatus::Succeeded);
+    assert_eq!(body.sent(), ["drive B 10", "drive C 20", "drive A 0", "drive E 15", "drive C 20"]);
+}
+
+#[test]
+fn what_is_known_to_be_closed_is_not_tried() {
+    let mut body = ScriptedBody::at("A").playing([blocked()]);
+    let ring = ring();
+    let mut first = ring.load(&task("navigation", &[("to", "B")]), &context()).unwrap();
+    assert_eq!(run(&mut first, &mut body), SkillStatus::Succeeded);
+    assert_eq!(body.sent(), ["drive B 10", "drive E 15", "drive C 20", "drive B 10"]);
+    let mut back = ring.load(&task("navigation", &[("to", "A")]), &context()).unwrap();
+    assert_eq!(run(&mut back, &mut body), SkillStatus::Succeeded);
+    assert_eq!(body.sent()[4..], ["drive C 20", "drive E 15", "drive A 0"]);
+}
+
+#[test]
+fn a_drive_without_another_way_fails_with_the_bodys_own_words() {
+    let mut body = ScriptedBody::at("A").playing([Ok(()), blocked()]);
+    let ended = run(&mut skill(&task("navigation", &[("to", "C")])), &mut body);
+    assert_eq!(ended, failed("NavigateToPose: blocked: a bed stands in it"));
+    assert_eq!(body.sent().len(), 2);
+}
+
+#[test]
+fn a_drive_that_is_blocked_on_every_way_fails() {
+    let mut body = ScriptedBody::at("A").playing([blocked(), blocked()]);
+    let ended = run(&mut ring().load(&task("navigation", &[("to", "C")]), &context()).unwrap(), &mut body);
+    assert_eq!(ended, failed("NavigateToPose: blocked: a bed stands in it"));
+    assert_eq!(body.sent(), ["drive B 10", "drive E 15"]);
+}

@@ -2,8 +2,8 @@
 
 use super::cast::{ARM, Cast};
 use super::schedule::{Act, Mishap, Schedule};
+use crate::Adjust;
 use crate::disk::Disk;
-use crate::{Adjust, topology};
 use consort_actors::clock::Clock;
 use consort_actors::node::NodeSettings;
 use consort_protocol::units::{Seconds, WorldTime};
@@ -47,7 +47,7 @@ impl Gear {
         let drift = |act: &Act| if let Act::Drift { node, rate } = act { Some((node.clone(), *rate)) } else { None };
         let rates = schedule.steps.iter().filter_map(|step| drift(&step.act)).collect();
         let map = map::shipped("hospital").expect("the shipped map is sound");
-        let environment = Environment::new().with(Routes::new(&topology(&map)).expect("the shipped map is sound"));
+        let environment = Environment::new().with(Routes::new(&map.topology()).expect("the shipped map is sound"));
         let robots = cast.carriers.iter().copied().chain([ARM]);
         let mishaps: BTreeMap<String, Mishaps> = robots.map(|robot| (robot.to_owned(), Mishaps::default())).collect();
         let library = |mishaps: &Mishaps| Arc::new(stumbling(environment.clone(), mishaps));

@@ -63,7 +63,8 @@ impl Tally {
                 Some(MissionState::NeedsRescue { .. }) => self.rescues += 1,
                 Some(MissionState::Canceled { .. }) => self.canceled += 1,
                 Some(MissionState::Pending | MissionState::Running) => {}
-                None => self.lost += 1,
+                // While nobody keeps a ledger (a run that a violation has cut short), nothing is known of any mission.
+                None => self.lost += usize::from(fleet.ledger(|_| ()).is_some()),
             }
         }
     }

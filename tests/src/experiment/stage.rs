@@ -1,6 +1,5 @@
 //! What all trials of a design share.
 
-use crate::topology;
 use consort_protocol::ensemble::{Ensemble, EnsembleSpec};
 use consort_protocol::ids::TaskType;
 use consort_protocol::mission::{Domain, MissionTemplate, shipped};
@@ -73,7 +72,7 @@ impl Stage {
         let skills: std::collections::BTreeSet<TaskType> = domain.task_types().cloned().collect();
         let spec = EnsembleSpec::with_any_skill_of(crate::slug("robots"), skills);
         let ensemble = Ensemble::compile(spec).map_err(|problem| whole(problem.to_string()))?;
-        let routes = Routes::new(&topology(&map)).map_err(|problem| whole(problem.to_string()))?;
+        let routes = Routes::new(&map.topology()).map_err(|problem| whole(problem.to_string()))?;
         let environment = Environment::new().with(routes);
         let resolve = |registry: DescriptorRegistry| {
             registry.resolve(environment.clone()).map(Arc::new).map_err(|problem| whole(problem.to_string()))

@@ -433,6 +433,7 @@ fn world(stage: &Stage, scenario: &Scenario, seed: u64) -> SharedWorld {
             role: person.role.clone(),
             place: scenario.place(&person.place).expect(checked),
             samples: person.items.iter().map(|item| item.as_str().into()).collect(),
+            mood: vec![],
         });
     }
     SharedWorld::new(World::new(setup).unwrap_or_else(|problems| panic!("scenario {}: {problems}", scenario.code)))

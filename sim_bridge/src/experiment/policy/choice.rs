@@ -82,7 +82,9 @@ pub struct ByFate {
 impl Choice for ByFate {
     fn choose(&self, ballot: &Ballot<'_>) -> Result<BTreeMap<RoleId, RobotId>, String> {
         let open = |role: &RoleId, robot: &RobotId| ballot.open.get(role).is_some_and(|robots| robots.contains(robot));
-        let prospects = self.prospects.iter().filter(|((role, robot), _)| open(role, robot));
+        // Whoever cannot succeed is not sent at all: nobody else would send them, either.
+        let hopeful = |prospect: &Prospect| prospect.success > 0.0;
+        let prospects = self.prospects.iter().filter(|((role, robot), fate)| open(role, robot) && hopeful(fate));
         let prospects = prospects.map(|(of, prospect)| (of.clone(), *prospect)).collect();
         let roles: BTreeSet<RoleId> = ballot.call.roles.keys().cloned().collect();
         optimal(&roles, &prospects).ok_or_else(|| NOBODY.to_owned())
@@ -163,6 +165,7 @@ mod tests {
             pose: None,
             speed: MetresPerSecond::new(speed).unwrap(),
             discharge: SharePerSecond::new(0.01).unwrap(),
+            closed: vec![],
         };
         let rule = ByGreed {
             estimator: Arc::new(DescriptorRegistry::standard().resolve(environment).unwrap()),
@@ -193,5 +196,8 @@ mod tests {
         let rule = ByFate { prospects: prospects.into() };
         assert_eq!(ask(&rule, 1, &["ada", "bob"], &[]).unwrap(), "ada");
         assert_eq!(ask(&rule, 1, &["bob"], &[]).unwrap(), "bob");
+        // Of those who cannot succeed none is better than nobody.
+        let hopeless = [((role(), robot("ada")), prospect(0.0))];
+        assert_eq!(ask(&ByFate { prospects: hopeless.into() }, 1, &["ada"], &[]).unwrap_err(), NOBODY);
     }
 }

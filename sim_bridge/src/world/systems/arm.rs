@@ -1,9 +1,9 @@
-//! Arms that take things out of drawers and put them down.
+//! Arms that take things out of drawers and off tables, as far as they reach and as much as they lift, and put them down.
 
 use crate::world::components::{Beside, Body, Departures, DrawerOpen, Label, Who};
 use crate::world::floor::Floor;
 use crate::world::reach::refused;
-use crate::world::samples::{Custody, Handovers, Holder};
+use crate::world::samples::{Custody, Handovers, Holder, Load};
 use crate::world::system::{Kind, System, kinds};
 use crate::world::whereabouts::Whereabouts;
 use consort_protocol::ids::RobotId;
@@ -26,12 +26,12 @@ impl System for Arm {
     }
 
     fn writes(&self) -> Vec<Kind> {
-        kinds![Custody, Handovers]
+        kinds![Custody, Handovers, Load]
     }
 
     fn begin(&self, floor: &mut Floor, robot: Entity, goal: &Goal) -> Option<Result<f64, ActionError>> {
         let takes = match goal {
-            Goal::PickUp { .. } => floor.durations.pick_up_s,
+            Goal::PickUp { .. } | Goal::Grasp { .. } => floor.durations.pick_up_s,
             Goal::Deposit { .. } => floor.durations.deposit_s,
             _ => return None,
         };
@@ -40,6 +40,7 @@ impl System for Arm {
 
     fn finish(&self, floor: &mut Floor, robot: Entity, goal: &Goal) -> Result<(), ActionError> {
         for (thing, to) in floor.moves(robot, goal)? {
+            floor.get_mut::<Load>(thing).distance_m = 0.0;
             floor.hand_over(thing, to);
         }
         Ok(())
@@ -51,6 +52,7 @@ impl Floor {
     fn moves(&self, robot: Entity, goal: &Goal) -> Result<Moves, ActionError> {
         match goal {
             Goal::PickUp { from } => self.pick_up(robot, from),
+            Goal::Grasp { object } => self.grasp(robot, object),
             Goal::Deposit { into } => self.deposit(robot, into.as_ref()),
             _ => Ok(vec![]),
         }
@@ -65,6 +67,9 @@ impl Floor {
         }
         self.open_drawer_in_reach(robot, from)?;
         let to = Holder::Arm(robot);
+        if let Some(sample) = self.held(Holder::Drawer(from)).first() {
+            self.within_strength(robot, *sample)?;
+        }
         match (self.held(Holder::Drawer(from)).first().copied(), held) {
             (Some(sample), None) => Ok(vec![(sample, to)]),
             (Some(sample), Some(held)) => {
@@ -74,6 +79,37 @@ impl Floor {
             }
             (None, _) => Err(refused(ErrorCode::DrawerState, format!("the drawer of {} is empty", self.name(from)))),
         }
+    }
+
+    fn grasp(&self, robot: Entity, object: &str) -> Result<Moves, ActionError> {
+        let place = self.standing_place(robot)?;
+        if let Some(held) = self.in_arm(robot)? {
+            let message = format!("{} already holds {}", self.name(robot), self.label(held));
+            return Err(refused(ErrorCode::Busy, message));
+        }
+        let there = self.held(Holder::Table(place));
+        let Some(thing) = there.iter().copied().find(|thing| self.label(*thing) == object) else {
+            let labels: Vec<String> = there.iter().map(|thing| self.label(*thing)).collect();
+            let lies = if labels.is_empty() { "nothing".to_owned() } else { labels.join(", ") };
+            let message = format!("no {object:?} lies at {}; there lies: {lies}", self.map.at(place).id);
+            return Err(refused(ErrorCode::OutOfReach, message));
+        };
+        let (distance_m, reach_m) = (self.get::<Load>(thing).distance_m, self.get::<Body>(robot).0.reach_m);
+        if distance_m > reach_m {
+            let message = format!("{object} is {distance_m} m away, {} reaches {reach_m} m", self.name(robot));
+            return Err(refused(ErrorCode::OutOfReach, message));
+        }
+        self.within_strength(robot, thing)?;
+        Ok(vec![(thing, Holder::Arm(robot))])
+    }
+
+    fn within_strength(&self, robot: Entity, thing: Entity) -> Result<(), ActionError> {
+        let (weight_kg, most) = (self.get::<Load>(thing).weight_kg, self.get::<Body>(robot).0.payload_max_kg);
+        if weight_kg <= most {
+            return Ok(());
+        }
+        let message = format!("{} weighs {weight_kg} kg, {} lifts {most} kg", self.label(thing), self.name(robot));
+        Err(refused(ErrorCode::TooHeavy, message))
     }
 
     fn deposit(&self, robot: Entity, into: Option<&RobotId>) -> Result<Moves, ActionError> {

@@ -2,9 +2,11 @@
 
 use crate::world::components::{Beside, Body, Departures, Who};
 use crate::world::floor::Floor;
+use crate::world::journal::Happening;
 use crate::world::reach::refused;
 use crate::world::setup::RobotBody;
 use crate::world::system::{Kind, System, kinds};
+use crate::world::systems::moods::Minds;
 use crate::world::whereabouts::Whereabouts;
 use consort_protocol::ids::{RobotId, RoleId};
 use consort_skills::actions::{ActionError, ErrorCode, Goal};
@@ -19,7 +21,7 @@ impl System for Company {
     }
 
     fn reads(&self) -> Vec<Kind> {
-        kinds![Body, Departures, Whereabouts, Who]
+        kinds![Body, Departures, Minds, Whereabouts, Who]
     }
 
     fn writes(&self) -> Vec<Kind> {
@@ -43,6 +45,10 @@ impl System for Company {
     fn finish(&self, floor: &mut Floor, robot: Entity, goal: &Goal) -> Result<(), ActionError> {
         let beside = floor.company(robot, goal)?;
         *floor.get_mut::<Beside>(robot) = beside;
+        if let Beside::Person { person, authenticated } = beside {
+            let person = floor.get::<Who>(person).name.clone();
+            floor.note(Happening::Approached { robot: floor.name(robot), person, authenticated });
+        }
         Ok(())
     }
 }
@@ -62,7 +68,7 @@ impl Floor {
         let place = self.standing_place(robot)?;
         let is_here = |person: &&Entity| {
             let who = self.get::<Who>(**person);
-            who.role == *role && who.place == place
+            who.role == *role && who.place == place && self.is_present(&who.name)
         };
         match self.people.values().find(is_here) {
             Some(person) => Ok(Beside::Person { person: *person, authenticated: false }),

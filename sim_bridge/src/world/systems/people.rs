@@ -5,15 +5,18 @@
 //! is. She takes her time; if the robot leaves or shuts its drawer meanwhile, she keeps her sample and waits on.
 
 use crate::world::components::{Beside, Body, DrawerOpen, HandsBusy, Label, Pace, Who};
+use crate::world::fittings::sample_kg;
 use crate::world::floor::Floor;
 use crate::world::journal::Happening;
+use crate::world::names::PersonName;
 use crate::world::queue::Ticket;
 use crate::world::reach::refused;
-use crate::world::samples::{Custody, Handovers, Holder};
+use crate::world::samples::{Custody, Handovers, Holder, Load};
 use crate::world::setup::{Person, WorldSetup};
 use crate::world::system::{Kind, System, Wake, kinds};
+use crate::world::systems::moods::Minds;
 use crate::world::whereabouts::Whereabouts;
-use consort_protocol::ids::RoleId;
+use consort_protocol::ids::{RobotId, RoleId};
 use consort_skills::actions::{ActionError, BodyEvent, ErrorCode, GoalId, PersonAsk};
 use hecs::Entity;
 use rand::RngExt;
@@ -118,11 +121,11 @@ impl System for People {
     }
 
     fn reads(&self) -> Vec<Kind> {
-        kinds![Beside, Body, DrawerOpen, Whereabouts]
+        kinds![Beside, Body, DrawerOpen, Minds, Whereabouts]
     }
 
     fn writes(&self) -> Vec<Kind> {
-        kinds![Asks, Custody, HandsBusy, Handovers, Label, Pace, Who]
+        kinds![Asks, Custody, HandsBusy, Handovers, Label, Load, Pace, Who]
     }
 
     fn furnish(&self, floor: &mut Floor, setup: &WorldSetup) {
@@ -148,8 +151,24 @@ impl System for People {
     }
 
     fn observe(&self, floor: &mut Floor, what: &Happening) {
-        if matches!(what, Happening::GoalEnded { .. }) {
-            floor.serve_asks();
+        match what {
+            Happening::GoalEnded { .. } | Happening::CameBack { .. } => floor.serve_asks(),
+            Happening::CalledOff { person, robot } => {
+                floor.hold_back(person, Some(robot));
+                floor.serve_asks();
+            }
+            Happening::Declined { person, robot } => {
+                if let Some(id) = floor.hold_back(person, Some(robot)) {
+                    let why = refused(ErrorCode::NotAuthenticated, format!("{person} declines"));
+                    floor.end_ask(id, Err(why));
+                    floor.serve_asks();
+                }
+            }
+            Happening::WalkedAway { person } => {
+                floor.hold_back(person, None);
+                floor.give_up_waiting();
+            }
+            _ => {}
         }
     }
 }
@@ -163,7 +182,8 @@ impl Floor {
         self.give(hands, Pace(pace));
         self.people.insert(person.name.clone(), hands);
         for sample in &person.samples {
-            self.spawn_sample(sample.clone(), Holder::Hands(hands));
+            let load = Load { weight_kg: sample_kg(), distance_m: 0.0 };
+            self.spawn_sample(sample.clone(), Holder::Hands(hands), load);
         }
     }
 
@@ -211,6 +231,11 @@ impl Floor {
         if !CAN.contains(&ask.task.task_type.as_str()) {
             return unknown(format!("a {} cannot {}; can: {}", ask.role, ask.task.task_type, CAN.join(", ")));
         }
+        let away = |person: &Entity| !self.is_present(&self.get::<Who>(*person).name);
+        let mut players = self.people.values().filter(|person| self.get::<Who>(**person).role == ask.role);
+        if players.all(away) {
+            return Err(refused(ErrorCode::OutOfReach, format!("every {} has walked away", ask.role)));
+        }
         let waiting = self.own::<Asks>().open.len();
         if waiting >= self.limits.asks_max {
             let message = format!("{waiting} asks are waiting already");
@@ -257,7 +282,9 @@ impl Floor {
     /// The person whom a robot with an open drawer is beside.
     fn ready_at(&self, robot: Entity) -> Option<Entity> {
         match *self.get::<Beside>(robot) {
-            Beside::Person { person, .. } if self.get::<DrawerOpen>(robot).0 => Some(person),
+            Beside::Person { person, .. } if self.get::<DrawerOpen>(robot).0 => {
+                self.is_willing(&self.get::<Who>(person).name, &self.name(robot)).then_some(person)
+            }
             Beside::Person { .. } | Beside::Nobody | Beside::Robot { .. } => None,
         }
     }
@@ -270,6 +297,42 @@ impl Floor {
         if self.ready_at(handing.robot) == Some(handing.person) {
             let result = self.put_in(handing);
             self.end_ask(id, result);
+        }
+        self.serve_asks();
+    }
+
+    /// She keeps what she was about to hand over, to a robot or to whichever. The ask stays open.
+    fn hold_back(&mut self, person: &PersonName, robot: Option<&RobotId>) -> Option<GoalId> {
+        let person = self.people.get(person).copied()?;
+        let robot = robot.and_then(|robot| self.robots.get(robot).copied());
+        let (id, handing) = {
+            let mut asks = self.own_mut::<Asks>();
+            let is_it =
+                |handing: &HandingOver| handing.person == person && robot.is_none_or(|robot| robot == handing.robot);
+            let ask = asks.open.values_mut().find(|ask| ask.under_way.as_ref().is_some_and(is_it))?;
+            (ask.id, ask.under_way.take()?)
+        };
+        self.queue.take_back(handing.ends);
+        self.get_mut::<HandsBusy>(person).0 = false;
+        Some(id)
+    }
+
+    /// Nobody waits for those who are gone: asks of a role that nobody plays here now end.
+    fn give_up_waiting(&mut self) {
+        let there = |person: &Entity| self.is_present(&self.get::<Who>(*person).name);
+        let roles: BTreeSet<RoleId> = self
+            .people
+            .values()
+            .filter(|person| there(person))
+            .map(|person| self.get::<Who>(*person).role.clone())
+            .collect();
+        let vain: Vec<(GoalId, RoleId)> = {
+            let asks = self.own::<Asks>();
+            let open = asks.open.values().filter(|ask| !roles.contains(&ask.role));
+            open.map(|ask| (ask.id, ask.role.clone())).collect()
+        };
+        for (id, role) in vain {
+            self.end_ask(id, Err(refused(ErrorCode::OutOfReach, format!("every {role} has walked away"))));
         }
         self.serve_asks();
     }

@@ -1,6 +1,7 @@
 //! Charge as a function of time.
 //!
-//! While a robot has a goal under way its battery loses its discharge rate; otherwise that rate times its idle factor.
+//! While a robot has a goal under way its battery loses its discharge rate; otherwise that rate times its idle factor. Docked
+//! at a charger it gains its charging rate beside.
 //! Between two such changes the charge is a straight line, so the instant at which it crosses the stopping share is
 //! known beforehand and stands in the queue.
 
@@ -13,6 +14,7 @@ use crate::world::queue::Ticket;
 use crate::world::reach::refused;
 use crate::world::setup::RobotBody;
 use crate::world::system::{Kind, System, Wake, kinds};
+use crate::world::systems::docking::Docked;
 use consort_protocol::ids::RobotId;
 use consort_protocol::units::BatteryShare;
 use consort_skills::actions::{ActionError, BodyEvent, ErrorCode, Goal};
@@ -31,7 +33,7 @@ pub(crate) struct Battery {
     /// Share of a full one at `since`.
     charge: f64,
     since: f64,
-    /// Share lost per second from `since` on.
+    /// Share lost per second from `since` on; negative while it charges.
     rate: f64,
     /// False once the charge fell to the stopping share.
     pub(crate) able: bool,
@@ -55,7 +57,7 @@ impl Battery {
         match self.able {
             false => None,
             true if above <= 0.0 => Some(self.since),
-            // No time at all is infinite for a battery that loses nothing.
+            true if self.rate <= 0.0 => None,
             true => Some(self.since + above / self.rate).filter(|time| time.is_finite()),
         }
     }
@@ -70,7 +72,7 @@ impl System for Power {
     }
 
     fn reads(&self) -> Vec<Kind> {
-        kinds![Body, GoalBook]
+        kinds![Body, Docked, GoalBook]
     }
 
     fn writes(&self) -> Vec<Kind> {
@@ -99,6 +101,13 @@ impl System for Power {
         let (robot, working) = match what {
             Happening::GoalBegan { robot, .. } => (robot, true),
             Happening::GoalEnded { robot, .. } => (robot, false),
+            Happening::Docked { robot, .. } => {
+                if let Some(robot) = floor.robots.get(robot).copied() {
+                    let working = floor.get::<GoalBook>(robot).is_busy();
+                    floor.set_working(robot, working);
+                }
+                return;
+            }
             _ => return,
         };
         if let Some(robot) = floor.robots.get(robot).copied()
@@ -131,7 +140,11 @@ impl World {
 impl Floor {
     /// From now on the robot works, or idles; the line of its charge bends here.
     fn set_working(&mut self, robot: Entity, working: bool) {
-        let rate = self.get::<Body>(robot).0.rate(working).get();
+        let charging = self.find::<Docked>(robot).is_some_and(|docked| docked.0);
+        let rate = {
+            let body = &self.get::<Body>(robot).0;
+            body.rate(working).get() - if charging { body.charging.get() } else { 0.0 }
+        };
         let now = self.now;
         let (old, crosses) = {
             let mut battery = self.get_mut::<Battery>(robot);

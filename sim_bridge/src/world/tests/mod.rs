@@ -1,12 +1,22 @@
 //! Stories of the world, each file one theme.
 
 mod asks;
+mod docking;
+mod doors;
 mod driving;
+mod gripping;
 mod lab_samples;
+mod lifts;
+mod moods;
+mod obstacles;
 mod power;
 mod preconditions;
 mod properties;
+mod sensing;
 mod setups;
+mod speed;
+mod steered_journeys;
+mod steering;
 mod systems;
 
 use super::*;
@@ -39,11 +49,17 @@ fn carrier(name: &str, at: &str) -> RobotBody {
 }
 
 fn nurse(name: &str, at: &str, sample: &str) -> Person {
-    Person { name: name.into(), role: role("nurse"), place: place(at), samples: vec![sample.into()] }
+    Person { name: name.into(), role: role("nurse"), place: place(at), samples: vec![sample.into()], mood: vec![] }
 }
 
 fn hospital(seed: u64) -> WorldSetup {
     WorldSetup::new(map::shipped("hospital").unwrap(), seed)
+}
+
+/// What the journal says since it was last asked, of those that `of` has something to say of: when, and what.
+fn noted<T>(world: &mut World, of: impl Fn(&Happening) -> Option<T>) -> Vec<(f64, T)> {
+    let journal = world.drain_journal().into_iter();
+    journal.filter_map(|entry| Some((entry.time.as_secs(), of(&entry.what)?))).collect()
 }
 
 fn go(world: &World, to: &str) -> Goal {

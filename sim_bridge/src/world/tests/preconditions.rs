@@ -91,7 +91,13 @@ fn a_canceled_goal_changes_nothing() {
 #[test]
 fn the_wrong_person_is_not_authenticated() {
     let mut setup = hospital(1).robot(carrier("r1", "PC Room 1")).person(nurse("Ana", "PC Room 1", "s1"));
-    setup.people.push(Person { name: "Eve".into(), role: role("visitor"), place: place("PC Room 1"), samples: vec![] });
+    setup.people.push(Person {
+        name: "Eve".into(),
+        role: role("visitor"),
+        place: place("PC Room 1"),
+        samples: vec![],
+        mood: vec![],
+    });
     let mut world = World::new(setup).unwrap();
     does(&mut world, "r1", 1, Goal::ApproachPerson { role: role("visitor") });
     let status = refusal(&mut world, "r1", 2, Goal::AuthenticatePerson { role: role("nurse") });

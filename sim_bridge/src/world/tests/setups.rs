@@ -22,7 +22,7 @@ fn all_that_is_wrong_is_said() {
         [
             "durations: pick_up_s is NaN, allowed is a number of seconds from 0 to 86400",
             "limits: drawer_slots is 0, allowed is 1 or more",
-            "there is no system \"powr\"; did you mean \"power\"?; there are: driving, waiting, company, drawer, arm, power, people",
+            "there is no system \"powr\"; did you mean \"power\"?; there are: steering, driving, doors, lifts, obstacles, turning, waiting, company, drawer, arm, docking, power, moods, people, collisions, gusts",
             "system arm stands more than once",
             "robot r1: there is no place \"PC Rom 3\" on map hospital; did you mean \"PC Room 3\"?",
             "robot r1 stands more than once",

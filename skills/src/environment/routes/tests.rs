@@ -135,7 +135,7 @@ proptest! {
         from in 0usize..8,
         to in 0usize..8,
     ) {
-        let mut seen = std::collections::BTreeSet::new();
+        let mut seen = BTreeSet::new();
         let edges: Vec<(usize, usize, f64)> = drawn
             .into_iter()
             .filter(|(a, b, _)| a != b && seen.insert((*a, *b)))

@@ -6,10 +6,11 @@
 //! is of no account then.
 
 use super::Invariant;
+use super::reference::Reference;
 use crate::{Entry, Fleet};
 use consort_protocol::event::Happening;
 use consort_protocol::ids::{MissionId, RoleId};
-use consort_protocol::ledger::{Ledger, MissionEntry, MissionState};
+use consort_protocol::ledger::{MissionEntry, MissionState};
 use consort_protocol::plan::{Signal, Step, StepAction};
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
@@ -18,6 +19,8 @@ use std::time::Duration;
 pub(super) struct Signals {
     said: BTreeMap<MissionId, BTreeSet<Signal>>,
     heard: BTreeMap<MissionId, BTreeSet<Signal>>,
+    /// Of what was told to the ledger, for when nobody who keeps one is left.
+    reference: Reference,
 }
 
 /// Whether a role ended before all its steps had, because it was taken from its holder.
@@ -38,7 +41,8 @@ impl Invariant for Signals {
         "signals"
     }
 
-    fn see(&mut self, _: Duration, entry: &Entry, fleet: &Fleet) -> Result<(), String> {
+    fn see(&mut self, _: Duration, entry: &Entry, _: &Fleet) -> Result<(), String> {
+        self.reference.see(entry);
         match entry.happening() {
             Some(Happening::Sent { mission, signal }) => {
                 self.said.entry(mission.clone()).or_default().insert(signal.clone());
@@ -46,10 +50,9 @@ impl Invariant for Signals {
             Some(Happening::Heard { mission, signal }) => {
                 let said = self.said.get(mission).is_some_and(|said| said.contains(signal));
                 // A teller that was lost in the act has told the ledger before it told anybody.
-                let told = |ledger: &Ledger| {
-                    ledger.mission(mission).is_some_and(|entry| entry.told(&signal.to).contains(signal))
-                };
-                if !said && fleet.ledger(told) != Some(true) {
+                let of_mission = self.reference.ledger.mission(mission);
+                let told = of_mission.is_some_and(|entry| entry.told(&signal.to).contains(signal));
+                if !said && !told {
                     return Err(format!("{} goes on in {mission} after {signal:?}, which nobody said", entry.node()));
                 }
                 self.heard.entry(mission.clone()).or_default().insert(signal.clone());

@@ -87,7 +87,25 @@ impl Invariant for UnderLease {
                 self.at_work.remove(&(robot.to_string(), id.0));
             }
             InWorld::Stranded { robot } => self.at_work.retain(|(who, _), _| who != robot.as_str()),
-            InWorld::Drawer { .. } | InWorld::HandsOut { .. } | InWorld::SampleMoved { .. } => {}
+            InWorld::Drawer { .. }
+            | InWorld::Approached { .. }
+            | InWorld::CalledOff { .. }
+            | InWorld::Declined { .. }
+            | InWorld::WalkedAway { .. }
+            | InWorld::CameBack { .. }
+            | InWorld::HandsOut { .. }
+            | InWorld::SampleMoved { .. }
+            | InWorld::DoorAwaited { .. }
+            | InWorld::DoorEntered { .. }
+            | InWorld::DoorLeft { .. }
+            | InWorld::Door { .. }
+            | InWorld::LiftAwaited { .. }
+            | InWorld::LiftEntered { .. }
+            | InWorld::LiftLeft { .. }
+            | InWorld::WayClosed { .. }
+            | InWorld::WayOpened { .. }
+            | InWorld::Docked { .. }
+            | InWorld::Collided { .. } => {}
         }
         Ok(())
     }

@@ -1,0 +1,241 @@
+//! `consort map`: look at a map.
+
+use crate::config::{Problem, Problems};
+use crate::exit::Failure;
+use crate::{floor, output};
+use consort_sim::map::{self, Drawing, Map, Options, show};
+use std::path::{Path, PathBuf};
+
+/// Draw, check and convert maps
+///
+/// Reads maps of our own form (YAML, JSON), drawings of diagrams.net by the conventions of HMR Sim (`.drawio`, `.xml`) and
+/// buildings of Open-RMF (`.building.yaml`), told apart by the file's ending. The same files are taken wherever a map is
+/// named: `map = "…"` in a fleet or world file, and `--map`.
+#[derive(Debug, clap::Args)]
+#[command(after_long_help = "\
+Examples:
+  consort map show hospital --out hospital.png
+  consort map show ward.drawio                      # draws ward.svg
+  consort map show ward.drawio --out - | display    # to the standard output
+  consort map check ward.drawio office.building.yaml
+  consort map convert ward.drawio --scale 0.05 --out ward.yaml
+  consort map convert office.building.yaml --graph 1 --out office.yaml
+
+A drawing (.drawio, .xml): shapes of type `POI` are places, named by `tag`, and lines of type `map-path` are lanes; `robot`,
+`pickable` and `person` are who and what is there; floor-plan shapes are walls. Each page is a level. A unit is 0.02 m unless
+the page says (`metres_per_unit` in *Edit Data* with nothing selected) or --scale does.
+
+A building (.building.yaml): vertices at lanes are places. A pixel is as long as the level's measurements say, unless --scale
+does. Lanes of the lowest graph are read, unless --graph names another.")]
+pub struct Args {
+    #[command(subcommand)]
+    what: What,
+}
+
+#[derive(Debug, clap::Subcommand)]
+enum What {
+    /// Draw a map, as SVG or PNG
+    ///
+    /// Places by their kind, lanes with their directions and limits, doors, lifts and walls, a panel for each level, and
+    /// who and what is drawn on the floor. An SVG tells more of each where the pointer rests.
+    Show {
+        #[command(flatten)]
+        source: Source,
+        /// The picture: PNG where it ends in `.png`, else SVG; `-` is the standard output. Default: the map's file name
+        /// with `.svg`, in the current directory
+        #[arg(long, value_name = "PICTURE")]
+        out: Option<PathBuf>,
+    },
+    /// Say what is on maps, or all that is wrong with them
+    ///
+    /// Prints `ok` and what there is, with a note for all that was left out or assumed; or each problem with file and
+    /// place, and what is allowed.
+    Check {
+        /// The map files, or names of maps that are shipped
+        #[arg(required = true, value_name = "FILE")]
+        files: Vec<PathBuf>,
+        #[command(flatten)]
+        reading: Reading,
+    },
+    /// Write a map in another form
+    ///
+    /// What our form does not hold (robots, objects, people) is told on the standard error.
+    Convert {
+        #[command(flatten)]
+        source: Source,
+        /// The form to write
+        #[arg(long, value_enum, default_value_t = Form::Ours)]
+        to: Form,
+        /// Where to put the map: JSON where it ends in `.json`, else YAML. Default: the standard output
+        #[arg(long, value_name = "FILE")]
+        out: Option<PathBuf>,
+    },
+}
+
+/// Forms that maps are written in.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
+enum Form {
+    /// Our own.
+    Ours,
+}
+
+#[derive(Debug, clap::Args)]
+struct Source {
+    /// The map file, or the name of a map that is shipped
+    #[arg(value_name = "FILE")]
+    file: PathBuf,
+    #[command(flatten)]
+    reading: Reading,
+}
+
+/// How to read what a file leaves open.
+#[derive(Debug, clap::Args)]
+struct Reading {
+    /// Metres that a unit of a drawing or a pixel of a building stands for, instead of what the file says
+    #[arg(long, value_name = "METRES", value_parser = scale)]
+    scale: Option<f64>,
+    /// The navigation graph of an Open-RMF building. Default: the one of the lowest number
+    #[arg(long, value_name = "NUMBER")]
+    graph: Option<i64>,
+}
+
+fn scale(text: &str) -> Result<f64, String> {
+    let scale: Option<f64> = text.parse().ok();
+    scale
+        .filter(|scale| (1e-6..=1e6).contains(scale))
+        .ok_or_else(|| "allowed is a number from 0.000001 to 1000000".into())
+}
+
+impl Reading {
+    fn read(&self, file: &Path) -> Result<(Drawing, Map), Problems> {
+        let name = file.to_string_lossy();
+        let wrong = |error| floor::problems(&name, error);
+        if floor::is_shipped(&name) {
+            return Ok((map::shipped_drawing(&name).map_err(wrong)?, map::shipped(&name).map_err(wrong)?));
+        }
+        let text = floor::text(&name)?;
+        if floor::is_published_form(&text) {
+            let what = "this map is of the published form, which has routes and no floor: there is nothing to draw";
+            return Err(Problem::of(&name, what).into());
+        }
+        let options = Options { scale_m: self.scale, graph: self.graph };
+        let drawing = map::open(&text, &name, &options).map_err(wrong)?;
+        let map = drawing.map.check(&name).map_err(wrong)?;
+        Ok((drawing, map))
+    }
+}
+
+/// Runs the command.
+///
+/// # Errors
+/// [`Failure::Usage`] for a map that cannot be read or is not sound, [`Failure::Unsuccessful`] if a check finds problems or
+/// a file cannot be written.
+pub fn run(args: Args) -> Result<(), Failure> {
+    match args.what {
+        What::Show { source, out } => draw(&source, out),
+        What::Check { files, reading } => check(&files, &reading),
+        What::Convert { source, to: Form::Ours, out } => convert(&source, out.as_deref()),
+    }
+}
+
+fn draw(source: &Source, out: Option<PathBuf>) -> Result<(), Failure> {
+    let (drawing, map) = source.reading.read(&source.file)?;
+    notes(&source.file, &drawing);
+    let svg = show::svg(&map, &drawing.bodies().collect::<Vec<_>>());
+    let out = out.unwrap_or_else(|| picture_of(&source.file));
+    if out.as_os_str() == "-" {
+        return output::line(svg);
+    }
+    if ends_in(&out, "png") {
+        let png = show::png(&svg).map_err(|error| Failure::Unsuccessful(error.to_string()))?;
+        write(&out, &png)?;
+    } else {
+        write(&out, svg.as_bytes())?;
+    }
+    output::line(format_args!("{}: {}", out.display(), contents(&drawing, &map)))
+}
+
+/// `ward.svg` for `maps/ward.drawio`, `office.svg` for `office.building.yaml`.
+fn picture_of(file: &Path) -> PathBuf {
+    let stem = file.file_stem().unwrap_or(file.as_os_str()).to_string_lossy();
+    PathBuf::from(format!("{}.svg", stem.strip_suffix(".building").unwrap_or(&stem)))
+}
+
+fn check(files: &[PathBuf], reading: &Reading) -> Result<(), Failure> {
+    let mut wrong = 0;
+    for file in files {
+        match reading.read(file) {
+            Ok((drawing, map)) => {
+                for note in &drawing.notes {
+                    output::line(format_args!("{}: note: {note}", file.display()))?;
+                }
+                output::line(format_args!("{}: ok, {}", file.display(), contents(&drawing, &map)))?;
+            }
+            Err(problems) => {
+                wrong += 1;
+                output::line(problems)?;
+            }
+        }
+    }
+    match wrong {
+        0 => Ok(()),
+        _ => Err(Failure::Unsuccessful(format!("{wrong} of {} maps have problems", files.len()))),
+    }
+}
+
+fn convert(source: &Source, out: Option<&Path>) -> Result<(), Failure> {
+    let (drawing, _) = source.reading.read(&source.file)?;
+    notes(&source.file, &drawing);
+    for body in drawing.bodies() {
+        let near = body.place.as_ref().map_or_else(String::new, |place| format!(", near {place:?}"));
+        let (x, y) = (body.x_m, body.y_m);
+        let name = source.file.display();
+        output::note(format_args!(
+            "{name}: note: a map holds no {}: {:?} at ({x}, {y}) m{near} is left out",
+            body.kind, body.name
+        ));
+    }
+    let refused = |error: String| Failure::Unsuccessful(format!("this map cannot be written: {error}"));
+    let text = if out.is_some_and(|out| ends_in(out, "json")) {
+        serde_json::to_string_pretty(&drawing.map).map_err(|error| refused(error.to_string()))?
+    } else {
+        serde_saphyr::to_string(&drawing.map).map_err(|error| refused(error.to_string()))?
+    };
+    let text = text.trim_end();
+    match out {
+        Some(out) => write(out, format!("{text}\n").as_bytes()),
+        None => output::line(text),
+    }
+}
+
+fn notes(file: &Path, drawing: &Drawing) {
+    for note in &drawing.notes {
+        output::note(format_args!("{}: note: {note}", file.display()));
+    }
+}
+
+fn ends_in(path: &Path, ending: &str) -> bool {
+    path.extension().is_some_and(|found| found.eq_ignore_ascii_case(ending))
+}
+
+fn write(path: &Path, bytes: &[u8]) -> Result<(), Failure> {
+    std::fs::write(path, bytes)
+        .map_err(|error| Failure::Unsuccessful(format!("{} cannot be written: {error}", path.display())))
+}
+
+fn contents(drawing: &Drawing, map: &Map) -> String {
+    let counts = [
+        (map.levels().len(), "level", "levels"),
+        (map.places().len(), "place", "places"),
+        (map.lanes().len(), "lane", "lanes"),
+        (map.doors().len(), "door", "doors"),
+        (map.lifts().len(), "lift", "lifts"),
+        (drawing.robots.len(), "robot", "robots"),
+        (drawing.objects.len(), "object", "objects"),
+        (drawing.people.len(), "person", "people"),
+        (drawing.others.len(), "other thing", "other things"),
+    ];
+    let said = counts.iter().filter(|(count, ..)| *count > 0);
+    let said = said.map(|(count, one, many)| format!("{count} {}", if *count == 1 { one } else { many }));
+    format!("{}: {}", map.name(), said.collect::<Vec<_>>().join(", "))
+}

@@ -1,0 +1,38 @@
+use super::support::run;
+use serde_json::Value;
+
+#[test]
+fn each_swarm_is_a_line_of_json_and_flies_the_same_way_each_time() {
+    let args = ["bench", "swarm", "--drones", "3,20", "--seed", "7", "--json"];
+    let told = || {
+        let ran = run(&args);
+        assert_eq!(ran.code, Some(0), "{}", ran.err);
+        let lines = ran.out.lines().map(|line| serde_json::from_str::<Value>(line).expect("a line of JSON"));
+        lines.collect::<Vec<Value>>()
+    };
+    let rows = told();
+    let number = |row: &Value, key: &str| row[key].as_f64().unwrap_or_else(|| panic!("{key} in {row}"));
+    assert_eq!(rows.iter().map(|row| number(row, "drones")).collect::<Vec<_>>(), [3.0, 20.0]);
+    for row in &rows {
+        assert_eq!((number(row, "crashed"), number(row, "arrived")), (0.0, number(row, "drones")), "{row}");
+        assert!(number(row, "simulated_s") > 1.0, "{row}");
+        assert!((0.0..=number(row, "max_s")).contains(&number(row, "min_s")), "{row}");
+        assert!(number(row, "average_s") > 0.0, "{row}");
+    }
+    let again: Vec<Value> = told().iter().map(|row| row["simulated_s"].clone()).collect();
+    assert_eq!(again, rows.iter().map(|row| row["simulated_s"].clone()).collect::<Vec<_>>());
+}
+
+#[test]
+fn a_table_has_the_published_columns_and_swarms_that_cannot_be_are_refused() {
+    let ran = run(&["bench", "swarm", "--drones", "2"]);
+    assert_eq!(ran.code, Some(0), "{}", ran.err);
+    let heading = ran.out.lines().next().expect("a heading");
+    for column in ["Swarm size", "Simulation time", "Min. time 1s", "Max. time 1s", "Average"] {
+        assert!(heading.contains(column), "{heading}");
+    }
+    for drones in ["0", "10001", "many"] {
+        let ran = run(&["bench", "swarm", "--drones", drones]);
+        assert_eq!((ran.code, ran.out.as_str()), (Some(2), ""), "{drones}: {}", ran.err);
+    }
+}

@@ -1,0 +1,121 @@
+use super::support::{consort, own, run, written};
+use std::path::PathBuf;
+
+fn sample(name: &str) -> String {
+    own(&format!("../sim_bridge/maps/{name}"))
+}
+
+/// A folder of this test's own, empty.
+fn folder(name: &str) -> PathBuf {
+    let folder = PathBuf::from(env!("CARGO_TARGET_TMPDIR")).join("command_line").join(name);
+    let _ = std::fs::remove_dir_all(&folder);
+    std::fs::create_dir_all(&folder).expect("cargo's own folder");
+    folder
+}
+
+#[test]
+fn check_says_what_is_on_maps_of_every_form_and_what_was_left_out() {
+    let (clinic, office) = (sample("clinic.drawio"), sample("office.building.yaml"));
+    let ran = run(&["map", "check", "hospital", &clinic, &office]);
+    assert_eq!(ran.code, Some(0), "{}{}", ran.out, ran.err);
+    for expected in [
+        "hospital: ok, hospital: 1 level, 32 places, 31 lanes".to_owned(),
+        format!("{clinic}: ok, clinic: 1 level, 11 places, 11 lanes, 1 door, 1 robot, 1 object, 1 person"),
+        format!("{office}: note: lanes of graph 0 are read; those of 1 are left out"),
+        format!("{office}: ok, office: 2 levels, 10 places, 9 lanes, 1 door, 1 lift, 1 robot"),
+    ] {
+        assert!(ran.out.lines().any(|line| line == expected), "{expected:?} is missing in\n{}", ran.out);
+    }
+}
+
+#[test]
+fn check_says_all_that_is_wrong_with_file_and_place() {
+    let office = std::fs::read_to_string(sample("office.building.yaml")).expect("the sample");
+    let wrong = written("wrong.building.yaml", &office.replace("- [6, 7, { bid", "- [6, 17, { bid"));
+    let ran = run(&["map", "check", &wrong, "hospital"]);
+    assert_eq!(ran.code, Some(1), "{}", ran.out);
+    let expected = format!("{wrong}: level \"L2\", lane 3: there is no vertex 17; allowed are 0 to 7\n");
+    assert!(ran.out.starts_with(&expected), "{}", ran.out);
+    assert!(ran.err.contains("1 of 2 maps have problems"), "{}", ran.err);
+    let missing = run(&["map", "show", "ward.drawio"]);
+    assert_eq!(missing.code, Some(2));
+    assert!(
+        missing.err.contains("ward.drawio: this map cannot be read: ") && missing.err.contains("one of hospital"),
+        "{}",
+        missing.err
+    );
+}
+
+#[test]
+fn show_draws_beside_where_one_is_to_the_output_or_where_it_is_told() {
+    let folder = folder("show");
+    let office = sample("office.building.yaml");
+    let ran = consort(&["map", "show", &office]).current_dir(&folder).output().expect("the binary starts");
+    assert!(ran.status.success(), "{ran:?}");
+    let svg = std::fs::read_to_string(folder.join("office.svg")).expect("the picture");
+    assert!(svg.starts_with("<svg ") && svg.contains("reception"), "{svg}");
+    let out = run(&["map", "show", &office, "--out", "-"]);
+    assert_eq!((out.code, out.out.trim_end()), (Some(0), svg.trim_end()));
+    let png = folder.join("clinic.PNG");
+    let ran = run(&["map", "show", &sample("clinic.drawio"), "--out", &png.display().to_string()]);
+    assert_eq!(ran.code, Some(0), "{}", ran.err);
+    assert!(std::fs::read(&png).expect("the picture").starts_with(b"\x89PNG\r\n"), "no PNG");
+    let ran = run(&["map", "show", "hospital", "--out", "/nowhere/at/all.svg"]);
+    assert_eq!(ran.code, Some(1));
+    assert!(ran.err.contains("/nowhere/at/all.svg cannot be written"), "{}", ran.err);
+}
+
+#[test]
+fn convert_writes_our_own_form_which_says_the_same() {
+    let folder = folder("convert");
+    let clinic = sample("clinic.drawio");
+    for name in ["clinic.yaml", "clinic.json"] {
+        let out = folder.join(name).display().to_string();
+        let ran = run(&["map", "convert", &clinic, "--to", "ours", "--out", &out]);
+        assert_eq!((ran.code, ran.out.as_str()), (Some(0), ""), "{}", ran.err);
+        assert!(
+            ran.err.contains("a map holds no robot: \"Ada\" at (2, 4.4) m, near \"Robot Home\" is left out"),
+            "{}",
+            ran.err
+        );
+        let checked = run(&["map", "check", &out]);
+        assert_eq!(
+            checked.out,
+            format!("{out}: ok, clinic: 1 level, 11 places, 11 lanes, 1 door\n"),
+            "{}",
+            checked.err
+        );
+    }
+    let text = run(&["map", "convert", &clinic, "--scale", "0.04"]).out;
+    let near = run(&["map", "convert", &clinic]).out;
+    assert!(near.starts_with("name: clinic\n") && near.contains("x_m: 3.6") && text.contains("x_m: 7.2"), "{near}");
+    let ran = run(&["map", "convert", &clinic, "--scale", "0"]);
+    assert_eq!(ran.code, Some(2));
+    assert!(ran.err.contains("allowed is a number from 0.000001 to 1000000"), "{}", ran.err);
+    let ran = run(&["map", "convert", &sample("office.building.yaml"), "--graph", "3"]);
+    assert_eq!(ran.code, Some(2));
+    assert!(ran.err.contains("no lane is of graph 3; there are lanes of 0, 1"), "{}", ran.err);
+}
+
+#[test]
+fn a_map_of_any_form_is_taken_wherever_one_is_named() {
+    let (clinic, office) = (sample("clinic.drawio"), sample("office.building.yaml"));
+    let world = |map: &str, place: &str| {
+        format!(
+            "map = {map:?}\n[fleet]\nmap = {map:?}\n[[robot]]\nid = \"ada\"\nplace = {place:?}\n\
+             speed_mps = 1.0\nbattery = 0.9\ndischarge_share_per_s = 0.0002\n"
+        )
+    };
+    let a = written("drawn_world.toml", &world(&clinic, "Ward 1"));
+    let b = written("built_world.toml", &world(&office, "meeting"));
+    let ran = run(&["check", &a, &b, &clinic, &office]);
+    let expected = format!(
+        "{a}: ok, a world: 1 robots, 0 people\n{b}: ok, a world: 1 robots, 0 people\n\
+         {clinic}: ok, a map: 11 places, 11 ways\n{office}: ok, a map: 10 places, 10 ways\n"
+    );
+    assert_eq!((ran.code, ran.out), (Some(0), expected), "{}", ran.err);
+    let wrong = written("drawn_wrong.toml", &world(&clinic, "Ward 3"));
+    let ran = run(&["check", &wrong]);
+    assert_eq!(ran.code, Some(1));
+    assert!(ran.out.contains("\"Ward 3\""), "{}", ran.out);
+}

@@ -1,0 +1,204 @@
+//! What a chassis is set up with.
+
+use super::pid::Gains;
+use serde::{Deserialize, Serialize};
+
+/// The chassis of a robot, as a setup names it: `kinematics = { kind = "differential", acceleration_mps2 = 0.8 }`. Top
+/// speed is the robot's own; what is left out is as in the defaults.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(tag = "kind", rename_all = "snake_case")]
+pub enum Kinematics {
+    /// Two driven wheels: turns on the spot, drives ahead.
+    Differential(DifferentialSettings),
+    /// Mecanum or omni wheels: drives in every direction.
+    Omnidirectional(OmnidirectionalSettings),
+    /// A car: drives ahead and steers.
+    Ackermann(AckermannSettings),
+    /// A drone.
+    Aerial(AerialSettings),
+}
+
+/// Settings of a [`Differential`](super::Differential) chassis. The defaults are those of a small hospital robot.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct DifferentialSettings {
+    /// How quickly it changes its speed.
+    pub acceleration_mps2: f64,
+    /// How fast it turns at most, in radians per second.
+    pub turn_rate_rps: f64,
+    /// How quickly it changes its turn rate, in radians per second squared.
+    pub turn_acceleration_rps2: f64,
+    /// From an error of heading, in radians, to a turn rate.
+    pub heading: Gains,
+    /// From an error of speed, in metres per second, to an acceleration.
+    pub speed: Gains,
+    /// Time between two decisions of its controller, in seconds.
+    pub control_period_s: f64,
+}
+
+impl Default for DifferentialSettings {
+    fn default() -> Self {
+        Self {
+            acceleration_mps2: 0.8,
+            turn_rate_rps: 1.5,
+            turn_acceleration_rps2: 3.0,
+            heading: Gains { kp: 4.0, ki: 0.05, kd: 0.05 },
+            speed: Gains { kp: 10.0, ki: 0.5, kd: 0.0 },
+            control_period_s: 0.02,
+        }
+    }
+}
+
+/// Settings of an [`Omnidirectional`](super::Omnidirectional) chassis.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct OmnidirectionalSettings {
+    /// How quickly it changes its velocity.
+    pub acceleration_mps2: f64,
+    /// How fast it turns at most, in radians per second.
+    pub turn_rate_rps: f64,
+    /// How quickly it changes its turn rate, in radians per second squared.
+    pub turn_acceleration_rps2: f64,
+    /// Time between two decisions of its controller, in seconds.
+    pub control_period_s: f64,
+}
+
+impl Default for OmnidirectionalSettings {
+    fn default() -> Self {
+        Self { acceleration_mps2: 0.8, turn_rate_rps: 1.5, turn_acceleration_rps2: 3.0, control_period_s: 0.02 }
+    }
+}
+
+/// Settings of an [`Ackermann`](super::Ackermann) chassis.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct AckermannSettings {
+    /// How quickly it changes its speed.
+    pub acceleration_mps2: f64,
+    /// Radius of its tightest turn, in metres.
+    pub turning_radius_m: f64,
+    /// Time between two decisions of its controller, in seconds.
+    pub control_period_s: f64,
+}
+
+impl Default for AckermannSettings {
+    fn default() -> Self {
+        Self { acceleration_mps2: 0.8, turning_radius_m: 1.0, control_period_s: 0.02 }
+    }
+}
+
+/// Settings of an [`Aerial`](super::Aerial) body. The defaults are those of a small quadrotor.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct AerialSettings {
+    /// How quickly it changes its velocity over ground.
+    pub acceleration_mps2: f64,
+    /// How fast it climbs and sinks at most.
+    pub climb_mps: f64,
+    /// How quickly it changes that.
+    pub climb_acceleration_mps2: f64,
+    /// How fast it turns at most, in radians per second.
+    pub turn_rate_rps: f64,
+    /// How quickly it changes its turn rate, in radians per second squared.
+    pub turn_acceleration_rps2: f64,
+    /// The height it flies at, in metres above the floor.
+    pub height_m: f64,
+    /// Room it leaves between itself and other bodies, in metres.
+    pub margin_m: f64,
+    /// Time between two decisions of its controller, in seconds.
+    pub control_period_s: f64,
+}
+
+impl Default for AerialSettings {
+    fn default() -> Self {
+        Self {
+            acceleration_mps2: 4.0,
+            climb_mps: 2.0,
+            climb_acceleration_mps2: 4.0,
+            turn_rate_rps: 2.0,
+            turn_acceleration_rps2: 4.0,
+            height_m: 2.0,
+            margin_m: 0.1,
+            control_period_s: 0.05,
+        }
+    }
+}
+
+/// A number of a chassis that makes no sense.
+#[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
+#[error("{field} is {value}, allowed is {allowed}")]
+pub struct KinematicsError {
+    /// The field.
+    pub field: &'static str,
+    /// The number.
+    pub value: f64,
+    /// The range, in words.
+    pub allowed: &'static str,
+}
+
+impl Kinematics {
+    /// How quickly it changes its speed over ground, in metres per second squared.
+    pub fn acceleration_mps2(&self) -> f64 {
+        match self {
+            Kinematics::Differential(settings) => settings.acceleration_mps2,
+            Kinematics::Omnidirectional(settings) => settings.acceleration_mps2,
+            Kinematics::Ackermann(settings) => settings.acceleration_mps2,
+            Kinematics::Aerial(settings) => settings.acceleration_mps2,
+        }
+    }
+
+    /// Looks whether all numbers make sense.
+    ///
+    /// # Errors
+    /// The first that does not.
+    pub fn check(&self) -> Result<(), KinematicsError> {
+        let limit = |field, value| within(field, value, 0.001, 1_000.0, "a number from 0.001 to 1000");
+        let gain = |field, value| within(field, value, 0.0, 1_000.0, "a number from 0 to 1000");
+        let period = |value| within("control_period_s", value, 0.001, 1.0, "a number of seconds from 0.001 to 1");
+        match self {
+            Kinematics::Differential(settings) => {
+                limit("acceleration_mps2", settings.acceleration_mps2)?;
+                limit("turn_rate_rps", settings.turn_rate_rps)?;
+                limit("turn_acceleration_rps2", settings.turn_acceleration_rps2)?;
+                limit("heading.kp", settings.heading.kp)?;
+                gain("heading.ki", settings.heading.ki)?;
+                gain("heading.kd", settings.heading.kd)?;
+                limit("speed.kp", settings.speed.kp)?;
+                gain("speed.ki", settings.speed.ki)?;
+                gain("speed.kd", settings.speed.kd)?;
+                period(settings.control_period_s)
+            }
+            Kinematics::Omnidirectional(settings) => {
+                limit("acceleration_mps2", settings.acceleration_mps2)?;
+                limit("turn_rate_rps", settings.turn_rate_rps)?;
+                limit("turn_acceleration_rps2", settings.turn_acceleration_rps2)?;
+                period(settings.control_period_s)
+            }
+            Kinematics::Ackermann(settings) => {
+                limit("acceleration_mps2", settings.acceleration_mps2)?;
+                limit("turning_radius_m", settings.turning_radius_m)?;
+                period(settings.control_period_s)
+            }
+            Kinematics::Aerial(settings) => {
+                limit("acceleration_mps2", settings.acceleration_mps2)?;
+                limit("climb_mps", settings.climb_mps)?;
+                limit("climb_acceleration_mps2", settings.climb_acceleration_mps2)?;
+                limit("turn_rate_rps", settings.turn_rate_rps)?;
+                limit("turn_acceleration_rps2", settings.turn_acceleration_rps2)?;
+                gain("height_m", settings.height_m)?;
+                gain("margin_m", settings.margin_m)?;
+                period(settings.control_period_s)
+            }
+        }
+    }
+}
+
+fn within(
+    field: &'static str,
+    value: f64,
+    least: f64,
+    most: f64,
+    allowed: &'static str,
+) -> Result<(), KinematicsError> {
+    if (least..=most).contains(&value) { Ok(()) } else { Err(KinematicsError { field, value, allowed }) }
+}

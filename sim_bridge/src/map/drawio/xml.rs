@@ -1,0 +1,229 @@
+//! From the file to its cells: pages, plain or deflated, and what is written of each cell.
+
+use super::problem::{Problem, Wrong};
+use crate::map::limits;
+use base64::Engine;
+use base64::alphabet::STANDARD;
+use base64::engine::{DecodePaddingMode, GeneralPurpose, GeneralPurposeConfig};
+use flate2::read::DeflateDecoder;
+use percent_encoding::percent_decode;
+use roxmltree::{Document, Node};
+use std::collections::{BTreeMap, BTreeSet};
+use std::io::Read;
+
+/// Coordinates of a drawing, in units either way.
+const EXTENT: f64 = 1e7;
+
+/// A page of the drawing.
+#[derive(Debug)]
+pub(super) struct Page {
+    pub(super) name: String,
+    /// Its height in units, if it says.
+    pub(super) height: f64,
+    pub(super) cells: Vec<Cell>,
+}
+
+/// A cell: a shape, a line, a layer, or the page itself.
+#[derive(Debug, Default)]
+pub(super) struct Cell {
+    pub(super) id: String,
+    /// What was written about it: its data in diagrams.net. Without id and label.
+    pub(super) data: BTreeMap<String, String>,
+    /// Its label as plain text.
+    pub(super) label: String,
+    pub(super) style: BTreeMap<String, String>,
+    pub(super) parent: Option<String>,
+    pub(super) source: Option<String>,
+    pub(super) target: Option<String>,
+    pub(super) is_line: bool,
+    pub(super) geometry: Option<Geometry>,
+}
+
+/// Where a cell is, relative to its parent, in units; y points down.
+#[derive(Debug, Default, Clone)]
+pub(super) struct Geometry {
+    pub(super) at: (f64, f64),
+    pub(super) size: (f64, f64),
+    /// Whether `at` is a share of the parent's size.
+    pub(super) relative: bool,
+    pub(super) source: Option<(f64, f64)>,
+    pub(super) target: Option<(f64, f64)>,
+    pub(super) points: Vec<(f64, f64)>,
+}
+
+/// All pages. What is wrong with single cells goes to `problems`.
+///
+/// # Errors
+/// A sentence, with line and column where there are such.
+pub(super) fn pages(text: &str, problems: &mut Vec<Problem>) -> Result<Vec<Page>, String> {
+    let document = Document::parse(text).map_err(|error| format!("this is no XML: {error}"))?;
+    let root = document.root_element();
+    let mut left = limits::INFLATED_BYTES;
+    match root.tag_name().name() {
+        "mxGraphModel" => Ok(vec![page("Page-1", root, problems)]),
+        "mxfile" => {
+            let diagrams = root.children().filter(|node| node.has_tag_name("diagram")).enumerate();
+            let pages: Result<Vec<Page>, String> = diagrams
+                .map(|(index, diagram)| {
+                    let name = diagram.attribute("name").map_or_else(|| format!("Page-{}", index + 1), str::to_owned);
+                    diagram_of(&name, diagram, &mut left, problems).map_err(|reason| format!("page {name:?}: {reason}"))
+                })
+                .collect();
+            match pages {
+                Ok(pages) if pages.is_empty() => Err("this drawing has no pages: <mxfile> holds no <diagram>".into()),
+                pages => pages,
+            }
+        }
+        other => Err(format!("this is no drawing: its root is <{other}>, allowed are <mxfile> and <mxGraphModel>")),
+    }
+}
+
+fn diagram_of(name: &str, diagram: Node, left: &mut usize, problems: &mut Vec<Problem>) -> Result<Page, String> {
+    if let Some(model) = diagram.children().find(|node| node.has_tag_name("mxGraphModel")) {
+        return Ok(page(name, model, problems));
+    }
+    let text = inflate(diagram.text().unwrap_or_default(), left)?;
+    let document = Document::parse(&text).map_err(|error| format!("its inflated content is no XML: {error}"))?;
+    let root = document.root_element();
+    if !root.has_tag_name("mxGraphModel") {
+        let other = root.tag_name().name();
+        return Err(format!("its inflated content is <{other}>, allowed is <mxGraphModel>"));
+    }
+    Ok(page(name, root, problems))
+}
+
+/// A compressed page: percent-encoded, deflated without a header, in base64.
+fn inflate(text: &str, left: &mut usize) -> Result<String, String> {
+    let lenient = GeneralPurposeConfig::new().with_decode_padding_mode(DecodePaddingMode::Indifferent);
+    let packed: String = text.split_whitespace().collect();
+    if packed.is_empty() {
+        return Err("it holds neither <mxGraphModel> nor compressed text".into());
+    }
+    let packed = GeneralPurpose::new(&STANDARD, lenient)
+        .decode(packed)
+        .map_err(|error| format!("its compressed text is no base64: {error}"))?;
+    let mut encoded = Vec::new();
+    let mut limited = DeflateDecoder::new(packed.as_slice()).take(*left as u64 + 1);
+    limited.read_to_end(&mut encoded).map_err(|error| format!("its compressed text cannot be inflated: {error}"))?;
+    *left = left.checked_sub(encoded.len()).ok_or_else(|| {
+        format!("the compressed pages come to more than the {} bytes allowed", limits::INFLATED_BYTES)
+    })?;
+    let decoded = percent_decode(&encoded).decode_utf8();
+    Ok(decoded.map_err(|error| format!("its inflated content is no UTF-8: {error}"))?.into_owned())
+}
+
+fn page(name: &str, model: Node, problems: &mut Vec<Problem>) -> Page {
+    let root = model.children().find(|node| node.has_tag_name("root"));
+    let mut reader = Reader { page: name, problems, seen: BTreeSet::new() };
+    let cells: Vec<Cell> =
+        root.into_iter().flat_map(|root| root.children()).filter_map(|node| reader.cell(node)).collect();
+    let height =
+        model.attribute("pageHeight").and_then(|text| text.parse().ok()).filter(|height: &f64| height.is_finite());
+    Page { name: name.to_owned(), height: height.unwrap_or(0.0), cells }
+}
+
+struct Reader<'a> {
+    page: &'a str,
+    problems: &'a mut Vec<Problem>,
+    seen: BTreeSet<String>,
+}
+
+impl Reader<'_> {
+    fn cell(&mut self, node: Node) -> Option<Cell> {
+        // A cell with data of its own is wrapped in an element that holds them.
+        let (data, inner) = match node.tag_name().name() {
+            "mxCell" => (None, node),
+            "object" | "UserObject" => (Some(node), node.children().find(|child| child.has_tag_name("mxCell"))?),
+            _ => return None,
+        };
+        let holder = data.unwrap_or(inner);
+        let text = |name| inner.attribute(name).map(str::to_owned);
+        let id = holder.attribute("id").unwrap_or_default().to_owned();
+        if !id.is_empty() && !self.seen.insert(id.clone()) {
+            self.say(&id, Wrong::Duplicate);
+        }
+        let label = holder.attribute("label").or(inner.attribute("value")).unwrap_or_default();
+        let data = data.into_iter().flat_map(|node| node.attributes());
+        let data = data.filter(|attribute| !matches!(attribute.name(), "id" | "label"));
+        let geometry = inner.children().find(|child| child.has_tag_name("mxGeometry"));
+        Some(Cell {
+            data: data.map(|attribute| (attribute.name().to_owned(), attribute.value().to_owned())).collect(),
+            label: plain(label),
+            style: style(inner.attribute("style").unwrap_or_default()),
+            parent: text("parent"),
+            source: text("source"),
+            target: text("target"),
+            is_line: inner.attribute("edge") == Some("1"),
+            geometry: geometry.map(|node| self.geometry(&id, node)),
+            id,
+        })
+    }
+
+    fn geometry(&mut self, id: &str, node: Node) -> Geometry {
+        let mut geometry = Geometry {
+            at: (self.number(id, node, "x"), self.number(id, node, "y")),
+            size: (self.number(id, node, "width"), self.number(id, node, "height")),
+            relative: node.attribute("relative") == Some("1"),
+            ..Geometry::default()
+        };
+        for child in node.children().filter(Node::is_element) {
+            let role = child.attribute("as");
+            if child.has_tag_name("Array") && role == Some("points") {
+                let points = child.children().filter(|point| point.has_tag_name("mxPoint"));
+                geometry.points = points.map(|point| self.point(id, point)).collect();
+            } else if child.has_tag_name("mxPoint") && role == Some("sourcePoint") {
+                geometry.source = Some(self.point(id, child));
+            } else if child.has_tag_name("mxPoint") && role == Some("targetPoint") {
+                geometry.target = Some(self.point(id, child));
+            }
+        }
+        geometry
+    }
+
+    fn point(&mut self, id: &str, node: Node) -> (f64, f64) {
+        (self.number(id, node, "x"), self.number(id, node, "y"))
+    }
+
+    /// A coordinate; 0 if it is not written, as the format has it.
+    fn number(&mut self, id: &str, node: Node, field: &str) -> f64 {
+        let Some(text) = node.attribute(field) else { return 0.0 };
+        match text.trim().parse::<f64>() {
+            Ok(number) if number.abs() <= EXTENT => number,
+            _ => {
+                let (field, text) = (field.to_owned(), text.to_owned());
+                let allowed = "a number from -10000000 to 10000000";
+                self.say(id, Wrong::Number { field, text, allowed });
+                0.0
+            }
+        }
+    }
+
+    fn say(&mut self, cell: &str, wrong: Wrong) {
+        self.problems.push(Problem { page: self.page.to_owned(), cell: cell.to_owned(), wrong });
+    }
+}
+
+/// `shape=x;rotation=90;html` as keys and values; a word without a value is its own shape.
+fn style(text: &str) -> BTreeMap<String, String> {
+    let items = text.split(';').map(str::trim).filter(|item| !item.is_empty());
+    items
+        .map(|item| match item.split_once('=') {
+            Some((key, value)) => (key.to_owned(), value.to_owned()),
+            None => (item.to_owned(), String::new()),
+        })
+        .collect()
+}
+
+/// A label without its markup: labels of diagrams.net are HTML.
+fn plain(label: &str) -> String {
+    let mut text = String::new();
+    let mut rest = label;
+    while let Some((before, markup)) = rest.split_once('<') {
+        text.push_str(before);
+        text.push(' ');
+        rest = markup.split_once('>').map_or("", |(_, after)| after);
+    }
+    text.push_str(rest);
+    let text = text.replace("&nbsp;", " ").replace("&lt;", "<").replace("&gt;", ">").replace("&amp;", "&");
+    text.split_whitespace().collect::<Vec<_>>().join(" ")
+}

@@ -1,0 +1,508 @@
+//! Buildings of Open-RMF: the `.building.yaml` that its traffic editor writes.
+//!
+//! What is read, and what becomes of it:
+//!
+//! - **coordinates.** `reference_image` (if nothing else is said): pixels with y down, which are flipped; the scale is the
+//!   mean of distance by length over the `measurements` of the reference level, or [`Options::scale_m`]. Other levels are
+//!   laid over the reference level by the `fiducials` that both have. `cartesian_meters`: metres as they are. `wgs84`:
+//!   longitude and latitude, taken to metres around the vertex that the parameter `generate_origin_vertex` names, else
+//!   around the least longitude and latitude.
+//! - **graph.** Lanes have a `graph_idx`: robots of one kind drive on one graph. One is read: [`Options::graph`], else that
+//!   of the lowest number. Vertices at its lanes are places, others are not.
+//! - **places.** A vertex without a name is `L1 vertex 7`; a name that stands on several levels is followed by its level,
+//!   as in `lobby (L2)`. With `is_charger` it is a charger, with `is_parking_spot` or `dock_name` a dock.
+//! - **lanes.** `bidirectional`, `speed_limit` (if above 0) and `orientation` (`forward`, `backward`).
+//! - **doors** stand across the lanes that cross them, and are left out if none does. How fast they open is not said.
+//! - **lifts** stop at the places within their cabin, on each level that they have doors on (`level_doors`) between their
+//!   lowest and highest floor, and at those whose `lift_cabin` names them.
+//! - **robots** stand at vertices with `spawn_robot_name` ([`Drawing::robots`]).
+//!
+//! Models, floors, lights and crowds are passed over.
+
+mod place;
+mod problem;
+mod raw;
+#[cfg(test)]
+mod tests;
+
+pub use problem::{Problem, Wrong};
+
+use super::building::crossing;
+use super::drawing::{Drawing, Drawn, DrawnRobot};
+use super::file::{DoorEntry, LaneEntry, LevelEntry, LiftEntry, Options, PlaceEntry};
+use super::import::{ImportError, map_name, round};
+use super::{Facing, MapProblem, PlaceKind};
+use crate::suggest::did_you_mean;
+use place::{Frame, System};
+use raw::{Building, Edge, Entries, Fiducial, Vertex, parameter};
+use serde_json::Value;
+use std::collections::{BTreeMap, BTreeSet};
+
+/// How far beyond its cabin a lift still has its stops, in metres: the gap to its shaft.
+const GAP_M: f64 = 0.05;
+
+type Point = (f64, f64);
+
+/// A level whose entries are sound.
+struct Level<'a> {
+    name: &'a str,
+    elevation: f64,
+    vertices: Vec<Vertex>,
+    lanes: Vec<Edge>,
+    walls: Vec<Edge>,
+    doors: Vec<Edge>,
+    measurements: Vec<Edge>,
+    fiducials: Vec<Fiducial>,
+    /// None if it cannot be laid over the reference level.
+    frame: Option<Frame>,
+    /// For each vertex at a lane of the graph the name of its place.
+    places: BTreeMap<usize, String>,
+}
+
+/// Reads a building; `name` is the map's if the file gives none.
+pub(super) fn read(text: &str, name: &str, options: &Options) -> Result<Drawing, ImportError> {
+    let building: Building = serde_saphyr::from_str(text).map_err(|error| ImportError::Syntax(error.to_string()))?;
+    let mut reader = Reader::default();
+    reader.drawing.map.name = name.to_owned();
+    let read = reader.building(&building, options);
+    if let Err(problem) = read {
+        reader.problems.push(problem);
+    }
+    if !reader.problems.is_empty() {
+        return Err(ImportError::Problems(reader.problems.into_iter().map(MapProblem::from).collect()));
+    }
+    reader.drawing.settle();
+    Ok(reader.drawing)
+}
+
+#[derive(Default)]
+struct Reader {
+    drawing: Drawing,
+    problems: Vec<Problem>,
+}
+
+impl Reader {
+    fn say(&mut self, at: String, wrong: Wrong) {
+        self.problems.push(Problem { at, wrong });
+    }
+
+    fn building(&mut self, building: &Building, options: &Options) -> Result<(), Problem> {
+        let whole = |wrong| Problem { at: "building".to_owned(), wrong };
+        let named = [&building.name, &building.building_name].into_iter().flatten().filter_map(raw::text);
+        if let Some(name) = named.into_iter().find(|name| !name.is_empty()) {
+            self.drawing.map.name = map_name(&name);
+        }
+        let system = System::of(building.coordinate_system.as_deref()).map_err(whole)?;
+        let mut levels: Vec<Level> =
+            building.levels.0.iter().map(|(name, level)| level_of(name, level, &mut self.problems)).collect();
+        if levels.is_empty() {
+            return Err(whole(Wrong::NoLevels));
+        }
+        let graph = self.graph(&levels, options).map_err(whole)?;
+        if let Some(graph) = graph {
+            for level in &mut levels {
+                level.lanes.retain(|lane| graph_of(lane).is_ok_and(|of| of == graph));
+            }
+        }
+        self.place(building, system, options, &mut levels).map_err(whole)?;
+        self.name(&mut levels);
+        levels.sort_by(|a, b| a.elevation.total_cmp(&b.elevation));
+        let several = levels.iter().filter(|level| level.frame.is_some()).count() > 1;
+        for level in &levels {
+            self.level(level, several, system);
+        }
+        self.lifts(building, system, &levels);
+        Ok(())
+    }
+
+    /// The graph to read; none if the lanes are not sound.
+    fn graph(&mut self, levels: &[Level], options: &Options) -> Result<Option<i64>, Wrong> {
+        let mut known = BTreeSet::new();
+        let sound = self.problems.is_empty();
+        for level in levels {
+            for lane in &level.lanes {
+                match graph_of(lane) {
+                    Ok(graph) => {
+                        known.insert(graph);
+                    }
+                    Err(wrong) => self.say(format!("level {:?}, lane {}", level.name, lane.number), wrong),
+                }
+            }
+        }
+        let list = |known: &BTreeSet<i64>| known.iter().map(i64::to_string).collect::<Vec<_>>().join(", ");
+        match (options.graph, known.first()) {
+            (_, None) if sound && self.problems.is_empty() => Err(Wrong::NoLanes),
+            (_, None) => Ok(None),
+            (Some(graph), _) if !known.contains(&graph) => Err(Wrong::UnknownGraph { graph, known: list(&known) }),
+            (Some(graph), _) => Ok(Some(graph)),
+            (None, Some(first)) => {
+                let first = *first;
+                known.remove(&first);
+                if !known.is_empty() {
+                    let others = list(&known);
+                    self.drawing.notes.push(format!("lanes of graph {first} are read; those of {others} are left out"));
+                }
+                Ok(Some(first))
+            }
+        }
+    }
+
+    /// Finds the frame of each level.
+    fn place(
+        &mut self,
+        building: &Building,
+        system: System,
+        options: &Options,
+        levels: &mut [Level],
+    ) -> Result<(), Wrong> {
+        let reference = match &building.reference_level_name {
+            None => 0,
+            Some(name) => level_named(levels, "reference_level_name", name)?,
+        };
+        let frame = match system {
+            System::CartesianMeters => Some(Frame::METRES),
+            System::Wgs84 => {
+                let parameters = raw::parameters(building.parameters.as_ref())?;
+                let vertices = levels.iter().flat_map(|level| &level.vertices);
+                Some(Frame::around(place::origin(&parameters, vertices)))
+            }
+            System::ReferenceImage => {
+                let level = &levels[reference];
+                let measured = || place::scale(level.name, &level.vertices, &level.measurements, &mut self.problems);
+                options.scale_m.or_else(measured).map(Frame::scaled)
+            }
+        };
+        let Some(frame) = frame else { return Ok(()) };
+        let (base, marks) = (levels[reference].name.to_owned(), levels[reference].fiducials.clone());
+        for (index, level) in levels.iter_mut().enumerate() {
+            if index == reference || system != System::ReferenceImage {
+                level.frame = Some(frame);
+                continue;
+            }
+            let pairs = place::shared(system, &marks, &level.fiducials);
+            level.frame = Frame::over(&frame, &pairs);
+            if level.frame.is_some() {
+                continue;
+            }
+            let wrong = Wrong::Unplaced { reference: base.clone(), shared: pairs.len() };
+            if level.lanes.is_empty() {
+                self.drawing.notes.push(format!("level {:?} is left out: it has no lanes, and {wrong}", level.name));
+            } else {
+                self.say(format!("level {:?}", level.name), wrong);
+            }
+        }
+        Ok(())
+    }
+
+    /// Names the vertices at lanes.
+    fn name(&mut self, levels: &mut [Level]) {
+        let mut used: BTreeMap<&str, usize> = BTreeMap::new();
+        let mut same = Vec::new();
+        for level in levels.iter() {
+            let mut here: BTreeMap<&str, usize> = BTreeMap::new();
+            for vertex in ends(&level.lanes) {
+                let name = level.vertices[vertex].name.as_str();
+                if name.is_empty() {
+                    continue;
+                }
+                match here.get(name) {
+                    None => {
+                        here.insert(name, vertex);
+                        *used.entry(name).or_default() += 1;
+                    }
+                    Some(other) => {
+                        let wrong = Wrong::SameName { name: name.to_owned(), other: *other };
+                        same.push((format!("level {:?}, vertex {vertex}", level.name), wrong));
+                    }
+                }
+            }
+        }
+        let named: Vec<BTreeMap<usize, String>> = levels
+            .iter()
+            .map(|level| {
+                let name = |vertex: usize| match level.vertices[vertex].name.as_str() {
+                    "" => format!("{} vertex {vertex}", level.name),
+                    name if used.get(name).is_some_and(|count| *count > 1) => format!("{name} ({})", level.name),
+                    name => name.to_owned(),
+                };
+                ends(&level.lanes).into_iter().map(|vertex| (vertex, name(vertex))).collect()
+            })
+            .collect();
+        for (level, places) in levels.iter_mut().zip(named) {
+            level.places = places;
+        }
+        for (at, wrong) in same {
+            self.say(at, wrong);
+        }
+    }
+
+    fn level(&mut self, level: &Level, several: bool, system: System) {
+        let Some(frame) = level.frame else { return };
+        let at = |vertex: usize| {
+            let (x, y) = frame.apply(system.upright(level.vertices[vertex].at));
+            (round(x), round(y))
+        };
+        let on = several.then(|| level.name.to_owned());
+        for (vertex, name) in &level.places {
+            let ((x_m, y_m), kind) = (at(*vertex), self.kind(level, *vertex));
+            self.drawing.map.places.push(PlaceEntry {
+                name: name.clone(),
+                kind,
+                x_m,
+                y_m,
+                yaw_rad: 0.0,
+                level: on.clone(),
+            });
+        }
+        for lane in &level.lanes {
+            match lane_of(level, lane) {
+                Ok(lane) => self.drawing.map.lanes.push(lane),
+                Err(wrong) => self.say(format!("level {:?}, lane {}", level.name, lane.number), wrong),
+            }
+        }
+        for door in &level.doors {
+            self.door(level, door, at);
+        }
+        for (number, vertex) in level.vertices.iter().enumerate() {
+            if let Some(name) = vertex.parameters.get("spawn_robot_name").and_then(raw::text) {
+                self.robot(level, number, name, on.clone(), at);
+            }
+        }
+        let walls = walls(&level.walls, at);
+        if several {
+            let entry = LevelEntry { name: level.name.to_owned(), elevation_m: round(level.elevation), walls };
+            self.drawing.map.levels.push(entry);
+        } else {
+            self.drawing.map.walls = walls;
+        }
+    }
+
+    fn kind(&mut self, level: &Level, number: usize) -> PlaceKind {
+        let vertex = &level.vertices[number];
+        let mut is = |name: &str| {
+            let found = parameter(&vertex.parameters, name, "[4, true] or [4, false]", Value::as_bool);
+            found.unwrap_or_else(|wrong| {
+                self.say(format!("level {:?}, vertex {number}", level.name), wrong);
+                None
+            })
+        };
+        let charges = is("is_charger") == Some(true);
+        let parks = is("is_parking_spot") == Some(true);
+        let docks = vertex.parameters.get("dock_name").and_then(Value::as_str).is_some_and(|name| !name.is_empty());
+        match (charges, parks || docks, vertex.name.is_empty()) {
+            (true, _, _) => PlaceKind::Charger,
+            (false, true, _) => PlaceKind::Dock,
+            (false, false, true) => PlaceKind::Corridor,
+            (false, false, false) => PlaceKind::Other,
+        }
+    }
+
+    fn door(&mut self, level: &Level, door: &Edge, at: impl Fn(usize) -> Point) {
+        let here = || format!("level {:?}, door {}", level.name, door.number);
+        let name = match parameter(&door.parameters, "name", "[1, name]", raw::text) {
+            Ok(Some(name)) if !name.is_empty() => name,
+            Ok(_) => return self.say(here(), Wrong::Missing { field: "name" }),
+            Err(wrong) => return self.say(here(), wrong),
+        };
+        let [a, b] = door.ends.map(&at);
+        let across = level.lanes.iter().filter(|lane| {
+            let [from, to] = lane.ends.map(&at);
+            crossing(from, to, a, b).is_some()
+        });
+        let on: Vec<_> = across.map(|lane| between(level, lane)).collect();
+        if on.is_empty() {
+            self.drawing.notes.push(format!("{} ({name:?}) is left out: no lane leads through it", here()));
+            return;
+        }
+        self.drawing.map.doors.push(DoorEntry { name, on, span: Some((a, b)), ..DoorEntry::default() });
+    }
+
+    fn robot(&mut self, level: &Level, number: usize, name: String, on: Option<String>, at: impl Fn(usize) -> Point) {
+        let vertex = &level.vertices[number];
+        let (x_m, y_m) = at(number);
+        let heading = |lane: &Edge| {
+            let [from, to] = lane.ends.map(&at);
+            (to.1 - from.1).atan2(to.0 - from.0)
+        };
+        let first = level.lanes.iter().find(|lane| lane.ends.contains(&number));
+        let kind = vertex.parameters.get("spawn_robot_type").and_then(raw::text);
+        let body = Drawn {
+            id: format!("{} vertex {number}", level.name),
+            kind: "robot".to_owned(),
+            name,
+            level: on,
+            x_m,
+            y_m,
+            yaw_rad: round(first.map_or(0.0, heading)),
+            attributes: kind.into_iter().map(|kind| ("robot_type".to_owned(), kind)).collect(),
+            ..Drawn::default()
+        };
+        self.drawing.robots.push(DrawnRobot { body, ..DrawnRobot::default() });
+    }
+
+    fn lifts(&mut self, building: &Building, system: System, levels: &[Level]) {
+        let lifts = building.lifts.as_ref().map_or(&[][..], |lifts| &lifts.0);
+        let names: BTreeSet<&str> = lifts.iter().map(|(name, _)| name.as_str()).collect();
+        let mut aboard: BTreeMap<&str, BTreeSet<&str>> = BTreeMap::new();
+        for level in levels {
+            for (vertex, place) in &level.places {
+                let named = level.vertices[*vertex].parameters.get("lift_cabin").and_then(Value::as_str);
+                let Some(named) = named.filter(|named| !named.is_empty()) else { continue };
+                if names.contains(named) {
+                    aboard.entry(named).or_default().insert(place);
+                } else {
+                    let hint = did_you_mean(named, names.iter().copied());
+                    let at = format!("level {:?}, vertex {vertex}", level.name);
+                    self.say(at, Wrong::UnknownLift { lift: named.to_owned(), hint });
+                }
+            }
+        }
+        for (name, lift) in lifts {
+            let cabin = match Cabin::of(lift, system, levels, &building.reference_level_name) {
+                Ok(cabin) => cabin,
+                Err(wrong) => {
+                    self.say(format!("lift {name:?}"), wrong);
+                    continue;
+                }
+            };
+            let aboard = aboard.get(name.as_str());
+            let stops: Vec<String> = levels
+                .iter()
+                .flat_map(|level| level.places.iter().map(move |(vertex, place)| (level, *vertex, place)))
+                .filter(|(level, vertex, place)| {
+                    aboard.is_some_and(|aboard| aboard.contains(place.as_str())) || cabin.holds(level, *vertex, system)
+                })
+                .map(|(_, _, place)| place.clone())
+                .collect();
+            if stops.is_empty() {
+                self.drawing
+                    .notes
+                    .push(format!("lift {name:?} is left out: no lane ends in its cabin on a level that it serves"));
+            } else {
+                self.drawing.map.lifts.push(LiftEntry { name: name.clone(), stops, ..LiftEntry::default() });
+            }
+        }
+    }
+}
+
+/// The floor of a lift, and the levels that it serves.
+struct Cabin {
+    centre: Point,
+    /// Half of its width and depth.
+    half: (f64, f64),
+    yaw: f64,
+    levels: BTreeSet<String>,
+}
+
+impl Cabin {
+    fn of(lift: &raw::Lift, system: System, levels: &[Level], reference: &Option<String>) -> Result<Cabin, Wrong> {
+        for (field, value) in [("width", lift.width), ("depth", lift.depth)] {
+            if !(value > 0.0 && value.is_finite()) {
+                let (field, text) = (field.to_owned(), value.to_string());
+                return Err(Wrong::Value { field, text, allowed: "a number of metres above 0" });
+            }
+        }
+        let floor = |field: &'static str, name: &Option<String>| {
+            let named = name.as_deref().filter(|name| !name.is_empty());
+            named.map(|name| level_named(levels, field, name)).transpose()
+        };
+        let own = floor("reference_floor_name", &lift.reference_floor_name)?;
+        let shared = floor("reference_level_name", reference)?;
+        let lowest =
+            floor("lowest_floor", &lift.lowest_floor)?.map_or(f64::NEG_INFINITY, |level| levels[level].elevation);
+        let highest =
+            floor("highest_floor", &lift.highest_floor)?.map_or(f64::INFINITY, |level| levels[level].elevation);
+        let mut served = BTreeSet::new();
+        for (name, doors) in lift.level_doors.as_ref().map_or(&[][..], |levels| &levels.0) {
+            let level = level_named(levels, "level_doors", name)?;
+            let has_doors = doors.as_array().is_none_or(|doors| !doors.is_empty());
+            if has_doors && (lowest..=highest).contains(&levels[level].elevation) {
+                served.insert(name.clone());
+            }
+        }
+        let frame = own.or(shared).and_then(|level| levels[level].frame);
+        let frame = frame.or_else(|| levels.iter().find_map(|level| level.frame)).unwrap_or(Frame::METRES);
+        let centre = frame.apply(system.upright((lift.x, lift.y)));
+        Ok(Cabin { centre, half: (lift.width / 2.0 + GAP_M, lift.depth / 2.0 + GAP_M), yaw: lift.yaw, levels: served })
+    }
+
+    fn holds(&self, level: &Level, vertex: usize, system: System) -> bool {
+        let Some(frame) = level.frame.filter(|_| self.levels.contains(level.name)) else { return false };
+        let (x, y) = frame.apply(system.upright(level.vertices[vertex].at));
+        let (dx, dy) = (x - self.centre.0, y - self.centre.1);
+        let (sin, cos) = self.yaw.sin_cos();
+        (dx * cos + dy * sin).abs() <= self.half.0 && (dy * cos - dx * sin).abs() <= self.half.1
+    }
+}
+
+fn level_of<'a>(name: &'a str, raw: &raw::Level, problems: &mut Vec<Problem>) -> Level<'a> {
+    let mut entries = Entries { level: name, problems };
+    let vertices = entries.vertices(raw.vertices.as_ref());
+    let count = vertices.len();
+    Level {
+        name,
+        elevation: raw.elevation,
+        lanes: entries.edges("lane", raw.lanes.as_ref(), count),
+        walls: entries.edges("wall", raw.walls.as_ref(), count),
+        doors: entries.edges("door", raw.doors.as_ref(), count),
+        measurements: entries.edges("measurement", raw.measurements.as_ref(), count),
+        fiducials: entries.fiducials(raw.fiducials.as_ref()),
+        vertices,
+        frame: None,
+        places: BTreeMap::new(),
+    }
+}
+
+fn level_named(levels: &[Level], field: &'static str, name: &str) -> Result<usize, Wrong> {
+    levels.iter().position(|level| level.name == name).ok_or_else(|| {
+        let hint = did_you_mean(name, levels.iter().map(|level| level.name));
+        Wrong::UnknownLevel { field, level: name.to_owned(), hint }
+    })
+}
+
+/// The graph of a lane; 0 if it does not say.
+fn graph_of(lane: &Edge) -> Result<i64, Wrong> {
+    parameter(&lane.parameters, "graph_idx", "a whole number", Value::as_i64).map(|graph| graph.unwrap_or(0))
+}
+
+fn ends(lanes: &[Edge]) -> BTreeSet<usize> {
+    lanes.iter().flat_map(|lane| lane.ends).collect()
+}
+
+fn between(level: &Level, lane: &Edge) -> (String, String) {
+    (level.places[&lane.ends[0]].clone(), level.places[&lane.ends[1]].clone())
+}
+
+fn lane_of(level: &Level, lane: &Edge) -> Result<LaneEntry, Wrong> {
+    let both = parameter(&lane.parameters, "bidirectional", "[4, true] or [4, false]", Value::as_bool)?;
+    let limit = parameter(&lane.parameters, "speed_limit", "a number of metres per second", Value::as_f64)?;
+    let facing: fn(&Value) -> Option<Option<Facing>> = |value| match value.as_str()? {
+        "" => Some(None),
+        "forward" => Some(Some(Facing::Forward)),
+        "backward" => Some(Some(Facing::Backward)),
+        _ => None,
+    };
+    let facing = parameter(&lane.parameters, "orientation", "forward or backward", facing)?;
+    Ok(LaneEntry {
+        between: between(level, lane),
+        length_m: None,
+        one_way: both != Some(true),
+        speed_limit_mps: limit.filter(|limit| *limit > 0.0),
+        facing: facing.flatten(),
+    })
+}
+
+/// Walls as lines; one that begins where the one before ends goes on with it.
+fn walls(walls: &[Edge], at: impl Fn(usize) -> Point) -> Vec<Vec<Point>> {
+    let mut lines: Vec<Vec<Point>> = Vec::new();
+    let mut last = None;
+    for wall in walls {
+        let [from, to] = wall.ends;
+        match lines.last_mut().filter(|_| last == Some(from)) {
+            Some(line) => line.push(at(to)),
+            None => lines.push(vec![at(from), at(to)]),
+        }
+        last = Some(to);
+    }
+    lines
+}

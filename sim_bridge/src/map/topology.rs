@@ -1,0 +1,81 @@
+//! The map as estimators and skills see it: places, and the ways between neighbours.
+
+use super::{Lane, Map};
+use consort_protocol::ids::PlaceId;
+use consort_skills::environment::{Edge, TopologicalMap};
+
+/// A ride by lift counts as the way that a robot drives meanwhile at this speed, in metres per second: ways have lengths and
+/// no times. So it is priced right for a robot of this speed, too low for faster ones and too high for slower ones.
+const RIDE_MPS: f64 = 0.5;
+
+/// A ride that takes no time is still a way: a millimetre.
+const RIDE_MIN_M: f64 = 0.001;
+
+impl Map {
+    /// Its places, its lanes and, where no lane leads there, the rides by lift.
+    pub fn topology(&self) -> TopologicalMap {
+        let places = self.places.iter().map(|place| (place.id.clone(), place.pose)).collect();
+        let lane = |lane: &Lane| Edge {
+            a: lane.from.clone(),
+            b: lane.to.clone(),
+            length_m: lane.length.get(),
+            one_way: !lane.two_way,
+        };
+        let edges = self.lanes.iter().map(lane).chain(self.rides());
+        TopologicalMap { places, edges: edges.collect() }
+    }
+
+    fn rides(&self) -> impl Iterator<Item = Edge> {
+        let pairs = self.lifts.iter().flat_map(|lift| {
+            let stops = lift.stops.iter().enumerate();
+            stops.flat_map(|(index, a)| lift.stops[index + 1..].iter().map(move |b| (a, b)))
+        });
+        pairs.flat_map(|(a, b)| {
+            let by_lane = |from: &PlaceId, to: &PlaceId| self.lane(from, to).is_some();
+            match (by_lane(a, b), by_lane(b, a)) {
+                (false, false) => self.ride_edge(a, b, false),
+                (false, true) => self.ride_edge(a, b, true),
+                (true, false) => self.ride_edge(b, a, true),
+                (true, true) => None,
+            }
+        })
+    }
+
+    fn ride_edge(&self, a: &PlaceId, b: &PlaceId, one_way: bool) -> Option<Edge> {
+        let length_m = (self.ride(a, b)?.time.get() * RIDE_MPS).max(RIDE_MIN_M);
+        Some(Edge { a: a.clone(), b: b.clone(), length_m, one_way })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use consort_skills::environment::Routes;
+
+    #[test]
+    fn routes_lead_over_lifts_where_no_lane_does() {
+        let text = "{name: tower, levels: [{name: low}, {name: top, elevation_m: 4}], \
+            places: [{name: A, kind: other, x_m: 0, y_m: 0}, {name: L0, kind: other, x_m: 5, y_m: 0}, \
+            {name: L1, kind: other, x_m: 5, y_m: 0, level: top}, {name: B, kind: other, x_m: 9, y_m: 0, level: top}], \
+            lanes: [{between: [A, L0]}, {between: [L1, B]}], lifts: [{name: Lift, stops: [L0, L1]}]}";
+        let map = crate::map::read(text, "tower.yaml").unwrap();
+        let routes = Routes::new(&map.topology()).unwrap();
+        let place = |name| PlaceId::new(name).unwrap();
+        let route = routes.route(&place("A"), &place("B")).unwrap();
+        assert_eq!(route.places, ["A", "L0", "L1", "B"].map(place));
+        assert_eq!(route.length.get(), 5.0 + 10.0 * RIDE_MPS + 4.0, "the ride takes 3 + 4 + 3 s");
+        assert_eq!(routes.route(&place("B"), &place("A")).unwrap().places.len(), 4);
+    }
+
+    #[test]
+    fn where_a_lane_leads_nobody_rides() {
+        let text = "{name: loop, levels: [{name: low}, {name: top, elevation_m: 4}], \
+            places: [{name: A, kind: other, x_m: 0, y_m: 0}, {name: B, kind: other, x_m: 5, y_m: 0}, \
+            {name: C, kind: other, x_m: 5, y_m: 0, level: top}], \
+            lanes: [{between: [A, B], one_way: true}], lifts: [{name: Lift, stops: [A, B, C]}]}";
+        let topology = crate::map::read(text, "loop.yaml").unwrap().topology();
+        let ways: Vec<_> = topology.edges.iter().map(|e| (e.a.as_str(), e.b.as_str(), e.one_way)).collect();
+        assert_eq!(ways, [("A", "B", true), ("B", "A", true), ("A", "C", false), ("B", "C", false)]);
+        topology.check().unwrap();
+    }
+}

@@ -1,0 +1,14 @@
+//! Where things are, for whoever asks what is near: bodies and walls in grids, rays between them.
+//!
+//! Both indexes are uniform grids, laid out anew whenever bodies have moved. Each question looks only at the cells that it
+//! touches, so that the work for all bodies together grows with their number and not with its square.
+
+mod bodies;
+mod rays;
+mod sensor;
+mod walls;
+
+pub use bodies::{Bodies, Disc};
+pub use rays::{Ray, Segment};
+pub use sensor::Sensor;
+pub use walls::Walls;

@@ -1,0 +1,106 @@
+//! Rays, and what they hit.
+
+use nalgebra::Vector2;
+
+/// A line from a point in a direction.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Ray {
+    /// Where it begins, in metres.
+    pub from: Vector2<f64>,
+    /// Where to: of length 1.
+    pub direction: Vector2<f64>,
+}
+
+/// A straight piece of wall.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Segment {
+    /// One end, in metres.
+    pub a: Vector2<f64>,
+    /// The other end.
+    pub b: Vector2<f64>,
+}
+
+impl Ray {
+    /// A ray at an angle, in radians counter-clockwise from the x axis.
+    pub fn at_angle(from: Vector2<f64>, angle: f64) -> Ray {
+        let (sin, cos) = angle.sin_cos();
+        Ray { from, direction: Vector2::new(cos, sin) }
+    }
+
+    /// From one point towards another, and how far that is; none for two points in one place.
+    pub fn towards(from: Vector2<f64>, to: Vector2<f64>) -> Option<(Ray, f64)> {
+        let length = (to - from).norm();
+        (length > 0.0).then(|| (Ray { from, direction: (to - from) / length }, length))
+    }
+
+    /// The point so many metres along it.
+    pub fn at(&self, distance_m: f64) -> Vector2<f64> {
+        self.from + self.direction * distance_m
+    }
+
+    /// How far along it meets a wall; none if it does not, or runs along it.
+    pub fn meets(&self, wall: &Segment) -> Option<f64> {
+        let along = wall.b - wall.a;
+        let across = self.direction.perp(&along);
+        if across == 0.0 {
+            return None;
+        }
+        let to = wall.a - self.from;
+        let (distance, share) = (to.perp(&along) / across, to.perp(&self.direction) / across);
+        (distance >= 0.0 && (0.0..=1.0).contains(&share)).then_some(distance)
+    }
+
+    /// How far along it enters a disc: 0 if it begins in it, none if it misses it.
+    pub fn enters(&self, middle: Vector2<f64>, radius_m: f64) -> Option<f64> {
+        let to = middle - self.from;
+        if to.norm_squared() <= radius_m * radius_m {
+            return Some(0.0);
+        }
+        let (ahead, aside) = (to.dot(&self.direction), to.perp(&self.direction));
+        let depth_2 = radius_m * radius_m - aside * aside;
+        (ahead > 0.0 && depth_2 >= 0.0).then(|| ahead - depth_2.sqrt())
+    }
+}
+
+impl Segment {
+    /// The point of it that is closest to a point.
+    pub fn closest(&self, to: Vector2<f64>) -> Vector2<f64> {
+        let along = self.b - self.a;
+        let length_2 = along.norm_squared();
+        if length_2 == 0.0 {
+            return self.a;
+        }
+        self.a + along * ((to - self.a).dot(&along) / length_2).clamp(0.0, 1.0)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn wall(ax: f64, ay: f64, bx: f64, by: f64) -> Segment {
+        Segment { a: Vector2::new(ax, ay), b: Vector2::new(bx, by) }
+    }
+
+    #[test]
+    fn a_ray_meets_what_is_ahead_and_nothing_behind() {
+        let east = Ray::at_angle(Vector2::new(1.0, 1.0), 0.0);
+        assert_eq!(east.meets(&wall(3.0, 0.0, 3.0, 2.0)), Some(2.0));
+        assert_eq!(east.meets(&wall(3.0, 2.0, 3.0, 3.0)), None);
+        assert_eq!(east.meets(&wall(0.0, 0.0, 0.0, 2.0)), None);
+        assert_eq!(east.meets(&wall(2.0, 1.0, 5.0, 1.0)), None, "along the wall");
+        assert_eq!(east.enters(Vector2::new(4.0, 1.0), 0.5), Some(2.5));
+        assert_eq!(east.enters(Vector2::new(4.0, 1.6), 0.5), None);
+        assert_eq!(east.enters(Vector2::new(-4.0, 1.0), 0.5), None);
+        assert_eq!(east.enters(Vector2::new(1.2, 1.0), 0.5), Some(0.0));
+    }
+
+    #[test]
+    fn the_closest_point_of_a_wall_is_on_it() {
+        let wall = wall(0.0, 0.0, 4.0, 0.0);
+        let closest = |x, y| wall.closest(Vector2::new(x, y));
+        assert_eq!(closest(1.0, 3.0), Vector2::new(1.0, 0.0));
+        assert_eq!(closest(-1.0, 3.0), Vector2::new(0.0, 0.0));
+        assert_eq!(closest(9.0, -1.0), Vector2::new(4.0, 0.0));
+    }
+}

@@ -1,0 +1,230 @@
+//! Lifts: called to a stop, they open, take in whom they have room for, and go.
+//!
+//! ```text
+//!            LiftAwaited                    LiftEntered                     LiftLeft
+//!  driving ──────────────▶ calls of a lift ─────────────▶ riding, a while ───────────▶ driving
+//! ```
+//!
+//! The cabin always goes where the oldest call wants it: to the stop where the caller waits or, once it is in, to where
+//! it wants to go. At each stop others get in as long as there is room, but they leave one free for whoever
+//! called before them and waits elsewhere. So everybody gets in.
+
+use crate::map::PlaceIndex;
+use crate::world::components::Body;
+use crate::world::floor::Floor;
+use crate::world::journal::Happening;
+use crate::world::setup::WorldSetup;
+use crate::world::system::{Kind, System, Wake, kinds};
+use consort_protocol::ids::PlaceId;
+use hecs::Entity;
+use std::collections::BTreeMap;
+
+/// The lifts of the floor, by name.
+pub(crate) struct LiftsByName(BTreeMap<String, Entity>);
+
+/// One lift.
+pub(crate) struct Cabin {
+    name: String,
+    capacity: usize,
+    opening_s: f64,
+    /// Where it stands, or comes from.
+    at: PlaceIndex,
+    phase: Phase,
+    /// By the running number of the call.
+    calls: BTreeMap<u64, Call>,
+    next_call: u64,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Phase {
+    /// It stands with closed doors, and nobody wants it.
+    Idle,
+    Opening,
+    Closing,
+    Moving(PlaceIndex),
+}
+
+#[derive(Debug, Clone, Copy)]
+struct Call {
+    robot: Entity,
+    from: PlaceIndex,
+    to: PlaceIndex,
+    riding: bool,
+}
+
+impl Cabin {
+    fn riders(&self) -> usize {
+        self.calls.values().filter(|call| call.riding).count()
+    }
+
+    /// Where the oldest call that can be served wants it.
+    fn wanted(&self) -> Option<PlaceIndex> {
+        let full = self.riders() >= self.capacity;
+        let call = self.calls.values().find(|call| call.riding || !full)?;
+        Some(if call.riding { call.to } else { call.from })
+    }
+
+    /// Those who want out here, out of the calls.
+    fn let_out(&mut self) -> Vec<Entity> {
+        let here = self.at;
+        let out: Vec<u64> =
+            self.calls.iter().filter(|(_, call)| call.riding && call.to == here).map(|(number, _)| *number).collect();
+        out.into_iter().filter_map(|number| self.calls.remove(&number)).map(|call| call.robot).collect()
+    }
+
+    /// Those who get in here.
+    fn take_in(&mut self) -> Vec<Entity> {
+        let (mut riders, mut left_behind, mut taken) = (self.riders(), 0, Vec::new());
+        for call in self.calls.values_mut().filter(|call| !call.riding) {
+            if call.from != self.at {
+                left_behind = 1;
+            } else if riders + left_behind < self.capacity {
+                call.riding = true;
+                riders += 1;
+                taken.push(call.robot);
+            }
+        }
+        taken
+    }
+}
+
+/// See the [module](self).
+pub(crate) struct Lifts;
+
+impl System for Lifts {
+    fn name(&self) -> &'static str {
+        "lifts"
+    }
+
+    fn reads(&self) -> Vec<Kind> {
+        kinds![Body]
+    }
+
+    fn writes(&self) -> Vec<Kind> {
+        kinds![Cabin, LiftsByName]
+    }
+
+    fn furnish(&self, floor: &mut Floor, setup: &WorldSetup) {
+        let mut lifts = BTreeMap::new();
+        for lift in setup.map.lifts() {
+            let at = lift.stops.first().and_then(|stop| setup.map.index(stop)).expect("a sound lift has stops");
+            let entity = floor.spawn();
+            let cabin = Cabin {
+                name: lift.name.clone(),
+                capacity: lift.capacity as usize,
+                opening_s: lift.opening.get(),
+                at,
+                phase: Phase::Idle,
+                calls: BTreeMap::new(),
+                next_call: 0,
+            };
+            floor.give(entity, cabin);
+            lifts.insert(lift.name.clone(), entity);
+        }
+        floor.furnish(LiftsByName(lifts));
+    }
+
+    fn wake(&self, floor: &mut Floor, Wake { about: lift, .. }: Wake) {
+        let phase = floor.get::<Cabin>(lift).phase;
+        match phase {
+            Phase::Moving(to) => {
+                floor.get_mut::<Cabin>(lift).at = to;
+                floor.lift_does(lift, Phase::Opening);
+            }
+            Phase::Opening => {
+                floor.exchange_riders(lift);
+                floor.lift_does(lift, Phase::Closing);
+            }
+            Phase::Closing => floor.send_lift(lift),
+            Phase::Idle => {}
+        }
+    }
+
+    fn observe(&self, floor: &mut Floor, what: &Happening) {
+        match what {
+            Happening::LiftAwaited { robot, lift, at, to } => {
+                let ends = floor.map.index(at).zip(floor.map.index(to));
+                let robot = floor.robots.get(robot).copied();
+                if let (Some(lift), Some(robot), Some((from, to))) = (floor.lift(lift), robot, ends) {
+                    floor.call_lift(lift, Call { robot, from, to, riding: false });
+                }
+            }
+            Happening::LiftLeft { robot, lift, .. } => {
+                let robot = floor.robots.get(robot).copied();
+                if let (Some(lift), Some(robot)) = (floor.lift(lift), robot) {
+                    floor.get_mut::<Cabin>(lift).calls.retain(|_, call| call.robot != robot || call.riding);
+                }
+            }
+            _ => {}
+        }
+    }
+}
+
+impl Floor {
+    fn lift(&self, name: &str) -> Option<Entity> {
+        self.own::<LiftsByName>().0.get(name).copied()
+    }
+
+    /// The lift that goes from one place to the other, if lifts are among what happens here.
+    pub(crate) fn lift_between(&self, from: &PlaceId, to: &PlaceId) -> Option<String> {
+        let ride = self.map.ride(from, to)?;
+        self.has::<LiftsByName>().then(|| ride.lift.name.clone())
+    }
+
+    fn call_lift(&mut self, lift: Entity, call: Call) {
+        let idle = {
+            let mut cabin = self.get_mut::<Cabin>(lift);
+            let number = cabin.next_call;
+            cabin.next_call += 1;
+            cabin.calls.insert(number, call);
+            cabin.phase == Phase::Idle
+        };
+        if idle {
+            self.send_lift(lift);
+        }
+    }
+
+    /// Its doors are closed: it goes where it is wanted, or stays.
+    fn send_lift(&mut self, lift: Entity) {
+        let next = {
+            let cabin = self.get::<Cabin>(lift);
+            match cabin.wanted() {
+                None => Phase::Idle,
+                Some(stop) if stop == cabin.at => Phase::Opening,
+                Some(stop) => Phase::Moving(stop),
+            }
+        };
+        self.lift_does(lift, next);
+    }
+
+    fn lift_does(&mut self, lift: Entity, phase: Phase) {
+        let takes = {
+            let mut cabin = self.get_mut::<Cabin>(lift);
+            cabin.phase = phase;
+            match phase {
+                Phase::Idle => return,
+                Phase::Opening | Phase::Closing => cabin.opening_s,
+                Phase::Moving(to) => {
+                    let (from, to) = (&self.map.at(cabin.at).id, &self.map.at(to).id);
+                    let ride = self.map.ride(from, to).map_or(0.0, |ride| ride.time.get());
+                    (ride - 2.0 * cabin.opening_s).max(0.0)
+                }
+            }
+        };
+        self.arrange(self.now + takes, lift, 0);
+    }
+
+    fn exchange_riders(&mut self, lift: Entity) {
+        let (name, at, out, taken) = {
+            let mut cabin = self.get_mut::<Cabin>(lift);
+            let out = cabin.let_out();
+            (cabin.name.clone(), self.map.at(cabin.at).id.clone(), out, cabin.take_in())
+        };
+        for robot in out {
+            self.note(Happening::LiftLeft { robot: self.name(robot), lift: name.clone(), at: at.clone() });
+        }
+        for robot in taken {
+            self.note(Happening::LiftEntered { robot: self.name(robot), lift: name.clone() });
+        }
+    }
+}

@@ -1,0 +1,114 @@
+//! Chargers, turning on the spot, and waypoints.
+
+use super::*;
+use consort_protocol::pose::Pose;
+use consort_skills::actions::Waypoint;
+
+fn yard() -> WorldSetup {
+    let text = "{name: yard, places: [{name: Charger, kind: charger, x_m: 0, y_m: 0}, {name: Gate, kind: other, x_m: 10, y_m: 0}, \
+        {name: Far, kind: other, x_m: 10, y_m: 5}], lanes: [{between: [Charger, Gate]}, {between: [Gate, Far]}], \
+        doors: [{name: Door, on: [[Charger, Gate]], opening_s: 3}]}";
+    WorldSetup::new(map::read(text, "yard.yaml").unwrap(), 1)
+}
+
+/// Loses 0.1 % a second at work, 0.01 % idle, gains 0.4 % docked.
+fn half_full(name: &str, at: &str) -> RobotBody {
+    let (battery, charging) = (BatteryShare::new(0.5).unwrap(), SharePerSecond::new(0.004).unwrap());
+    RobotBody { battery, charging, ..carrier(name, at) }
+}
+
+fn charge(world: &World) -> f64 {
+    world.telemetry(&robot("r1")).unwrap().battery.get()
+}
+
+fn dock() -> Goal {
+    Goal::Dock { charger: None }
+}
+
+#[test]
+fn a_docked_robot_charges_until_it_is_full() {
+    let mut world = World::new(yard().robot(half_full("r1", "Charger"))).unwrap();
+    does(&mut world, "r1", 1, dock());
+    assert!((charge(&world) - 0.498).abs() < 1e-12);
+    world.advance(at(12.0));
+    assert!((charge(&world) - 0.537).abs() < 1e-12, "0.4 % a second, less what it loses idle");
+    world.advance(at(1_000.0));
+    assert_eq!(charge(&world), 1.0);
+    does(&mut world, "r1", 2, Goal::Undock);
+    let full = charge(&world);
+    world.advance(at(1_102.0));
+    assert!((full - charge(&world) - 0.01).abs() < 1e-12, "idle again");
+    assert_eq!(noted(&mut world, |what| matches!(what, Happening::Docked { .. }).then_some(())).len(), 2);
+}
+
+#[test]
+fn a_robot_that_drives_off_charges_no_longer() {
+    let mut world = World::new(yard().robot(half_full("r1", "Charger"))).unwrap();
+    does(&mut world, "r1", 1, dock());
+    let goal = go(&world, "Gate");
+    does(&mut world, "r1", 2, goal);
+    let there = charge(&world);
+    world.advance(at(world.now().as_secs() + 100.0));
+    assert!((there - charge(&world) - 0.01).abs() < 1e-12);
+    let status = refusal(&mut world, "r1", 3, Goal::Undock);
+    assert_eq!(status, aborted(ErrorCode::Charger, "r1 is not docked"));
+}
+
+#[test]
+fn a_robot_that_charges_in_time_does_not_strand() {
+    let mut low = half_full("r1", "Charger");
+    low.battery = BatteryShare::new(0.055).unwrap();
+    let mut world = World::new(yard().robot(low)).unwrap();
+    does(&mut world, "r1", 1, dock());
+    assert_eq!(world.advance(at(10_000.0)), []);
+    assert!(world.telemetry(&robot("r1")).unwrap().able);
+}
+
+#[test]
+fn one_docks_at_chargers_alone() {
+    let mut world = World::new(yard().robot(carrier("r1", "Gate"))).unwrap();
+    let meant = |name| Goal::Dock { charger: Some(place(name)) };
+    for (goal, code, message, nav2) in [
+        (dock(), ErrorCode::Charger, "Gate is no charger", 902),
+        (meant("Charger"), ErrorCode::OutOfReach, "r1 is at Gate, not at Charger", 903),
+        (meant("Chargr"), ErrorCode::Unknown, "there is no place \"Chargr\" here; did you mean \"Charger\"?", 901),
+    ] {
+        assert_eq!(goal.nav2_code(code), Some(nav2));
+        let id = u64::from(nav2);
+        assert_eq!(refusal(&mut world, "r1", id, goal), aborted(code, message));
+    }
+}
+
+#[test]
+fn a_robot_turns_on_the_spot() {
+    let mut world = World::new(yard().robot(carrier("r1", "Gate"))).unwrap();
+    does(&mut world, "r1", 1, Goal::Spin { angle_rad: -1.5 });
+    let pose = world.telemetry(&robot("r1")).unwrap().pose;
+    assert_eq!((world.now(), pose.x, pose.y), (at(1.5), 10.0, 0.0));
+    assert!((pose.yaw + 1.5).abs() < 1e-12);
+    does(&mut world, "r1", 2, Goal::Spin { angle_rad: -2.0 });
+    let yaw = world.telemetry(&robot("r1")).unwrap().pose.yaw;
+    assert!((yaw - (std::f64::consts::TAU - 3.5)).abs() < 1e-12, "{yaw} is within half a turn");
+    let status = refusal(&mut world, "r1", 3, Goal::Spin { angle_rad: f64::INFINITY });
+    assert_eq!(status, aborted(ErrorCode::Unknown, "inf rad is no angle to turn by, allowed is -628 to 628"));
+}
+
+#[test]
+fn waypoints_are_followed_one_after_the_other_through_doors() {
+    let mut world = World::new(yard().robot(carrier("r1", "Charger"))).unwrap();
+    let stop = |world: &World, name: &str| match go(world, name) {
+        Goal::NavigateToPose { pose, place } => Waypoint { pose, place },
+        _ => unreachable!("go() drives"),
+    };
+    let waypoints = ["Gate", "Far", "Gate"].map(|name| stop(&world, name)).into();
+    does(&mut world, "r1", 1, Goal::FollowWaypoints { waypoints });
+    assert_eq!(world.now(), at(23.0 + 10.0 + 10.0));
+    assert_eq!(world.telemetry(&robot("r1")).unwrap().place, place("Gate"));
+    let waypoints = vec![stop(&world, "Far"), stop(&world, "Charger"), stop(&world, "Gate")];
+    let (status, _) = run(&mut world, "r1", 2, Goal::FollowWaypoints { waypoints });
+    assert_eq!(status, aborted(ErrorCode::NoRoute, "no lane from Far to Charger"));
+    let far = world.telemetry(&robot("r1")).unwrap();
+    assert_eq!((far.place, far.pose), (place("Far"), Pose::new(10.0, 5.0, 0.0)));
+    let status = refusal(&mut world, "r1", 3, Goal::FollowWaypoints { waypoints: vec![] });
+    assert_eq!(status, aborted(ErrorCode::Unknown, "there are no waypoints to follow"));
+}

@@ -1,0 +1,110 @@
+//! Things on tables: taken within reach and strength, carried, put down, left where the robot stops.
+
+use super::*;
+
+fn thing(name: &str, weight_kg: f64, distance_m: f64) -> Object {
+    Object { name: name.into(), place: place("Laboratory"), weight_kg, distance_m }
+}
+
+fn porter() -> RobotBody {
+    RobotBody { has_arm: true, ..carrier("r1", "Laboratory") }
+}
+
+fn store() -> World {
+    let mut setup = hospital(1).robot(porter()).robot(carrier("r2", "Laboratory"));
+    setup.objects = vec![thing("tray", 1.5, 0.5), thing("crate", 2.5, 0.5), thing("box", 0.5, 1.5)];
+    World::new(setup).unwrap()
+}
+
+fn grasp(object: &str) -> Goal {
+    Goal::Grasp { object: object.to_owned() }
+}
+
+fn keeper(world: &World, object: &str) -> Keeper {
+    world.sample(&object.into()).unwrap().keeper
+}
+
+#[test]
+fn an_arm_takes_what_it_reaches_and_can_lift() {
+    let mut world = store();
+    for (id, object, code, message) in [
+        (1, "crate", ErrorCode::TooHeavy, "crate weighs 2.5 kg, r1 lifts 2 kg"),
+        (2, "box", ErrorCode::OutOfReach, "box is 1.5 m away, r1 reaches 1 m"),
+        (3, "cup", ErrorCode::OutOfReach, "no \"cup\" lies at Laboratory; there lies: tray, crate, box"),
+    ] {
+        assert_eq!(refusal(&mut world, "r1", id, grasp(object)), aborted(code, message));
+    }
+    let status = refusal(&mut world, "r2", 4, grasp("tray"));
+    assert_eq!(status, aborted(ErrorCode::OutOfReach, "r2 has no arm"));
+    does(&mut world, "r1", 5, grasp("tray"));
+    assert_eq!((world.now(), keeper(&world, "tray")), (at(2.0), Keeper::Arm(robot("r1"))));
+    let status = refusal(&mut world, "r1", 6, grasp("box"));
+    assert_eq!(status, aborted(ErrorCode::Busy, "r1 already holds tray"));
+}
+
+#[test]
+fn a_thing_is_carried_and_put_down_elsewhere() {
+    let mut world = store();
+    does(&mut world, "r1", 1, grasp("tray"));
+    let goal = go(&world, "Laboratory Corridor");
+    does(&mut world, "r1", 2, goal);
+    assert_eq!(world.sample(&"tray".into()).unwrap().place, place("Laboratory Corridor"));
+    does(&mut world, "r1", 3, Goal::Deposit { into: None });
+    assert_eq!(keeper(&world, "tray"), Keeper::Table(place("Laboratory Corridor")));
+    does(&mut world, "r1", 4, grasp("tray"));
+}
+
+#[test]
+fn a_grasp_that_is_broken_off_leaves_the_thing_where_it_is() {
+    let mut world = store();
+    world.start(&robot("r1"), GoalId(1), grasp("tray"));
+    world.advance(at(1.0));
+    world.cancel(&robot("r1"), GoalId(1));
+    world.advance(at(9.0));
+    assert_eq!(keeper(&world, "tray"), Keeper::Table(place("Laboratory")));
+    world.start(&robot("r1"), GoalId(2), grasp("tray"));
+    world.set_charge(&robot("r1"), BatteryShare::new(0.04).unwrap());
+    world.advance(at(20.0));
+    assert_eq!(keeper(&world, "tray"), Keeper::Table(place("Laboratory")), "its battery ran down");
+}
+
+#[test]
+fn a_robot_that_dies_under_way_keeps_what_it_carries_where_it_stands() {
+    let mut world = store();
+    does(&mut world, "r1", 1, grasp("tray"));
+    let goal = go(&world, "Laboratory Corridor");
+    world.start(&robot("r1"), GoalId(2), goal);
+    world.advance(at(4.0));
+    world.set_charge(&robot("r1"), BatteryShare::new(0.04).unwrap());
+    world.advance(at(60.0));
+    let left = world.sample(&"tray".into()).unwrap();
+    assert_eq!((left.keeper, left.place), (Keeper::Arm(robot("r1")), place("Laboratory")), "a metre down the lane");
+}
+
+#[test]
+fn two_arms_do_not_take_one_thing() {
+    let mut setup = hospital(1).robot(porter()).robot(RobotBody { has_arm: true, ..carrier("r2", "Laboratory") });
+    setup.objects = vec![thing("tray", 1.5, 0.5)];
+    let mut world = World::new(setup).unwrap();
+    world.start(&robot("r2"), GoalId(1), grasp("tray"));
+    world.start(&robot("r1"), GoalId(1), grasp("tray"));
+    let late = aborted(ErrorCode::OutOfReach, "no \"tray\" lies at Laboratory; there lies: nothing");
+    let events = [ended("r2", 1, GoalStatus::Succeeded), ended("r1", 1, late)];
+    assert_eq!(world.advance(at(10.0)), events);
+}
+
+#[test]
+fn a_setup_with_things_that_cannot_be_is_refused() {
+    let mut setup = hospital(1).robot(RobotBody { reach_m: f64::NAN, ..porter() });
+    setup.objects = vec![thing("tray", -1.0, 0.0), Object { place: place("Attic"), ..thing("tray", 1.0, 0.0) }];
+    let errors = World::new(setup).unwrap_err().to_string();
+    assert_eq!(
+        errors.lines().collect::<Vec<_>>(),
+        [
+            "robot r1: reach_m is NaN, allowed is a number from 0 to 1000",
+            "object tray: weight_kg is -1, allowed is a number from 0 to 1000",
+            "object tray: there is no place \"Attic\" on map hospital",
+            "sample tray stands more than once",
+        ]
+    );
+}

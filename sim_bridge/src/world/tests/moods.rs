@@ -1,0 +1,160 @@
+//! People who change their minds, at each stage.
+
+use super::*;
+
+fn bea(mood: Mood) -> Person {
+    Person { mood: vec![mood], ..nurse("Bea", "PC Room 2", "s2") }
+}
+
+fn ward(seed: u64, mood: Mood) -> World {
+    World::new(hospital(seed).robot(carrier("r1", "PC Room 2")).person(bea(mood))).unwrap()
+}
+
+fn approach() -> Goal {
+    Goal::ApproachPerson { role: role("nurse") }
+}
+
+fn called_off() -> BodyEvent {
+    BodyEvent::CalledOff { by: "Bea".to_owned(), role: role("nurse"), robot: robot("r1") }
+}
+
+/// Approaches, opens the drawer, has her asked: what is said until a minute later, and when.
+fn meeting(world: &mut World) -> Vec<(f64, BodyEvent)> {
+    let mut said = Vec::new();
+    let deeds = [approach(), Goal::AuthenticatePerson { role: role("nurse") }, Goal::OperateDrawer { open: true }];
+    for (id, goal) in (1..).zip(deeds) {
+        world.start(&robot("r1"), GoalId(id), goal);
+        said.extend(until(world, world.now().as_secs() + 2.0));
+    }
+    world.ask_person(GoalId(7), deposit("r1"));
+    said.extend(until(world, 60.0));
+    said.retain(|(_, event)| !matches!(event, BodyEvent::GoalEnded { status: GoalStatus::Succeeded, .. }));
+    said
+}
+
+fn until(world: &mut World, time: f64) -> Vec<(f64, BodyEvent)> {
+    let mut said = Vec::new();
+    while let Some(due) = world.next_due().filter(|due| due.as_secs() <= time) {
+        said.extend(world.advance(due).into_iter().map(|event| (due.as_secs(), event)));
+    }
+    world.advance(at(time));
+    said
+}
+
+fn keeper(world: &World) -> Keeper {
+    world.sample(&"s2".into()).unwrap().keeper
+}
+
+#[test]
+fn she_calls_the_mission_off_at_each_stage() {
+    let stages = [(Moment::Approached, 3.0), (Moment::Authenticated, 5.0), (Moment::HandingOver, 7.0)];
+    for (moment, when) in stages {
+        let mut world = ward(1, Mood { after_s: 1.0, ..Mood::certainly(moment, Deed::Cancels) });
+        assert_eq!(meeting(&mut world), [(when, called_off())], "{moment:?}");
+        assert_eq!(keeper(&world), Keeper::Person("Bea".into()), "{moment:?}: she keeps it");
+        assert_eq!(world.asks(), [GoalId(7)], "until the mission is canceled");
+        world.dismiss_person(GoalId(7));
+        assert_eq!(world.asks(), []);
+    }
+    let mut world = ward(1, Mood { after_s: 20.0, ..Mood::certainly(Moment::HandedOver, Deed::Cancels) });
+    let said = meeting(&mut world);
+    let (given, off) = (&said[0], &said[1]);
+    assert_eq!((&given.1, &off.1), (&BodyEvent::PersonEnded { ask: GoalId(7), result: Ok(()) }, &called_off()));
+    assert!((off.0 - given.0 - 20.0).abs() < 1e-9 && said.len() == 2, "{said:?}");
+    assert_eq!(keeper(&world), Keeper::Drawer(robot("r1")), "it is under way");
+}
+
+#[test]
+fn a_robot_that_comes_anew_is_served() {
+    let mood = Mood { probability: 0.5, ..Mood::certainly(Moment::Approached, Deed::Cancels) };
+    let served = (0..20).find(|seed| {
+        let mut world = ward(*seed, mood);
+        let first = meeting(&mut world) == [(2.0, called_off())];
+        let (status, others) = run(&mut world, "r1", 9, approach());
+        let again = status == GoalStatus::Succeeded && others.is_empty();
+        let quiet = until(&mut world, 70.0).iter().any(|(_, event)| matches!(event, BodyEvent::PersonEnded { .. }));
+        first && again && quiet
+    });
+    assert!(served.is_some(), "of twenty seeds one has her call off once, and not twice");
+}
+
+#[test]
+fn she_declines() {
+    let mut world = ward(1, Mood::certainly(Moment::HandingOver, Deed::Declines));
+    let why = ActionError { code: ErrorCode::NotAuthenticated, message: "Bea declines".to_owned() };
+    assert_eq!(meeting(&mut world), [(6.0, BodyEvent::PersonEnded { ask: GoalId(7), result: Err(why) })]);
+    assert_eq!(keeper(&world), Keeper::Person("Bea".into()));
+}
+
+#[test]
+fn she_walks_away_and_nobody_waits_for_her() {
+    let leaves = |moment, after_s| Mood { after_s, ..Mood::certainly(moment, Deed::WalksAway) };
+    let gone = ActionError { code: ErrorCode::OutOfReach, message: "every nurse has walked away".to_owned() };
+    let mut world = ward(1, leaves(Moment::HandingOver, 1.0));
+    assert_eq!(meeting(&mut world), [(7.0, BodyEvent::PersonEnded { ask: GoalId(7), result: Err(gone.clone()) })]);
+    assert_eq!(keeper(&world), Keeper::Person("Bea".into()));
+    assert_eq!(world.body(&robot("r1")).unwrap().beside_person, None);
+    assert!(world.people()[0].away);
+    let mut world = ward(1, leaves(Moment::Waiting, 0.0));
+    world.advance(at(0.0));
+    let status = refusal(&mut world, "r1", 1, approach());
+    assert_eq!(status, aborted(ErrorCode::OutOfReach, "r1: no nurse is at PC Room 2"));
+    world.ask_person(GoalId(7), deposit("r1"));
+    let now = world.now();
+    assert_eq!(world.advance(now), [BodyEvent::PersonEnded { ask: GoalId(7), result: Err(gone) }]);
+}
+
+#[test]
+fn she_comes_back() {
+    let mood = Mood { back_after_s: Some(10.0), ..Mood::certainly(Moment::Waiting, Deed::WalksAway) };
+    let mut world = ward(1, mood);
+    world.advance(at(9.0));
+    let status = refusal(&mut world, "r1", 1, approach());
+    assert_eq!(status, aborted(ErrorCode::OutOfReach, "r1: no nurse is at PC Room 2"));
+    world.advance(at(10.0));
+    does(&mut world, "r1", 2, approach());
+}
+
+#[test]
+fn an_ask_waits_on_while_another_may_do_it() {
+    let mood = Mood { after_s: 1.0, ..Mood::certainly(Moment::HandingOver, Deed::WalksAway) };
+    let setup = hospital(1).robot(carrier("r1", "PC Room 2")).person(bea(mood)).person(nurse("Ana", "PC Room 1", "s1"));
+    let mut world = World::new(setup).unwrap();
+    assert_eq!(meeting(&mut world), []);
+    assert_eq!(world.asks(), [GoalId(7)]);
+}
+
+#[test]
+fn what_comes_over_her_is_drawn_from_the_seed() {
+    let mood = Mood { probability: 0.5, ..Mood::certainly(Moment::HandingOver, Deed::Declines) };
+    let declines = |seed| {
+        let answer = meeting(&mut ward(seed, mood));
+        matches!(answer[..], [(_, BodyEvent::PersonEnded { result: Err(_), .. })])
+    };
+    let often = (0..100).filter(|seed| declines(*seed)).count();
+    assert!((30..=70).contains(&often), "{often} of 100");
+    assert!((0..20).all(|seed| declines(seed) == declines(seed)));
+    // How long she takes does not depend on what comes over her.
+    let takes = |mood: Vec<Mood>| {
+        let person = Person { mood, ..nurse("Bea", "PC Room 2", "s2") };
+        meeting(&mut World::new(hospital(3).robot(carrier("r1", "PC Room 2")).person(person)).unwrap())
+    };
+    assert_eq!(takes(vec![]), takes(vec![Mood { probability: 0.0, ..mood }]));
+}
+
+#[test]
+fn a_setup_with_moods_that_cannot_be_is_refused() {
+    let mut person = bea(Mood::certainly(Moment::Waiting, Deed::Cancels));
+    person.mood.push(Mood::certainly(Moment::Approached, Deed::Declines));
+    person.mood.push(Mood { probability: 2.0, after_s: -1.0, ..Mood::certainly(Moment::Waiting, Deed::WalksAway) });
+    let errors = World::new(hospital(1).person(person)).unwrap_err().to_string();
+    assert_eq!(
+        errors.lines().collect::<Vec<_>>(),
+        [
+            "person Bea: mood: it may come over her at approached, authenticated, handing_over or handed_over, when there is a robot",
+            "person Bea: mood: it may come over her at handing_over: there is nothing else to decline",
+            "person Bea: mood: after_s is -1, allowed is a number of seconds, 0 or more",
+            "person Bea: mood: probability is 2, allowed is a number from 0 to 1",
+        ]
+    );
+}

@@ -1,0 +1,120 @@
+//! What stands in the way: met, seen from near, remembered for a while.
+
+use super::*;
+
+pub(super) fn corridor() -> WorldSetup {
+    let text = "{name: corridor, places: [{name: A, kind: other, x_m: 0, y_m: 0}, {name: B, kind: other, x_m: 10, y_m: 0}, \
+        {name: C, kind: other, x_m: 0, y_m: 10}], lanes: [{between: [A, B]}, {between: [A, C]}]}";
+    WorldSetup::new(map::read(text, "corridor.yaml").unwrap(), 1)
+}
+
+pub(super) fn trolley() -> Obstacle {
+    Obstacle::between("trolley", place("A"), place("B"))
+}
+
+pub(super) const BLOCKED: &str = "the way from A to B is blocked: trolley stands in it";
+
+pub(super) fn x(world: &World, name: &str) -> f64 {
+    world.telemetry(&robot(name)).unwrap().pose.x
+}
+
+pub(super) fn known(world: &World, name: &str) -> Vec<(PlaceId, PlaceId)> {
+    world.telemetry(&robot(name)).unwrap().closed
+}
+
+#[test]
+fn a_robot_drives_until_it_sees_what_stands_in_the_way() {
+    let mut setup = corridor().robot(carrier("r1", "A")).robot(carrier("r2", "A"));
+    setup.obstacles.push(trolley());
+    let mut world = World::new(setup).unwrap();
+    assert_eq!(known(&world, "r1"), [], "it has not met it");
+    let goal = go(&world, "B");
+    assert_eq!(run(&mut world, "r1", 1, goal).0, aborted(ErrorCode::Blocked, BLOCKED));
+    assert_eq!((world.now(), x(&world, "r1")), (at(8.0), 4.0));
+    assert_eq!(known(&world, "r1"), [(place("A"), place("B"))]);
+    assert_eq!(known(&world, "r2"), [], "nobody has told it");
+    let (again, back) = (go(&world, "B"), go(&world, "A"));
+    assert_eq!(run(&mut world, "r1", 2, again).0, aborted(ErrorCode::Blocked, BLOCKED), "it is still there");
+    does(&mut world, "r1", 3, back);
+    assert_eq!(world.now(), at(16.0));
+}
+
+#[test]
+fn what_comes_while_a_robot_is_under_way_stops_it_unless_it_has_passed() {
+    for (comes, ends) in [(4.0, 8.0), (9.0, 9.0), (11.0, 20.0)] {
+        let mut setup = corridor().robot(carrier("r1", "A"));
+        setup.obstacles.push(Obstacle { from_s: comes, ..trolley() });
+        let mut world = World::new(setup).unwrap();
+        let goal = go(&world, "B");
+        let (status, _) = run(&mut world, "r1", 1, goal);
+        assert_eq!(world.now(), at(ends), "it comes at {comes} s");
+        let expected = if ends == 20.0 { GoalStatus::Succeeded } else { aborted(ErrorCode::Blocked, BLOCKED) };
+        assert_eq!(status, expected, "it comes at {comes} s");
+    }
+}
+
+#[test]
+fn what_has_gone_before_it_is_met_stops_nobody() {
+    let mut setup = corridor().robot(carrier("r1", "B"));
+    setup.obstacles.push(Obstacle { until_s: Some(7.0), ..trolley() });
+    let mut world = World::new(setup).unwrap();
+    let goal = go(&world, "A");
+    does(&mut world, "r1", 1, goal);
+    assert_eq!((world.now(), known(&world, "r1")), (at(20.0), vec![]));
+}
+
+#[test]
+fn a_way_is_closed_and_opened_from_outside_and_knowledge_of_it_fades() {
+    let mut world = World::new(corridor().robot(carrier("r1", "A"))).unwrap();
+    world.close_way(&Obstacle { at: 0.0, ..trolley() }).unwrap();
+    let goal = go(&world, "B");
+    assert_eq!(run(&mut world, "r1", 1, goal.clone()).0, aborted(ErrorCode::Blocked, BLOCKED));
+    assert_eq!(world.now(), at(0.0), "it stands right before the robot");
+    world.open_way("trolley");
+    world.advance(at(299.0));
+    assert_eq!(known(&world, "r1").len(), 1, "nobody has told it that the way is open");
+    world.advance(at(300.0));
+    assert_eq!(known(&world, "r1"), []);
+    does(&mut world, "r1", 2, goal);
+}
+
+#[test]
+fn a_robot_believes_what_it_is_told() {
+    let mut world = World::new(corridor().robot(carrier("r1", "A"))).unwrap();
+    world.tell_closed(&robot("r1"), &place("B"), &place("A"));
+    assert_eq!(known(&world, "r1"), [(place("A"), place("B"))]);
+    world.tell_open(&robot("r1"), &place("A"), &place("B"));
+    assert_eq!(known(&world, "r1"), []);
+}
+
+#[test]
+fn a_setup_with_an_obstacle_nowhere_is_refused() {
+    let mut setup = corridor();
+    setup.obstacles = vec![
+        Obstacle { on: (place("B"), place("C")), ..trolley() },
+        Obstacle { on: (place("A"), place("D")), name: "cart".to_owned(), ..trolley() },
+        Obstacle { at: 1.5, name: "bed".to_owned(), ..trolley() },
+        Obstacle { from_s: 9.0, until_s: Some(8.0), ..trolley() },
+    ];
+    let errors = World::new(setup).unwrap_err().to_string();
+    assert_eq!(
+        errors.lines().collect::<Vec<_>>(),
+        [
+            "obstacle trolley: map corridor has no lane between \"B\" and \"C\"",
+            "obstacle cart: there is no place \"D\" on map corridor; did you mean \"A\"?",
+            "obstacle bed: at is 1.5, allowed is a number from 0 to 1",
+            "obstacle trolley: until_s is 8, allowed is a number of seconds, no less than from_s",
+            "obstacle trolley stands more than once",
+        ]
+    );
+}
+
+#[test]
+fn worlds_share_no_obstacles() {
+    let mut closed = World::new(corridor().robot(carrier("r1", "A"))).unwrap();
+    closed.close_way(&trolley()).unwrap();
+    let mut open = World::new(corridor().robot(carrier("r1", "A"))).unwrap();
+    let goal = go(&open, "B");
+    does(&mut open, "r1", 1, goal);
+    assert_eq!(open.now(), at(20.0));
+}

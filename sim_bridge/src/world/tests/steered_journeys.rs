@@ -1,0 +1,227 @@
+//! Robots with kinematics on the way that the others go too: through doors, up lifts, to where something stands.
+
+use super::doors::{doors_only, passage};
+use super::lifts::tower;
+use super::obstacles::{BLOCKED, corridor, known, trolley, x};
+use super::steering::{all, differential, pose_of, steered, until_ended};
+use super::*;
+use consort_protocol::pose::Pose;
+use consort_skills::actions::Waypoint;
+
+fn set_off(world: &mut World, name: &str, id: u64, to: &str) {
+    let goal = go(world, to);
+    world.start(&robot(name), GoalId(id), goal);
+}
+
+fn waypoint(world: &World, name: &str) -> Waypoint {
+    Waypoint { pose: world.map().place(&place(name)).unwrap().pose, place: Some(place(name)) }
+}
+
+#[test]
+fn every_chassis_waits_before_a_door_and_is_there_only_when_it_has_passed() {
+    for kinematics in all() {
+        let mut world = World::new(passage().robot(steered("r1", "A", kinematics))).unwrap();
+        set_off(&mut world, "r1", 1, "B");
+        let (mut passed, mut closed) = (false, false);
+        while world.status(&robot("r1"), GoalId(1)).is_some_and(|status| !status.is_final()) {
+            let due = world.next_due().expect("under way");
+            world.advance(due);
+            let lines = noted(&mut world, doors_only);
+            for (_, line) in &lines {
+                let x = pose_of(&world, "r1").x;
+                match line.as_str() {
+                    "r1 waits" | "open" | "r1 enters" => {
+                        assert!((4.4..4.6).contains(&x), "{line} at {x}: {kinematics:?}");
+                    }
+                    "r1 leaves" => assert!((5.5..5.6).contains(&x), "{line} at {x}: {kinematics:?}"),
+                    _ => assert!(passed, "{line} at {x}: {kinematics:?}"),
+                }
+                (passed, closed) = (passed || line == "r1 leaves", line == "closed");
+            }
+        }
+        assert!(passed, "the door was on the way: {kinematics:?}");
+        assert!(closed, "behind it: {kinematics:?}");
+        assert_eq!(world.status(&robot("r1"), GoalId(1)), Some(GoalStatus::Succeeded), "{kinematics:?}");
+        let there = world.map().place(&place("B")).unwrap().pose;
+        assert!(pose_of(&world, "r1").distance(there).get() < 0.05, "{:?}: {kinematics:?}", pose_of(&world, "r1"));
+        assert!((23.0..34.0).contains(&world.now().as_secs()), "23 s without a chassis: {:?}", world.now());
+        world.advance(at(100.0));
+        assert_eq!(world.next_due(), None, "nothing moves any more: {kinematics:?}");
+    }
+}
+
+#[test]
+fn a_door_does_not_stop_what_has_been_let_in() {
+    let mut world = World::new(passage().robot(differential("r1", "A"))).unwrap();
+    set_off(&mut world, "r1", 1, "B");
+    let mut slowest = f64::INFINITY;
+    while world.status(&robot("r1"), GoalId(1)).is_some_and(|status| !status.is_final()) {
+        let due = world.next_due().expect("under way");
+        world.advance(due);
+        if (5.2..6.5).contains(&x(&world, "r1")) {
+            slowest = slowest.min(world.mover(&robot("r1")).unwrap().as_differential().unwrap().speeds().0);
+        }
+    }
+    assert!(slowest > 0.4, "{slowest} m/s where it leaves the doorway");
+}
+
+#[test]
+fn canceled_before_the_door_it_keeps_nobody_waiting_and_canceled_in_it_it_keeps_it() {
+    let mut setup = passage().robot(differential("r1", "A")).robot(carrier("r2", "B"));
+    // They meet on the lane, and this is about the door.
+    setup.systems.retain(|name| name != "collisions");
+    let mut world = World::new(setup).unwrap();
+    set_off(&mut world, "r1", 1, "B");
+    world.advance(at(11.0));
+    assert_eq!(noted(&mut world, doors_only).len(), 1, "it waits");
+    world.cancel(&robot("r1"), GoalId(1));
+    world.advance(at(40.0));
+    let lines: Vec<_> = noted(&mut world, doors_only).into_iter().map(|(_, line)| line).collect();
+    assert_eq!(lines, ["r1 leaves", "open", "closed"]);
+    set_off(&mut world, "r1", 2, "B");
+    while !noted(&mut world, doors_only).iter().any(|(_, line)| line == "r1 enters") {
+        let due = world.next_due().expect("the door opens");
+        world.advance(due);
+    }
+    world.cancel(&robot("r1"), GoalId(2));
+    let now = world.now().as_secs();
+    set_off(&mut world, "r2", 1, "A");
+    world.advance(at(now + 60.0));
+    let lines: Vec<_> = noted(&mut world, doors_only).into_iter().map(|(_, line)| line).collect();
+    assert_eq!(lines, ["r2 waits"], "it stands in the doorway");
+    set_off(&mut world, "r1", 3, "A");
+    assert_eq!(until_ended(&mut world, "r1", 3), GoalStatus::Succeeded);
+    assert_eq!(until_ended(&mut world, "r2", 1), GoalStatus::Succeeded);
+}
+
+#[test]
+fn every_chassis_stops_where_it_sees_what_stands_in_the_way() {
+    for kinematics in all() {
+        let mut setup = corridor().robot(steered("r1", "A", kinematics));
+        setup.obstacles.push(trolley());
+        let mut world = World::new(setup).unwrap();
+        let goal = go(&world, "B");
+        world.start(&robot("r1"), GoalId(1), goal);
+        assert_eq!(until_ended(&mut world, "r1", 1), aborted(ErrorCode::Blocked, BLOCKED), "{kinematics:?}");
+        assert!((x(&world, "r1") - 4.0).abs() < 0.05, "{} m: {kinematics:?}", x(&world, "r1"));
+        assert_eq!(known(&world, "r1"), [(place("A"), place("B"))]);
+        set_off(&mut world, "r1", 2, "A");
+        assert_eq!(until_ended(&mut world, "r1", 2), GoalStatus::Succeeded, "the way back is free: {kinematics:?}");
+        assert!(x(&world, "r1").abs() < 0.05, "{} m: {kinematics:?}", x(&world, "r1"));
+    }
+}
+
+#[test]
+fn what_comes_while_a_chassis_is_under_way_stops_it_unless_it_has_passed() {
+    for (comes, stops) in [(4.0, Some(3.9..4.1)), (9.5, Some(4.6..4.9)), (14.0, None)] {
+        let mut setup = corridor().robot(differential("r1", "A"));
+        setup.obstacles.push(Obstacle { from_s: comes, ..trolley() });
+        let mut world = World::new(setup).unwrap();
+        set_off(&mut world, "r1", 1, "B");
+        let status = until_ended(&mut world, "r1", 1);
+        world.advance(at(60.0));
+        let x = x(&world, "r1");
+        match stops {
+            Some(stops) => {
+                assert_eq!(status, aborted(ErrorCode::Blocked, BLOCKED), "it comes at {comes} s");
+                assert!(stops.contains(&x), "it comes at {comes} s, the robot stands at {x}");
+            }
+            None => assert_eq!((status, (x - 10.0).abs() < 0.05), (GoalStatus::Succeeded, true), "{comes} s: {x}"),
+        }
+    }
+}
+
+#[test]
+fn what_goes_away_while_a_chassis_is_under_way_stops_it_no_longer() {
+    let mut setup = corridor().robot(differential("r1", "A"));
+    setup.obstacles.push(Obstacle { until_s: Some(5.0), ..trolley() });
+    let mut world = World::new(setup).unwrap();
+    set_off(&mut world, "r1", 1, "B");
+    assert_eq!(until_ended(&mut world, "r1", 1), GoalStatus::Succeeded);
+    assert!((x(&world, "r1") - 10.0).abs() < 0.05 && world.now() < at(25.0), "{:?}", world.now());
+}
+
+#[test]
+fn every_chassis_rides_the_lift_and_drives_on_from_where_it_gets_out() {
+    for kinematics in all() {
+        let mut world = World::new(tower(1).robot(steered("r1", "L0", kinematics))).unwrap();
+        set_off(&mut world, "r1", 1, "L2");
+        assert_eq!(until_ended(&mut world, "r1", 1), GoalStatus::Succeeded, "{kinematics:?}");
+        assert_eq!((world.now(), world.telemetry(&robot("r1")).unwrap().place), (at(17.0), place("L2")));
+        set_off(&mut world, "r1", 2, "Room");
+        assert_eq!(until_ended(&mut world, "r1", 2), GoalStatus::Succeeded, "{kinematics:?}");
+        assert!((x(&world, "r1") - 5.0).abs() < 0.05, "{kinematics:?}");
+        set_off(&mut world, "r1", 3, "L2");
+        assert_eq!(until_ended(&mut world, "r1", 3), GoalStatus::Succeeded, "{kinematics:?}");
+        set_off(&mut world, "r1", 4, "L1");
+        assert_eq!(until_ended(&mut world, "r1", 4), GoalStatus::Succeeded, "{kinematics:?}");
+        let status = world.telemetry(&robot("r1")).unwrap();
+        assert_eq!((status.place, status.pose.x), (place("L1"), 0.0), "{kinematics:?}");
+    }
+}
+
+#[test]
+fn in_a_lift_it_is_in_nobodys_way() {
+    let quick = RobotBody { speed: MetresPerSecond::new(1.0).unwrap(), ..steered("r2", "Room", all()[1]) };
+    let setup = tower(2).robot(differential("r1", "L0")).robot(quick);
+    let mut world = World::new(setup).unwrap();
+    set_off(&mut world, "r1", 1, "L2");
+    world.advance(at(5.0));
+    set_off(&mut world, "r2", 1, "L2");
+    assert_eq!(until_ended(&mut world, "r2", 1), GoalStatus::Succeeded);
+    assert!(x(&world, "r2") < 0.05 && world.now() < at(17.0), "{} m at {:?}", x(&world, "r2"), world.now());
+}
+
+#[test]
+fn it_follows_waypoints_to_the_last() {
+    let mut world = World::new(passage().robot(differential("r1", "A"))).unwrap();
+    let waypoints = ["B", "C", "B"].map(|name| waypoint(&world, name)).to_vec();
+    world.start(&robot("r1"), GoalId(1), Goal::FollowWaypoints { waypoints });
+    let mut furthest = 0.0_f64;
+    while world.status(&robot("r1"), GoalId(1)).is_some_and(|status| !status.is_final()) {
+        let due = world.next_due().expect("under way");
+        world.advance(due);
+        furthest = furthest.max(x(&world, "r1"));
+    }
+    assert_eq!(world.status(&robot("r1"), GoalId(1)), Some(GoalStatus::Succeeded));
+    assert!((furthest - 20.0).abs() < 0.05 && (x(&world, "r1") - 10.0).abs() < 0.05, "{furthest}");
+    let lines = noted(&mut world, doors_only);
+    assert_eq!(lines.iter().filter(|(_, line)| line == "r1 enters").count(), 3, "{lines:?}");
+}
+
+#[test]
+fn it_keeps_to_limits_and_drives_backward_where_the_lane_says_so() {
+    let text = "{name: two, places: [{name: A, kind: other, x_m: 0, y_m: 0}, {name: B, kind: other, x_m: 10, y_m: 0}], \
+        lanes: [{between: [A, B], speed_limit_mps: 0.2, facing: backward}]}";
+    for (kinematics, backward) in all().into_iter().zip([true, false, true, false]) {
+        let setup = WorldSetup::new(map::read(text, "two.yaml").unwrap(), 1).robot(steered("r1", "A", kinematics));
+        let mut world = World::new(setup).unwrap();
+        let goal = Goal::NavigateToPose { pose: Pose::new(10.0, 0.0, std::f64::consts::PI), place: Some(place("B")) };
+        world.start(&robot("r1"), GoalId(1), goal);
+        let (mut before, mut fastest) = (pose_of(&world, "r1"), 0.0_f64);
+        while world.status(&robot("r1"), GoalId(1)).is_some_and(|status| !status.is_final()) {
+            world.advance(WorldTime::from_secs(world.now().as_secs() + 1.0));
+            let pose = pose_of(&world, "r1");
+            fastest = fastest.max(before.distance(pose).get());
+            if backward && (3.0..9.0).contains(&pose.x) {
+                assert!(pose.yaw.cos() < -0.95, "{pose:?}: {kinematics:?}");
+            }
+            before = pose;
+        }
+        assert_eq!(world.status(&robot("r1"), GoalId(1)), Some(GoalStatus::Succeeded), "{kinematics:?}");
+        assert!((x(&world, "r1") - 10.0).abs() < 0.05 && (0.19..0.201).contains(&fastest), "{fastest}: {kinematics:?}");
+    }
+}
+
+#[test]
+fn it_looks_where_it_has_turned_to_and_drives_off_from_there() {
+    for kinematics in all() {
+        let mut world = World::new(corridor().robot(steered("r1", "A", kinematics))).unwrap();
+        does(&mut world, "r1", 1, Goal::Spin { angle_rad: 2.0 });
+        assert!((pose_of(&world, "r1").yaw - 2.0).abs() < 1e-9, "{kinematics:?}");
+        set_off(&mut world, "r1", 2, "B");
+        world.advance(at(2.1));
+        assert!((1.5..2.1).contains(&pose_of(&world, "r1").yaw), "{:?}: {kinematics:?}", pose_of(&world, "r1"));
+        assert_eq!(until_ended(&mut world, "r1", 2), GoalStatus::Succeeded, "{kinematics:?}");
+    }
+}
