@@ -1,7 +1,7 @@
 //! The command line.
 
 use crate::command::{
-    cancel, chaos, check, dry_run, fleet, leave, missions, recover, rescue, robot, station, submit, world,
+    cancel, chaos, check, dry_run, experiment, fleet, leave, missions, recover, rescue, robot, station, submit, world,
 };
 use crate::demo;
 use crate::exit::Failure;
@@ -63,6 +63,7 @@ enum Command {
     DryRun(dry_run::Args),
     Recover(recover::Args),
     Chaos(chaos::Args),
+    Experiment(experiment::Args),
 }
 
 /// Runs the program.
@@ -82,6 +83,7 @@ pub fn run() -> ExitCode {
         Command::DryRun(args) => dry_run::run(args),
         Command::Recover(args) => recover::run(args),
         Command::Chaos(args) => chaos::run(&args),
+        Command::Experiment(args) => experiment::run(&args),
     };
     match done {
         Ok(()) => ExitCode::SUCCESS,

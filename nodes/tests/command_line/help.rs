@@ -1,8 +1,19 @@
 use super::support::run;
 
-const COMMANDS: [&str; 12] = [
-    "robot", "station", "world", "submit", "missions", "cancel", "rescue", "fleet", "check", "dry-run", "recover",
+const COMMANDS: [&str; 13] = [
+    "robot",
+    "station",
+    "world",
+    "submit",
+    "missions",
+    "cancel",
+    "rescue",
+    "fleet",
+    "check",
+    "dry-run",
+    "recover",
     "chaos",
+    "experiment",
 ];
 
 #[test]

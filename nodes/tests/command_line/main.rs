@@ -2,6 +2,7 @@
 
 mod chaos;
 mod dry_run;
+mod experiment;
 mod files;
 mod help;
 mod network;
