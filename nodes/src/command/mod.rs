@@ -5,6 +5,7 @@ pub mod cancel;
 pub mod chaos;
 pub mod check;
 pub mod dry_run;
+pub mod experiment;
 pub mod flags;
 pub mod fleet;
 pub mod leave;

@@ -1,8 +1,8 @@
 use super::support::run;
 
-const COMMANDS: [&str; 14] = [
+const COMMANDS: [&str; 15] = [
     "robot", "station", "world", "submit", "missions", "cancel", "rescue", "fleet", "check", "dry-run", "recover",
-    "chaos", "map", "bench",
+    "chaos", "experiment", "map", "bench",
 ];
 
 #[test]
