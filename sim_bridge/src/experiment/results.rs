@@ -16,6 +16,9 @@ pub enum Treatment {
 }
 
 impl Treatment {
+    /// All of them.
+    pub const ALL: [Treatment; 2] = [Treatment::Calm, Treatment::CoordinatorKilled];
+
     /// As in files.
     pub const fn as_str(self) -> &'static str {
         match self {

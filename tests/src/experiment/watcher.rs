@@ -187,6 +187,7 @@ impl Watcher {
             actual_s: 0.0,
             predicted_share: estimate.energy,
             actual_share: 0.0,
+            budget_share: estimate.energy + self.brief.estimator.margin_sds() * estimate.energy_sd,
         };
         let charge = report.battery.get();
         seen.under_way.insert(robot.clone(), UnderWay { task: task.clone(), began_s: now_s, charge, predicted });

@@ -28,10 +28,10 @@ impl Gain {
         (super::super::stats::mean(&errors), errors.len())
     }
 
-    /// The share of drives that used no more energy than was reckoned with.
+    /// The share of drives that used no more energy than was set aside for them.
     pub fn covered(observed: &[Observation]) -> f64 {
         let drives: Vec<&Observation> = observed.iter().filter(|seen| seen.to.is_some()).collect();
-        let kept = drives.iter().filter(|seen| seen.actual_share <= seen.predicted_share + 1e-9).count();
+        let kept = drives.iter().filter(|seen| seen.actual_share <= seen.budget_share + 1e-9).count();
         if drives.is_empty() { 0.0 } else { kept as f64 / drives.len() as f64 }
     }
 }

@@ -71,13 +71,16 @@ fn figures_of(rows: &[TrialRow]) -> Vec<(String, figures::Figure)> {
             series.push((row.policy, row.treatment));
         }
     }
-    let several = series.iter().any(|(_, treatment)| *treatment != series[0].1);
+    let Some(shown) = series.first().map(|(_, treatment)| *treatment) else { return vec![] };
+    let several = series.iter().any(|(_, treatment)| *treatment != shown);
     let name = |policy: Policy, treatment: Treatment| {
         if several { format!("{policy}, {}", treatment.as_str()) } else { policy.to_string() }
     };
     let of = |of: (Policy, Treatment)| rows.iter().filter(move |row| (row.policy, row.treatment) == of);
 
     let panels: Vec<_> = series.iter().map(|key| (name(key.0, key.1), ends(of(*key)))).collect();
+    // What a kill does is in a table of its own; beside one another so many shapes could not be told apart.
+    series.retain(|(_, treatment)| *treatment == shown);
     let successes: Vec<_> =
         series.iter().map(|key| (name(key.0, key.1), per_scenario(of(*key), EndState::Success))).collect();
     let times = |key: &(Policy, Treatment)| of(*key).filter_map(|row| row.ttc_s).collect::<Vec<f64>>();
