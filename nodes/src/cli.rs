@@ -1,8 +1,8 @@
 //! The command line.
 
 use crate::command::{
-    bench, cancel, chaos, check, dry_run, experiment, fleet, leave, map, missions, recover, rescue, robot, station, submit,
-    world,
+    bench, cancel, chaos, check, dry_run, experiment, fleet, leave, map, missions, recover, rescue, robot, station,
+    submit, world,
 };
 use crate::demo;
 use crate::exit::Failure;

@@ -1,7 +1,7 @@
 //! From configuration to the parts of a node. The commands wire them to Zenoh; the demo, for a virtual fleet, to the
 //! virtual bus.
 
-use crate::config::{BusConfig, FleetConfig, Problem, Problems, RobotConfig, StationConfig, WorldConfig};
+use crate::config::{self, BusConfig, FleetConfig, Problem, Problems, RobotConfig, StationConfig, WorldConfig};
 use crate::floor::{self, Floor};
 use consort_actors::bus::ZenohSettings;
 use consort_actors::clock::Clock;
@@ -15,6 +15,7 @@ use consort_protocol::knowledge::{Availability, Worker};
 use consort_protocol::lease::LeaseTerms;
 use consort_protocol::mission::{Allowed, Domain};
 use consort_protocol::pose::Pose;
+use consort_sim::experiment::calibration::Calibration;
 use consort_sim::world::{SharedWorld, World, WorldSetup};
 use consort_skills::descriptor::{DescriptorRegistry, Estimator};
 use consort_skills::environment::{Environment, Routes, TopologicalMap};
@@ -133,12 +134,17 @@ pub fn equipment(topology: &TopologicalMap) -> Result<Equipment, Problems> {
     Ok(Equipment { places: topology.places.clone(), estimator: Arc::new(estimator), library })
 }
 
-/// The estimator and the skills of robots on the fleet's map.
+/// The estimator and the skills of robots on the fleet's map, with what they have learned.
 ///
 /// # Errors
-/// [`Problems`] of the map.
+/// [`Problems`] of the map, or of the calibration.
 pub fn fleet_equipment(fleet: &FleetConfig) -> Result<Equipment, Problems> {
-    equipment(&floor::load(&fleet.map)?.topology)
+    let equipment = equipment(&floor::load(&fleet.map)?.topology)?;
+    let Some(file) = &fleet.calibration else { return Ok(equipment) };
+    let learned: Arc<Calibration> = Arc::new(config::load(file)?);
+    let estimator = learned.descriptors().resolve(equipment.estimator.environment().clone());
+    let estimator = estimator.map_err(|problem| Problem::of(file.display(), problem))?;
+    Ok(Equipment { estimator: Arc::new(estimator), ..equipment })
 }
 
 /// A robot's node; reads the fleet's map.

@@ -49,17 +49,27 @@ enum What {
 #[command(after_long_help = "\
 Examples:
   consort experiment run published --out results          # the published design: 1296 trials
-  consort experiment run food --out food --jobs 4
+  consort experiment run published --out all --policies consort,mission-control,random,optimal --treatments calm,coordinator-killed
+  consort experiment run food --out food --jobs 4 --repetitions 2
   consort experiment run my-design.toml --out results --legs legs.csv
   consort experiment run published --out repeated --scenarios scenarios_81.json --map hospital_map.json --legs nav_legs.csv
 
-Designs that come with the program: published, food, rounds. A design file is TOML; an unknown key is refused with those that
-are allowed.
+Designs that come with the program: published, food, rounds (in sim_bridge/designs/ of the source). A design file is TOML; an
+unknown key is refused with those that are allowed.
+
+What is written: rows.csv, a row for each trial; tasks.csv, what each task was estimated at and what it took; report.md, for
+people, with its figures; statistics.json, the same for programs.
 
 Exit codes: 0 it was carried out; 1 something could not be written; 2 the flags or the files are wrong.")]
 struct RunArgs {
     #[command(flatten)]
     common: Common,
+    /// The rules that are compared, in place of the design's; the first is compared with each other one
+    #[arg(long, value_name = "POLICY,…", value_delimiter = ',', value_parser = policy)]
+    policies: Option<Vec<Policy>>,
+    /// What is done to the fleet, in place of the design's: calm, coordinator-killed
+    #[arg(long, value_name = "TREATMENT,…", value_delimiter = ',', value_parser = treatment)]
+    treatments: Option<Vec<Treatment>>,
     /// What robots have learned of their estimates, as `calibrate` writes it
     #[arg(long, value_name = "FILE")]
     calibration: Option<PathBuf>,
@@ -91,6 +101,12 @@ struct Common {
     /// Where to write, as a folder; it is made if it is not there
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
+    /// How often each scenario is tried under each policy, in place of what the design says
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
+    repetitions: Option<u32>,
+    /// Where all chance comes from, in place of the design's
+    #[arg(long)]
+    seed: Option<u64>,
     /// Trials at the same time [default: one on each core]
     #[arg(long)]
     jobs: Option<usize>,
@@ -103,6 +119,20 @@ struct Common {
     /// Measured drives (CSV with origin, dest, duration_s, estimate_s) from which durations are drawn
     #[arg(long, value_name = "FILE")]
     legs: Option<PathBuf>,
+}
+
+/// One of those that have a name.
+fn named<T: Copy>(text: &str, all: &[T], name: impl Fn(T) -> &'static str) -> Result<T, String> {
+    let known = || all.iter().map(|one| name(*one)).collect::<Vec<_>>().join(", ");
+    all.iter().copied().find(|one| name(*one) == text).ok_or_else(|| format!("there are: {}", known()))
+}
+
+fn policy(text: &str) -> Result<Policy, String> {
+    named(text, &Policy::ALL, Policy::as_str)
+}
+
+fn treatment(text: &str) -> Result<Treatment, String> {
+    named(text, &Treatment::ALL, Treatment::as_str)
 }
 
 fn share(text: &str) -> Result<f64, String> {
@@ -131,7 +161,9 @@ struct Plan {
 
 impl Common {
     fn plan(&self) -> Result<Plan, Failure> {
-        let design = self.design()?;
+        let mut design = self.design()?;
+        design.repetitions = self.repetitions.unwrap_or(design.repetitions);
+        design.seed = self.seed.unwrap_or(design.seed);
         let scenarios = match &self.scenarios {
             Some(file) => {
                 let text = read(file)?;
@@ -197,7 +229,10 @@ impl Plan {
 fn carry_out(args: &RunArgs) -> Result<(), Failure> {
     let plan = args.common.plan()?;
     let learned = args.calibration.as_ref().map(|file| config::load::<Calibration>(file)).transpose()?;
-    let stage = plan.stage(plan.design.clone(), learned.map(Arc::new))?;
+    let mut design = plan.design.clone();
+    design.policies = args.policies.clone().unwrap_or(design.policies);
+    design.treatments = args.treatments.clone().unwrap_or(design.treatments);
+    let stage = plan.stage(design, learned.map(Arc::new))?;
     args.common.folder()?;
     let began = Instant::now();
     let outcomes = with_progress(&stage, args.common.jobs(), "");
@@ -250,10 +285,19 @@ fn with_progress(stage: &Stage, jobs: usize, what: &'static str) -> Vec<Outcome>
     let all = trials(stage);
     let bar = ProgressBar::new(all.len() as u64);
     bar.set_style(
-        ProgressStyle::with_template("{prefix}{bar:40} {pos}/{len} trials  {eta}").expect("the template is sound"),
+        ProgressStyle::with_template("{prefix}{bar:40} {pos}/{len} trials, {elapsed} so far, {eta} left")
+            .expect("the template is sound"),
     );
     bar.set_prefix(what);
-    let outcomes = run_trials(stage, &all, jobs, |_| bar.inc(1));
+    let (mut done, total) = (0, all.len());
+    let outcomes = run_trials(stage, &all, jobs, |_| {
+        bar.inc(1);
+        done += 1;
+        // Where no bar can be drawn, a line for each tenth.
+        if bar.is_hidden() && done * 10 / total > (done - 1) * 10 / total {
+            output::note(format_args!("{what}{done} of {total} trials"));
+        }
+    });
     bar.finish_and_clear();
     outcomes
 }
@@ -283,13 +327,13 @@ fn summary(rows: &[TrialRow]) -> String {
 
 fn load_map(name: &str) -> Result<Map, Failure> {
     if floor::is_shipped(name) {
-        return map::shipped(name).map_err(|problem| Failure::Usage(problem.to_string()));
+        return Ok(map::shipped(name).map_err(|problem| floor::problems(name, problem))?);
     }
-    let text = read(Path::new(name))?;
+    let text = floor::text(name)?;
     if floor::is_published_form(&text) {
         return reference::floor(&text, name).map_err(|problem| wrong(Path::new(name), problem));
     }
-    map::read(&text, name).map_err(|problem| Failure::Usage(problem.to_string()))
+    Ok(map::read(&text, name).map_err(|problem| floor::problems(name, problem))?)
 }
 
 fn read(file: &Path) -> Result<String, Failure> {

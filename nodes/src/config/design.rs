@@ -2,7 +2,7 @@
 
 use super::read::{ConfigFile, settle_path, under};
 use crate::floor::is_shipped;
-use consort_sim::experiment::calibration::Calibration;
+use consort_sim::experiment::calibration::{Calibration, Factor};
 use consort_sim::experiment::design::Design;
 use std::path::Path;
 
@@ -27,14 +27,24 @@ impl ConfigFile for Calibration {
     fn settle(&mut self, _: &Path) {}
 
     fn problems(&self) -> Vec<String> {
-        let factors = self.skills.values().chain(self.to.values()).chain(self.from.values());
-        let factors = factors.chain(self.legs.iter().map(|leg| &leg.factor));
-        let sound = |number: f64| number.is_finite() && number > 0.0;
-        let wrong = factors.filter(|factor| !(sound(factor.mean) && sound(factor.upper)));
-        wrong
-            .map(|factor| {
-                format!("a factor of {} or {} is none: allowed are numbers above 0", factor.mean, factor.upper)
+        let skills = self.skills.iter().map(|(skill, factor)| (format!("skills.{skill}"), factor));
+        let to = self.to.iter().map(|(place, factor)| (format!("to.{:?}", place.as_str()), factor));
+        let from = self.from.iter().map(|(place, factor)| (format!("from.{:?}", place.as_str()), factor));
+        let legs = self.legs.iter().map(|leg| (format!("legs, {} to {}", leg.from, leg.to), &leg.factor));
+        let sound = |factor: &Factor| {
+            let above = |number: f64| number.is_finite() && number > 0.0;
+            above(factor.mean) && above(factor.upper) && factor.sd.is_finite() && factor.sd >= 0.0
+        };
+        let wrong = skills.chain(to).chain(from).chain(legs).filter(|(_, factor)| !sound(factor));
+        let mut problems: Vec<String> = wrong
+            .map(|(key, Factor { mean, sd, upper, .. })| {
+                let allowed = "allowed are a mean and an upper quantile above 0, and a deviation of 0 or more";
+                format!("{key}: mean {mean}, sd {sd}, upper {upper}; {allowed}")
             })
-            .collect()
+            .collect();
+        if !(0.5..1.0).contains(&self.quantile) {
+            problems.push(format!("quantile is {}, allowed is 0.5 to below 1", self.quantile));
+        }
+        problems
     }
 }

@@ -57,13 +57,17 @@ fn a_design_becomes_rows_and_a_report() {
     let ran = run(&["experiment", "run", &design, "--out", &out.display().to_string(), "--jobs", "1"]);
     assert_eq!(ran.code, Some(0), "{}{}", ran.out, ran.err);
     assert!(ran.out.contains("2 trials in "), "{}", ran.out);
+    assert!(ran.err.contains("1 of 2 trials\n2 of 2 trials\n"), "{}", ran.err);
     let rows = text(&out, "rows.csv");
     assert_eq!(rows.lines().count(), 3, "{rows}");
     assert!(
         rows.contains("lab-samples/aaaaa/consort/calm/1,lab-samples,aaaaa,a,a,a,a,a,consort,calm,1,success,"),
         "{rows}"
     );
-    assert!(text(&out, "tasks.csv").starts_with("skill,from,to,predicted_s,actual_s,predicted_share,actual_share\n"));
+    assert!(
+        text(&out, "tasks.csv")
+            .starts_with("skill,from,to,predicted_s,actual_s,predicted_share,actual_share,budget_share\n")
+    );
     assert!(text(&out, "report.md").contains("### consort against random"));
     for figure in ["end-states.svg", "successes.svg", "ttc.svg"] {
         assert!(text(&out, figure).starts_with("<svg"), "{figure}");
@@ -80,6 +84,32 @@ fn what_is_learned_is_written_and_can_be_used() {
     let again = folder("calibrated").display().to_string();
     let ran = run(&["experiment", "run", &design, "--out", &again, "--calibration", &learned]);
     assert_eq!(ran.code, Some(0), "{}{}", ran.out, ran.err);
+    // A fleet can be told of it, too, and is told what is wrong with it.
+    let fleet = written("fleet-that-learned.toml", &format!("calibration = {learned:?}\n"));
+    let ran = run(&["check", "--kind", "fleet", &fleet]);
+    assert_eq!(ran.code, Some(0), "{}{}", ran.out, ran.err);
+    let wrong =
+        written("wrong-calibration.toml", &std::fs::read_to_string(&learned).unwrap().replace("mean = ", "mean = -"));
+    let fleet = written("fleet-that-learned-wrong.toml", &format!("calibration = {wrong:?}\n"));
+    let ran = run(&["check", "--kind", "fleet", &fleet]);
+    assert_eq!(ran.code, Some(1), "{}{}", ran.out, ran.err);
+    assert!(ran.out.contains(&format!("{wrong}: skills.operate_drawer: mean -")), "{}", ran.out);
+}
+
+#[test]
+fn policies_treatments_and_repetitions_can_be_given_in_place_of_the_designs() {
+    let (design, out) = (written("thin-to-change.toml", THIN), folder("changed"));
+    let (out_flag, calm) = (out.display().to_string(), "calm,coordinator-killed");
+    let flags = ["--policies", "optimal", "--treatments", calm, "--repetitions", "2", "--seed", "8"];
+    let ran = run(&[&["experiment", "run", &design, "--out", &out_flag], &flags[..]].concat());
+    assert_eq!(ran.code, Some(0), "{}{}", ran.out, ran.err);
+    let rows = text(&out, "rows.csv");
+    assert_eq!(rows.matches(",optimal,calm,").count(), 2, "{rows}");
+    assert_eq!(rows.matches(",optimal,coordinator-killed,").count(), 2, "{rows}");
+    assert!(text(&out, "report.md").contains("## With the coordinator killed"));
+    let ran = run(&["experiment", "run", &design, "--out", &out_flag, "--policies", "best"]);
+    assert_eq!(ran.code, Some(2));
+    assert!(ran.err.contains("there are: consort, mission-control, random, optimal"), "{}", ran.err);
 }
 
 #[test]

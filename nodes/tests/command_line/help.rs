@@ -1,8 +1,21 @@
 use super::support::run;
 
 const COMMANDS: [&str; 15] = [
-    "robot", "station", "world", "submit", "missions", "cancel", "rescue", "fleet", "check", "dry-run", "recover",
-    "chaos", "experiment", "map", "bench",
+    "robot",
+    "station",
+    "world",
+    "submit",
+    "missions",
+    "cancel",
+    "rescue",
+    "fleet",
+    "check",
+    "dry-run",
+    "recover",
+    "chaos",
+    "experiment",
+    "map",
+    "bench",
 ];
 
 #[test]

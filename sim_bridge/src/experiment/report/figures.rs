@@ -79,6 +79,7 @@ fn panel<'a, 'b>(
     chart
         .configure_mesh()
         .disable_x_mesh()
+        .max_light_lines(1)
         .x_labels(if labels.is_empty() { 0 } else { 2 * labels.len() + 1 })
         .x_label_formatter(&label)
         .y_desc(y_title)
