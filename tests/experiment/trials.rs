@@ -106,6 +106,21 @@ fn a_mission_goes_on_when_its_coordinator_is_killed() {
 }
 
 #[test]
+fn a_robot_that_stands_still_with_an_empty_battery_is_a_battery_failure_though_its_role_is_taken_away_at_once() {
+    let mut stage = thin("published", 81, |design| {
+        design.repetitions = 3;
+        design.policies = vec![Policy::Consort];
+    });
+    // A robot with just enough by its own estimates, on drives that take half as long again.
+    stage.scenarios.retain(|scenario| scenario.code == "aacbc");
+    let rows = rows(&stage, 2);
+    let empty: Vec<&TrialRow> = rows.iter().filter(|row| row.note.contains("battery low: the battery of r")).collect();
+    assert!(!empty.is_empty(), "{rows:?}");
+    assert!(empty.iter().all(|row| row.end_state == EndState::LowBattery), "{empty:?}");
+    assert!(empty.iter().all(|row| row.lowest_share.is_some_and(|share| share < 0.051)), "{empty:?}");
+}
+
+#[test]
 fn missions_with_several_managed_roles_are_carried_out() {
     for (name, roles) in [("food", ["porter=", "server="]), ("rounds", ["left=", "right="])] {
         let stage = thin(name, 6, |design| {

@@ -300,7 +300,7 @@ impl<'s> Play<'s> {
                     }
                     Happening::Stranded { robot } => {
                         let mut seen = self.watcher.look();
-                        if seen.holders.values().any(|holder| holder == robot) {
+                        if seen.held(robot, entry.time.as_secs()) {
                             seen.empty.entry(robot.clone()).or_insert(entry.time.as_secs());
                         }
                     }

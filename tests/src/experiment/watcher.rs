@@ -57,6 +57,8 @@ pub(super) struct Seen {
     began: Option<Instant>,
     /// Who holds which role.
     pub(super) holders: BTreeMap<RoleId, RobotId>,
+    /// When robots last had a role taken from them.
+    gave_up: BTreeMap<RobotId, f64>,
     /// Who was chosen at first.
     pub(super) chosen: BTreeMap<RoleId, RobotId>,
     /// Every robot that ever held a role.
@@ -77,6 +79,14 @@ pub(super) struct Seen {
     /// Tasks that met with a setback teach nothing.
     upset: BTreeSet<(RobotId, TaskId)>,
     pub(super) observations: Vec<Observation>,
+}
+
+impl Seen {
+    /// Whether a robot held a role at a time that has just passed. Whoever stands still with an empty battery loses its role
+    /// within a message or two, and that may be heard of before the battery is.
+    pub(super) fn held(&self, robot: &RobotId, at_s: f64) -> bool {
+        self.holders.values().any(|holder| holder == robot) || self.gave_up.get(robot).is_some_and(|end| *end >= at_s)
+    }
 }
 
 struct UnderWay {
@@ -121,7 +131,9 @@ impl Watcher {
             Happening::Closed { record, .. } if record.failure.is_none() => seen.record = Some(record.clone()),
             Happening::Awarded { holders, .. } => self.awarded(&mut seen, holders, now_s),
             Happening::Released { role, cause, .. } => {
-                seen.holders.remove(role);
+                if let Some(robot) = seen.holders.remove(role) {
+                    seen.gave_up.insert(robot, now_s);
+                }
                 seen.releases.push(format!("{role}: {cause}"));
             }
             Happening::Mission { state, .. } if state.is_end() => seen.end = Some(state.clone()),

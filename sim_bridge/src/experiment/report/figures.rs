@@ -64,7 +64,7 @@ fn panel<'a, 'b>(
         .caption(title, ("sans-serif", 16))
         .margin(8)
         .x_label_area_size(if labels.is_empty() { 8 } else { 24 })
-        .y_label_area_size(48)
+        .y_label_area_size(60)
         .build_cartesian_2d(x, y)
         .map_err(in_words)?;
     let label = |at: &f64| {
