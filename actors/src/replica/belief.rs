@@ -5,6 +5,7 @@ use super::succession::Resigned;
 use super::types::{LogId, Peer, RaftId, Reign, reign_of};
 use consort_protocol::ids::NodeId;
 use consort_protocol::mutants::{self, Mutant};
+use openraft::metrics::RaftServerMetrics;
 use openraft::{ServerState, StoredMembership};
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
@@ -14,6 +15,29 @@ use tokio::sync::watch;
 use tokio::time::Instant;
 
 pub(super) type Metrics = openraft::RaftMetrics<RaftId, Peer>;
+
+/// What openraft tells of itself: everything at every event, and apart from it, only when it changes, who votes and leads.
+pub(super) struct Feed {
+    pub(super) all: watch::Receiver<Metrics>,
+    pub(super) standing: watch::Receiver<RaftServerMetrics<RaftId, Peer>>,
+}
+
+impl Feed {
+    /// Waits for what may change the belief that followed from `latest`. What a follower has in its log changes none, and
+    /// comes with every message.
+    async fn changed(&mut self, latest: &Metrics) -> Result<(), watch::error::RecvError> {
+        let agrees = |all: &Metrics, now: &RaftServerMetrics<RaftId, Peer>| {
+            (all.vote, all.state, &all.membership_config) == (now.vote, now.state, &now.membership_config)
+        };
+        if latest.state == ServerState::Leader {
+            return self.all.changed().await;
+        }
+        self.standing.wait_for(|now| !agrees(latest, now)).await?;
+        // What tells everything is sent last.
+        let standing = &mut self.standing;
+        self.all.wait_for(|all| agrees(all, &standing.borrow_and_update())).await.map(drop)
+    }
+}
 
 /// Who leads, as this node believes. A watch shows the latest belief; a reign that came and went in between is seen
 /// by the next one's being greater.
@@ -67,10 +91,10 @@ pub(super) struct Watcher {
 }
 
 impl Watcher {
-    pub(super) async fn run(mut self, mut metrics: watch::Receiver<Metrics>) {
+    pub(super) async fn run(mut self, mut feed: Feed) {
         loop {
-            self.fresh |= metrics.has_changed().unwrap_or(false);
-            let latest = metrics.borrow_and_update().clone();
+            self.fresh |= feed.all.has_changed().unwrap_or(false);
+            let latest = feed.all.borrow_and_update().clone();
             if std::mem::take(&mut self.fresh) {
                 // Metrics are sent at the instant they are taken, and openraft takes them at every event. Its whole
                 // milliseconds round the age down, so one is added.
@@ -82,9 +106,9 @@ impl Watcher {
                 let halves = latest.membership_config.membership().get_joint_config();
                 acked = acked.max(self.acks.borrow_and_update().majority(&latest.vote, self.me, halves));
             }
-            self.acked.send_replace(acked);
+            self.acked.send_if_modified(|known| std::mem::replace(known, acked) != acked);
             let elected_at = self.note_election(&latest);
-            if self.believe_until_changed(&latest, acked, elected_at, &mut metrics).await.is_err() {
+            if self.believe_until_changed(&latest, acked, elected_at, &mut feed).await.is_err() {
                 break;
             }
         }
@@ -109,38 +133,38 @@ impl Watcher {
         latest: &Metrics,
         acked: Option<Instant>,
         elected_at: Option<Instant>,
-        metrics: &mut watch::Receiver<Metrics>,
+        feed: &mut Feed,
     ) -> Result<(), watch::error::RecvError> {
         // A fresh leader has not been acknowledged yet; that is no silence to complain of, for a while.
         let Some(doubt_at) = acked.or(elected_at).map(|at| at + self.silence_max) else {
             self.muted.store(false, Ordering::Relaxed);
             self.tell(latest, Quorum::Unknown);
-            return self.news(metrics).await;
+            return self.news(latest, feed).await;
         };
         if doubt_at > Instant::now() {
             self.muted.store(false, Ordering::Relaxed);
             self.tell(latest, if acked.is_some() { Quorum::Hears } else { Quorum::Unknown });
             tokio::select! {
                 biased;
-                changed = self.news(metrics) => return changed,
+                changed = self.news(latest, feed) => return changed,
                 () = tokio::time::sleep_until(doubt_at) => {}
             }
         }
         if mutants::is(Mutant::DeafLeader) {
             self.tell(latest, Quorum::Hears);
-            return self.news(metrics).await;
+            return self.news(latest, feed).await;
         }
         // Metrics come with each beat, so this is looked at often enough.
         self.muted.store(self.falls_silent(doubt_at.elapsed()), Ordering::Relaxed);
         self.tell(latest, Quorum::Silent);
-        self.news(metrics).await
+        self.news(latest, feed).await
     }
 
     /// Waits for openraft's metrics, or for an answer beside it.
-    async fn news(&mut self, metrics: &mut watch::Receiver<Metrics>) -> Result<(), watch::error::RecvError> {
+    async fn news(&mut self, latest: &Metrics, feed: &mut Feed) -> Result<(), watch::error::RecvError> {
         tokio::select! {
             biased;
-            changed = metrics.changed() => {
+            changed = feed.changed(latest) => {
                 self.fresh = true;
                 changed
             }

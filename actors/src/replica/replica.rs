@@ -1,6 +1,6 @@
 //! A node's share in the replicated ledger.
 
-use super::belief::{Leadership, Watcher};
+use super::belief::{Feed, Leadership, Watcher};
 use super::canvass::{self, Ear};
 use super::errors::{BootstrapError, MemberError, ProposeError, StartError, not_leader, write_error};
 use super::gather::{Gatherer, Proposal};
@@ -154,7 +154,7 @@ impl<S: StateMachine> Replica<S> {
             acks: acks.subscribe(),
             told: None,
         };
-        let watching = Task::spawn(watcher.run(raft.metrics()));
+        let watching = Task::spawn(watcher.run(Feed { all: raft.metrics(), standing: raft.server_metrics() }));
         let ear = Arc::new(Ear::new());
         let canvass = canvass::canvass(raft.clone(), board.clone(), Arc::clone(&ear), settings.clone(), seed);
         let canvassing = Task::spawn(canvass);
@@ -366,16 +366,13 @@ impl<S: StateMachine> Replica<S> {
     /// Waits until this replica has given up for good, and says why: its journal could not be read or written. After an
     /// ordinary [`shutdown`](Replica::shutdown), it waits for ever.
     pub async fn failed(&self) -> String {
-        let mut metrics = self.inner.raft.metrics();
-        loop {
-            match &metrics.borrow_and_update().running_state {
-                Ok(()) => {}
-                Err(Fatal::Stopped) => break,
-                Err(problem) => return problem.to_string(),
-            }
-            if metrics.changed().await.is_err() {
-                return "its task has died".to_owned();
-            }
+        // It says so in the last metrics before it ends, and with it this watch.
+        let mut standing = self.inner.raft.server_metrics();
+        while standing.changed().await.is_ok() {}
+        match &self.inner.raft.metrics().borrow().running_state {
+            Ok(()) => return "its task has died".to_owned(),
+            Err(Fatal::Stopped) => {}
+            Err(problem) => return problem.to_string(),
         }
         std::future::pending().await
     }

@@ -266,8 +266,9 @@ impl RobotState {
         self.sense(now);
         let actions = self.tenure.handle(Event::Tick, now);
         self.perform(myself, actions).await?;
-        let held_up = self.job.as_ref().is_some_and(|job| job.failure.is_none() && job.sequencer.awaits_ledger());
-        let owes = self.job.as_ref().is_some_and(|job| !job.gave_back && self.gives_back(job).is_some());
+        let held_up = self.job.as_ref().is_some_and(|job| job.surrender.is_none() && job.sequencer.awaits_ledger());
+        let owes = self.job.as_ref().and_then(|job| job.surrender.as_ref());
+        let owes = owes.is_some_and(|surrender| surrender.is_owed(self.settings.body.is_at_rest(), now));
         if held_up || owes || now.since(self.reported_at) >= self.settings.terms.lease / 4 {
             self.report(myself);
         }

@@ -164,9 +164,7 @@ impl RobotState {
             attempt: None,
             rests_until: NodeTime::ZERO,
             on_record,
-            failure: None,
-            gave_up_at: NodeTime::default(),
-            gave_back: false,
+            surrender: None,
             first_goal,
             told_of_charge: false,
             outdated: BTreeSet::new(),
@@ -228,9 +226,15 @@ impl RobotState {
             self.report_again = true;
             return;
         }
+        let leaving = || TaskFailure { task: None, cause: LEAVES.to_owned(), kind: FailureKind::Leaving };
+        let (at_rest, sent) = (self.settings.body.is_at_rest(), self.settings.clock.now());
+        let job = self.job.as_mut().filter(|job| job.award.epoch == award.epoch);
+        let failure = match job.and_then(|job| job.surrender.as_mut()) {
+            Some(surrender) => surrender.tell(at_rest, sent),
+            None => self.leaving.is_some().then(leaving),
+        };
         let job = self.job.as_ref().filter(|job| job.award.epoch == award.epoch);
         let recalled = self.recalled.as_ref().filter(|page| page.award.epoch == award.epoch);
-        let leaving = || TaskFailure { task: None, cause: LEAVES.to_owned(), kind: FailureKind::Leaving };
         let ended = job.map(|job| job.sequencer.ended()).or_else(|| recalled.map(|page| &page.ended));
         let report = Report {
             robot: self.settings.robot.clone(),
@@ -243,17 +247,10 @@ impl RobotState {
             at: job.and_then(|job| job.sequencer.at().cloned()),
             place: self.settings.body.telemetry().map(|report| report.place.clone()),
             resumes: self.resumes == Some(award.epoch),
-            failure: match job.filter(|job| job.failure.is_some()) {
-                Some(job) => self.gives_back(job),
-                None => self.leaving.is_some().then(leaving),
-            },
+            failure,
         };
         let key = self.settings.keys.write(&Key::Report(beacon.node.clone()));
-        if let Some(job) = self.job.as_mut().filter(|job| job.award.epoch == report.epoch) {
-            job.gave_back = report.failure.is_some();
-        }
         self.reporting = true;
-        let sent = self.settings.clock.now();
         self.reported_at = sent;
         let (bus, limit, to) = (self.settings.bus.clone(), self.settings.terms.lease / 4, myself.clone());
         self.tasks.spawn(async move {
@@ -272,7 +269,7 @@ impl RobotState {
     ) -> Result<(), ActorProcessingErr> {
         self.leaving.get_or_insert_default().push(done);
         self.tasks.after(within, myself, RobotMessage::Overdue);
-        if self.job.as_ref().is_some_and(|job| job.failure.is_none()) {
+        if self.job.as_ref().is_some_and(|job| job.surrender.is_none()) {
             let (kind, cause) = (FailureKind::Leaving, LEAVES.to_owned());
             self.set_back(myself, Setback { kind, cause, lasting: true }).await?;
         }

@@ -6,10 +6,10 @@ use super::patience::Stopwatch;
 use super::pen::Pen;
 use super::sequencer::{Sequencer, Spot};
 use super::skill_runner::RunnerMessage;
+use super::surrender::Surrender;
 use crate::tasks::Tasks;
 use consort_protocol::ids::{MissionId, RoleId};
 use consort_protocol::lease::{Award, Epoch};
-use consort_protocol::message::TaskFailure;
 use consort_protocol::plan::Signal;
 use consort_protocol::units::NodeTime;
 use consort_skills::actions::GoalId;
@@ -29,10 +29,7 @@ pub(super) struct Job {
     /// Whether the notebook has a page of this award: without one nothing is begun.
     pub(super) on_record: bool,
     /// Why the role cannot be carried to its end; from then on the robot only waits to put it down.
-    pub(super) failure: Option<TaskFailure>,
-    /// When the robot came to that, and whether it has told the coordinator.
-    pub(super) gave_up_at: NodeTime,
-    pub(super) gave_back: bool,
+    pub(super) surrender: Option<Surrender>,
     /// The first goal of the body that belongs to the task under way, or to the next.
     pub(super) first_goal: GoalId,
     /// Whether it was told that the battery falls short.

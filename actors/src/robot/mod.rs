@@ -33,6 +33,7 @@ mod record;
 mod sequencer;
 mod settings;
 mod skill_runner;
+mod surrender;
 mod talk;
 mod work;
 

@@ -63,7 +63,7 @@ impl RobotState {
         if let Some(job) = &mut self.job {
             job.pen.done();
         }
-        let unwritten = self.job.as_ref().is_some_and(|job| ours && !job.on_record && job.failure.is_none());
+        let unwritten = self.job.as_ref().is_some_and(|job| ours && !job.on_record && job.surrender.is_none());
         if let Some(why) = self.notebook_problem.as_ref().filter(|_| unwritten) {
             // Nothing was begun: another robot can keep what this one could only promise. A role that was on record is
             // carried out all the same: what the next life lacks, the ledger has, or else nobody acted on it.

@@ -2,14 +2,14 @@
 
 use super::actor::{RobotMessage, RobotState};
 use super::forecast::{Forecast, context};
-use super::job::{Attempt, Job};
+use super::job::Attempt;
 use super::ladder::{Rung, Setback};
 use super::patience::Stopwatch;
 use super::pen::Telling;
 use super::sequencer::{Move, Outdated, Spot};
 use super::settings::RobotSettings;
 use super::skill_runner::{Run, SkillOutcome, SkillRunner};
-use crate::body::SILENCE;
+use super::surrender::Surrender;
 use consort_protocol::event::Happening;
 use consort_protocol::ids::TaskId;
 use consort_protocol::message::{FailureKind, Said, TaskFailure};
@@ -24,9 +24,6 @@ use tracing::warn;
 
 /// How often the rest of the plan is priced while a task is under way.
 const PRICED_EVERY: Duration = Duration::from_secs(1);
-
-/// How much later than [`SILENCE`] a host may notice it: it looks every half a second, and clocks drift apart.
-const HOST_IS_LATE: Duration = Duration::from_secs(1);
 
 impl RobotState {
     /// The sequencing process: as many steps as can be taken now. What has ended is written down before anything new is
@@ -45,7 +42,7 @@ impl RobotState {
                 self.speak(written).await;
                 continue;
             }
-            if job.failure.is_some() || !job.pen.is_idle() || now < job.rests_until {
+            if job.surrender.is_some() || !job.pen.is_idle() || now < job.rests_until {
                 break;
             }
             let Some(next) = job.sequencer.next_move() else { break };
@@ -92,7 +89,7 @@ impl RobotState {
     ) -> Result<(), ActorProcessingErr> {
         self.look_after_charge(myself);
         let here = Context { pose: Some(self.worker.pose), ..context(&self.worker, self.closed()) };
-        let Some(job) = self.job.as_mut().filter(|job| job.failure.is_none()) else { return Ok(()) };
+        let Some(job) = self.job.as_mut().filter(|job| job.surrender.is_none()) else { return Ok(()) };
         let (mission, role) = job.of();
         self.settings.events.tell(Happening::TaskBegan { mission, role, task: task.clone() });
         self.runs += 1;
@@ -162,7 +159,7 @@ impl RobotState {
 
     pub(super) fn fall_back(&mut self, myself: &ActorRef<RobotMessage>, setback: Setback) {
         let now = self.settings.clock.now();
-        let Some(job) = self.job.as_mut().filter(|job| job.failure.is_none()) else { return };
+        let Some(job) = self.job.as_mut().filter(|job| job.surrender.is_none()) else { return };
         job.stop();
         let ((mission, role), task) = (job.of(), job.sequencer.at().cloned());
         let cause = setback.cause.clone();
@@ -189,21 +186,13 @@ impl RobotState {
         let now = self.settings.clock.now();
         let Some(job) = self.job.as_mut() else { return };
         let ((mission, role), TaskFailure { task, cause, kind }) = (job.of(), failure.clone());
-        (job.failure, job.gave_up_at) = (Some(failure), now);
+        job.surrender = Some(Surrender::new(failure, now));
         match (kind, task) {
             (FailureKind::Task | FailureKind::Crash | FailureKind::NoProgress, Some(task)) => {
                 self.tell(Happening::TaskFailed { mission, role, task, cause });
             }
             _ => self.tell(Happening::GaveUp { mission, role, kind, cause }),
         }
-    }
-
-    /// Why the role is given back, once nobody who takes it over can meet this robot at work in it: its body is at rest, or
-    /// has not been told to be for so long that its host has stopped it.
-    pub(super) fn gives_back(&self, job: &Job) -> Option<TaskFailure> {
-        let rests = self.settings.body.is_at_rest()
-            || self.settings.clock.now().since(job.gave_up_at) >= SILENCE + HOST_IS_LATE;
-        job.failure.clone().filter(|_| rests)
     }
 
     /// Looks whether the task under way takes too long, and whether the battery lasts.
@@ -231,7 +220,7 @@ impl RobotState {
         let now = self.settings.clock.now();
         self.priced_at = now;
         self.sense(now);
-        let Some(job) = self.job.as_mut().filter(|job| job.failure.is_none()) else { return };
+        let Some(job) = self.job.as_mut().filter(|job| job.surrender.is_none()) else { return };
         if self.settings.body.telemetry().is_none() {
             return;
         }
