@@ -146,9 +146,12 @@ pub fn per_scenario<'r>(rows: impl Iterator<Item = &'r TrialRow>, state: EndStat
     counts.into_values().collect()
 }
 
-/// A factor with more than one level in these rows: its name, and how to read a row's level.
-pub(super) fn factors(rows: &[TrialRow]) -> Vec<(&'static str, fn(&TrialRow) -> &str)> {
-    let all: [(&'static str, fn(&TrialRow) -> &str); 5] = [
+/// A factor's name, and how to read a row's level of it.
+pub(super) type FactorLevel = (&'static str, fn(&TrialRow) -> &str);
+
+/// The factors with more than one level in these rows.
+pub(super) fn factors(rows: &[TrialRow]) -> Vec<FactorLevel> {
+    let all: [FactorLevel; 5] = [
         ("speed", |row| &row.speed),
         ("charge", |row| &row.charge),
         ("discharge", |row| &row.discharge),
