@@ -21,7 +21,7 @@ use crate::robot::{Patience, Robot, RobotMessage, RobotSettings};
 use crate::store::{Notebook, Store};
 use crate::tasks::Tasks;
 use crate::timing::Timing;
-use consort_protocol::auction::Limits;
+use consort_protocol::auction::{Choice, Limits};
 use consort_protocol::ensemble::Ensemble;
 use consort_protocol::ids::{FleetId, NodeId, RobotId};
 use consort_protocol::keys::{Key, Keys};
@@ -53,6 +53,8 @@ pub struct FleetSettings {
     pub domain: Arc<Domain>,
     /// What bids must keep to.
     pub limits: Limits,
+    /// The rule by which roles are given to robots: [`Exact`](consort_protocol::auction::Exact), but for evaluations.
+    pub choice: Arc<dyn Choice>,
     /// How long awards last.
     pub terms: LeaseTerms,
     /// How long an auction waits for a member that does not answer.
@@ -402,6 +404,7 @@ async fn assemble(
             ensemble: Arc::clone(&fleet.ensemble),
             domain: Arc::clone(&fleet.domain),
             limits: fleet.limits,
+            choice: Arc::clone(&fleet.choice),
             terms: fleet.terms,
             window: fleet.window,
             stall_after: fleet.stall_after,

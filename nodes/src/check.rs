@@ -199,6 +199,7 @@ fn recognise_toml(text: &str, file: &str) -> Result<Kind, Problems> {
             Kind::Fleet,
             &[
                 "map",
+                "calibration",
                 "bootstrap_expect",
                 "timing",
                 "voters",

@@ -1,8 +1,8 @@
 //! The command line.
 
 use crate::command::{
-    bench, cancel, chaos, check, dry_run, fleet, leave, map, missions, recover, rescue, robot, station, submit, test,
-    world,
+    bench, cancel, chaos, check, dry_run, experiment, fleet, leave, map, missions, recover, rescue, robot, station,
+    submit, test, world,
 };
 use crate::demo;
 use crate::exit::Failure;
@@ -65,6 +65,7 @@ enum Command {
     DryRun(dry_run::Args),
     Recover(recover::Args),
     Chaos(chaos::Args),
+    Experiment(experiment::Args),
     Bench(bench::Args),
     Test(test::Args),
 }
@@ -87,6 +88,7 @@ pub fn run() -> ExitCode {
         Command::DryRun(args) => dry_run::run(args),
         Command::Recover(args) => recover::run(args),
         Command::Chaos(args) => chaos::run(&args),
+        Command::Experiment(args) => experiment::run(&args),
         Command::Bench(args) => bench::run(args),
         Command::Test(args) => test::run(args),
     };

@@ -1,20 +1,21 @@
 //! From configuration to the parts of a node. The commands wire them to Zenoh; the demo, for a virtual fleet, to the
 //! virtual bus.
 
-use crate::config::{BusConfig, FleetConfig, Problem, Problems, RobotConfig, StationConfig, WorldConfig};
+use crate::config::{self, BusConfig, FleetConfig, Problem, Problems, RobotConfig, StationConfig, WorldConfig};
 use crate::floor::{self, Floor};
 use consort_actors::bus::ZenohSettings;
 use consort_actors::clock::Clock;
 use consort_actors::node::{FleetSettings, HostPart, NodeSettings, RobotPart};
 use consort_actors::replica::StoreIdentity;
 use consort_actors::store::{DurableStore, Owner, Store};
-use consort_protocol::auction::Limits;
+use consort_protocol::auction::{Exact, Limits};
 use consort_protocol::ensemble::Ensemble;
 use consort_protocol::ids::{NodeId, PlaceId};
 use consort_protocol::knowledge::{Availability, Worker};
 use consort_protocol::lease::LeaseTerms;
 use consort_protocol::mission::{Allowed, Domain};
 use consort_protocol::pose::Pose;
+use consort_sim::experiment::calibration::Calibration;
 use consort_sim::map::Map;
 use consort_sim::world::{SharedWorld, World, WorldSetup};
 use consort_skills::descriptor::{DescriptorRegistry, Estimator};
@@ -102,6 +103,7 @@ pub fn fleet_settings(config: &FleetConfig) -> Result<FleetSettings, Problems> {
         ensemble: Arc::new(ensemble),
         domain: Arc::new(Domain::hospital()),
         limits: limits(config),
+        choice: Arc::new(Exact),
         terms: LeaseTerms {
             lease: Duration::from_millis(config.lease.lease_ms),
             grace: Duration::from_millis(config.lease.grace_ms),
@@ -135,12 +137,17 @@ pub fn equipment(floor: &Floor) -> Result<Equipment, Problems> {
     Ok(Equipment { places: topology.places.clone(), estimator: Arc::new(estimator), library })
 }
 
-/// The estimator and the skills of robots on the fleet's map.
+/// The estimator and the skills of robots on the fleet's map, with what they have learned.
 ///
 /// # Errors
-/// [`Problems`] of the map.
+/// [`Problems`] of the map, or of the calibration.
 pub fn fleet_equipment(fleet: &FleetConfig) -> Result<Equipment, Problems> {
-    equipment(&floor::load(&fleet.map)?)
+    let equipment = equipment(&floor::load(&fleet.map)?)?;
+    let Some(file) = &fleet.calibration else { return Ok(equipment) };
+    let learned: Arc<Calibration> = Arc::new(config::load(file)?);
+    let estimator = learned.descriptors().resolve(equipment.estimator.environment().clone());
+    let estimator = estimator.map_err(|problem| Problem::of(file.display(), problem))?;
+    Ok(Equipment { estimator: Arc::new(estimator), ..equipment })
 }
 
 /// A robot's node; reads the fleet's map.

@@ -4,11 +4,13 @@
 //! greedy pick per role): one robot fills at most one role, and either every open role is filled or none is.
 
 mod bid;
+mod choice;
 mod conclude;
 mod record;
 mod select;
 
 pub use bid::{Answer, AuctionId, Bid, BidPart, CallForBids, Limits, Refusal, RefusalReason, Tender, Unviable};
-pub use conclude::{Circumstances, Conclusion, conclude};
+pub use choice::{Ballot, Choice, Exact};
+pub use conclude::{Circumstances, Conclusion, conclude, conclude_by};
 pub use record::{AuctionEntry, AuctionRecord, Verdict};
 pub use select::{NoCoalition, select};

@@ -30,7 +30,11 @@ fn a_port_that_is_taken_is_named() {
 fn a_mission_that_is_not_there_or_not_right_is_refused_before_anything_starts() {
     let folder = Folder::new();
     let said = refused(&folder, &["--mission", "nope"]);
-    for word in ["nope", "no such file", "bed-transfer, lab-samples, lab-samples-watched, ward-disinfection"] {
+    for word in [
+        "nope",
+        "no such file",
+        "bed-transfer, food-logistics, lab-samples, lab-samples-watched, vital-signs, ward-disinfection",
+    ] {
         assert!(said.contains(word), "{word:?} in {said}");
     }
     let shipped = include_str!("../../protocol/missions/lab-samples.yaml");

@@ -6,6 +6,7 @@ mod checks;
 mod chronicle;
 mod client;
 pub mod disk;
+pub mod experiment;
 mod fleet;
 mod look;
 mod member;

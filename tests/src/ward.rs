@@ -4,7 +4,7 @@ use crate::slug;
 use consort_actors::autopilot::VOTERS;
 use consort_actors::node::FleetSettings;
 use consort_actors::timing::Timing;
-use consort_protocol::auction::Limits;
+use consort_protocol::auction::{Exact, Limits};
 use consort_protocol::ensemble::{Ensemble, EnsembleSpec};
 use consort_protocol::ids::EnsembleId;
 use consort_protocol::lease::LeaseTerms;
@@ -22,6 +22,7 @@ pub(crate) fn ward(skills: &[&str], bootstrap_expect: usize) -> FleetSettings {
         ensemble: Arc::new(Ensemble::compile(spec).expect("the tests' own ensemble")),
         domain: Arc::new(Domain::hospital()),
         limits: Limits::default(),
+        choice: Arc::new(Exact),
         terms: LeaseTerms::default(),
         window: Duration::from_millis(200),
         stall_after: Duration::from_secs(15 * 60),

@@ -72,7 +72,10 @@ fn a_request_that_cannot_be_understood_says_what_would_be_and_changes_nothing() 
             (
                 ApiCall::Submit,
                 r#"{"mission": "tea"}"#,
-                &["\"tea\"", "bed-transfer, lab-samples, lab-samples-watched, ward-disinfection"],
+                &[
+                    "\"tea\"",
+                    "bed-transfer, food-logistics, lab-samples, lab-samples-watched, vital-signs, ward-disinfection",
+                ],
             ),
             (ApiCall::Submit, r#"{"mission": "lab-samples", "parameters": {"romm": "IC Room 6"}}"#, &["romm", "room"]),
             (ApiCall::Submit, r#"{"mission": "lab-samples", "request": "a b/c*"}"#, &["a b/c*"]),

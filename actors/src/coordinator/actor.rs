@@ -10,7 +10,7 @@ use crate::events::Events;
 use crate::gossip::SharedKnowledge;
 use crate::replica::{ProposeError, Replica};
 use crate::tasks::Tasks;
-use consort_protocol::auction::{AuctionId, CallForBids, Limits, Tender};
+use consort_protocol::auction::{AuctionId, CallForBids, Choice, Limits, Tender};
 use consort_protocol::codec;
 use consort_protocol::ensemble::Ensemble;
 use consort_protocol::event::Happening;
@@ -51,6 +51,8 @@ pub struct CoordinatorSettings {
     pub domain: Arc<Domain>,
     /// What bids must keep to.
     pub limits: Limits,
+    /// The rule by which roles are given to robots.
+    pub choice: Arc<dyn Choice>,
     /// How long awards last.
     pub terms: LeaseTerms,
     /// How long an auction waits for a member that does not answer. Raised: slow links still win roles, silent robots

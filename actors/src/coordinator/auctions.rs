@@ -12,7 +12,8 @@ use super::reign::{Reign, lock, members, propose};
 use super::whereabouts::places;
 use crate::replica::ProposeError;
 use consort_protocol::auction::{
-    Answer, AuctionEntry, AuctionId, AuctionRecord, CallForBids, Circumstances, Conclusion, Tender, Verdict, conclude,
+    Answer, AuctionEntry, AuctionId, AuctionRecord, CallForBids, Circumstances, Conclusion, Tender, Verdict,
+    conclude_by,
 };
 use consort_protocol::event::Happening;
 use consort_protocol::ids::{MissionId, RobotId, RoleId};
@@ -147,7 +148,7 @@ impl Reign {
             window_ms: u64::try_from(settings.window.as_millis()).unwrap_or(u64::MAX),
             at_ms: settings.clock.wall_ms(),
         };
-        conclude(call, tenders, &circumstances)
+        conclude_by(call, tenders, &circumstances, &*settings.choice)
     }
 
     fn decide(

@@ -7,7 +7,7 @@ use consort_protocol::ids::{PlaceId, RobotId, RoleId, TaskType};
 use consort_protocol::knowledge::{Availability, Worker};
 use consort_protocol::plan::LocalPlan;
 use consort_protocol::units::Seconds;
-use consort_skills::descriptor::Estimator;
+use consort_skills::descriptor::{Budget, Estimator};
 use std::collections::BTreeSet;
 use std::sync::Arc;
 
@@ -77,11 +77,12 @@ impl Bidder {
         if !missing.is_empty() {
             return Err(RefusalReason::MissingSkills { skills: missing });
         }
-        let parts = self.estimator.price(plan, &context(worker, closed)).map_err(|problem| {
-            RefusalReason::NotFeasible { task: problem.task.clone(), problem: problem.to_string() }
+        let budget = self.estimator.budget(plan, &context(worker, closed));
+        let Budget { parts, energy } = budget.map_err(|problem| RefusalReason::NotFeasible {
+            task: problem.task.clone(),
+            problem: problem.to_string(),
         })?;
         let time = parts.iter().fold(Seconds::ZERO, |sum, part| sum + part.time);
-        let energy: f64 = parts.iter().map(|part| part.energy).sum();
         Ok(Bid {
             robot: self.robot.clone(),
             role: role.clone(),

@@ -1,5 +1,6 @@
 //! Whether the battery lasts for the rest of a plan, as values: the same reckoning with which the robot bid, done again on
-//! the way.
+//! the way. What it kept in reserve when it bid is there to be used: a role is given back only if the battery will not last by
+//! the likeliest reckoning.
 
 use consort_protocol::auction::Limits;
 use consort_protocol::ids::PlaceId;

@@ -6,6 +6,7 @@ pub mod chaos;
 pub mod check;
 mod drawn_world;
 pub mod dry_run;
+pub mod experiment;
 pub mod flags;
 pub mod fleet;
 pub mod leave;

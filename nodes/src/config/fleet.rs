@@ -1,6 +1,6 @@
 //! The fleet file: what all nodes of a fleet agree on.
 
-use super::read::under;
+use super::read::{settle_path, under};
 use super::{ConfigFile, load};
 use crate::floor::is_shipped;
 use consort_actors::autopilot;
@@ -30,6 +30,11 @@ pub struct FleetConfig {
     pub name: FleetId,
     /// The map: the name of one that is shipped (`hospital`, the default), or the path of a file.
     pub map: String,
+    /// What robots have learned of their estimates: a file that `consort experiment calibrate` wrote. They then bid by what
+    /// drives and tasks really take, and only if the battery lasts in all but the worst cases. Default: they have learned
+    /// nothing.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub calibration: Option<PathBuf>,
     /// Nodes that may vote and must have met, and agree on one of them, before it founds the ledger, for the first time of all:
     /// as many as are started together. A node that hears of a ledger of this fleet's name founds none; it listens for 0.6 s
     /// before it founds one, and asks all that it can reach. So nodes that reach each other have one ledger, however few they
@@ -101,6 +106,7 @@ impl Default for FleetConfig {
         FleetConfig {
             name: FleetId::new(DEFAULT_FLEET).expect("a slug"),
             map: "hospital".to_owned(),
+            calibration: None,
             bootstrap_expect: 1,
             timing: Timing::default(),
             voters: autopilot::VOTERS,
@@ -159,6 +165,7 @@ impl ConfigFile for FleetConfig {
         if !is_shipped(&self.map) {
             self.map = under(folder, Path::new(&self.map)).display().to_string();
         }
+        settle_path(&mut self.calibration, folder);
     }
 
     fn problems(&self) -> Vec<String> {

@@ -6,6 +6,7 @@
 //! the file that names it.
 
 mod bus;
+mod design;
 mod fleet;
 mod node;
 mod problem;

@@ -1,8 +1,22 @@
 use super::support::run;
 
-const COMMANDS: [&str; 15] = [
-    "robot", "station", "world", "submit", "missions", "cancel", "rescue", "fleet", "check", "dry-run", "recover",
-    "chaos", "map", "bench", "test",
+const COMMANDS: [&str; 16] = [
+    "robot",
+    "station",
+    "world",
+    "submit",
+    "missions",
+    "cancel",
+    "rescue",
+    "fleet",
+    "check",
+    "dry-run",
+    "recover",
+    "chaos",
+    "experiment",
+    "map",
+    "bench",
+    "test",
 ];
 
 #[test]

@@ -3,6 +3,7 @@
 mod bench;
 mod chaos;
 mod dry_run;
+mod experiment;
 mod files;
 mod help;
 mod map;

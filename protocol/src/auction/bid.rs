@@ -58,7 +58,8 @@ pub struct Bid {
     pub role: RoleId,
     /// Time for the whole plan.
     pub time: Seconds,
-    /// Charge it would use, as a share of a full battery. It may exceed 1.
+    /// Charge to have for it, as a share of a full battery: what the steps use by estimate, and a reserve if the robot knows
+    /// how far its estimates are off. It may exceed 1.
     pub energy: f64,
     /// Charge left afterwards; negative when it would not last.
     pub remaining: f64,

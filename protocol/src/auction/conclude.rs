@@ -1,8 +1,8 @@
 //! From answers to a decision.
 
 use super::bid::{Answer, Bid, CallForBids, Limits, RefusalReason, Tender};
+use super::choice::{Ballot, Choice, Exact};
 use super::record::{AuctionEntry, AuctionRecord, Verdict};
-use super::select::select;
 use crate::ids::{RobotId, RoleId};
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -38,6 +38,16 @@ pub struct Circumstances<'a> {
 /// Judges all answers to a call and chooses. Robots that were expected and said nothing are recorded as silent; so every
 /// robot that could have had a role, and why it did not get it, is in the record.
 pub fn conclude(call: &CallForBids, tenders: &[Tender], circumstances: &Circumstances<'_>) -> Conclusion {
+    conclude_by(call, tenders, circumstances, &Exact)
+}
+
+/// The same by another rule.
+pub fn conclude_by(
+    call: &CallForBids,
+    tenders: &[Tender],
+    circumstances: &Circumstances<'_>,
+    choice: &dyn Choice,
+) -> Conclusion {
     let mut answers: BTreeMap<(&RoleId, &RobotId), &Answer> = BTreeMap::new();
     for tender in tenders.iter().filter(|tender| tender.auction == call.auction) {
         for answer in &tender.answers {
@@ -80,10 +90,21 @@ pub fn conclude(call: &CallForBids, tenders: &[Tender], circumstances: &Circumst
     let hopeless = hopeless.filter(|role| entries.iter().filter(|entry| entry.role == **role).all(for_good));
     let hopeless = hopeless.filter(|role| call.roles.contains_key(*role)).cloned().collect();
 
-    let choice = select(&call.roles.keys().cloned().collect(), &viable);
-    let holders = choice.as_ref().ok().map(|picks| {
-        picks.iter().map(|(role, index)| (role.clone(), viable[*index].robot.clone())).collect::<BTreeMap<_, _>>()
-    });
+    let mut open: BTreeMap<RoleId, BTreeSet<RobotId>> =
+        call.roles.keys().map(|role| (role.clone(), BTreeSet::new())).collect();
+    for entry in entries.iter().filter(|entry| may_be_given(&entry.verdict)) {
+        open.entry(entry.role.clone()).or_default().insert(entry.robot.clone());
+    }
+    let bids: Vec<&Bid> = answers
+        .iter()
+        .filter(|((role, robot), _)| open.get(*role).is_some_and(|robots| robots.contains(*robot)))
+        .filter_map(|(_, answer)| if let Answer::Bid(bid) = answer { Some(bid) } else { None })
+        .collect();
+    let ballot = Ballot { call, open: &open, bids: &bids, viable: &viable, limits: circumstances.limits };
+    let (holders, failure) = match choice.choose(&ballot) {
+        Ok(holders) => (Some(holders), None),
+        Err(problem) => (None, Some(problem)),
+    };
     let omitted = entries.len().saturating_sub(AuctionRecord::ENTRIES_MAX);
     if omitted > 0 {
         // Those who could do the work are the ones people ask about first.
@@ -96,9 +117,19 @@ pub fn conclude(call: &CallForBids, tenders: &[Tender], circumstances: &Circumst
         entries,
         omitted: u32::try_from(omitted).unwrap_or(u32::MAX),
         chosen: holders.clone().unwrap_or_default(),
-        failure: choice.err().map(|problem| problem.to_string()),
+        failure,
     };
     Conclusion { holders, record, hopeless }
+}
+
+/// Whether a robot may be given a role as far as the others are concerned: a rule other than ours may try its luck.
+fn may_be_given(verdict: &Verdict) -> bool {
+    match verdict {
+        Verdict::Viable { .. } | Verdict::Unviable { .. } => true,
+        Verdict::Refused { reason } => {
+            matches!(reason, RefusalReason::MissingSkills { .. } | RefusalReason::NotFeasible { .. })
+        }
+    }
 }
 
 fn judge<'t>(bid: &'t Bid, circumstances: &Circumstances<'_>, viable: &mut Vec<&'t Bid>) -> Verdict {
@@ -200,6 +231,46 @@ mod tests {
                 "fay: no answer within 200 ms",
             ]
         );
+    }
+
+    /// Gives each role to the last of those who may have it.
+    #[derive(Debug)]
+    struct Last;
+
+    impl Choice for Last {
+        fn choose(&self, ballot: &Ballot<'_>) -> Result<BTreeMap<RoleId, RobotId>, String> {
+            let bidders: Vec<&str> = ballot.bids.iter().map(|bid| bid.robot.as_str()).collect();
+            assert_eq!((bidders, ballot.viable.len()), (vec!["cyd", "eve"], 1));
+            let last = |robots: &BTreeSet<RobotId>| robots.last().cloned().ok_or("nobody may".to_owned());
+            ballot.open.iter().map(|(role, robots)| Ok((role.clone(), last(robots)?))).collect()
+        }
+    }
+
+    #[test]
+    fn another_rule_may_choose_whoever_lacks_skills_or_charge_but_nobody_who_is_taken_or_has_failed() {
+        let expected = ["bob", "cyd", "dan", "eve", "fay", "gil"].map(robot).into_iter().collect();
+        let busy = RefusalReason::Busy { mission: MissionId::new("m-0").unwrap(), role: role() };
+        let taken = BTreeMap::from([(robot("fay"), busy)]);
+        let excluded = BTreeMap::from([(role(), BTreeMap::from([(robot("gil"), "lost its way".to_owned())]))]);
+        let reason = RefusalReason::MissingSkills { skills: vec![] };
+        let refusal = Answer::Refusal(Refusal { robot: robot("dan"), role: role(), reason });
+        let lacks = Tender { robot: robot("dan"), auction: call().auction, answers: vec![refusal] };
+        let tenders =
+            [bids("eve", 9.0, 0.5), bids("cyd", 2.0, 0.01), lacks, bids("fay", 1.0, 0.5), bids("gil", 1.0, 0.5)];
+        let circumstances = circumstances(&expected, &taken, &excluded);
+        let by_last = conclude_by(&call(), &tenders, &circumstances, &Last);
+        assert_eq!(by_last.holders, Some(BTreeMap::from([(role(), robot("eve"))])));
+        let alone = conclude_by(&call(), &tenders[1..3], &circumstances, &AnyLast);
+        assert_eq!(alone.holders, Some(BTreeMap::from([(role(), robot("dan"))])));
+    }
+
+    #[derive(Debug)]
+    struct AnyLast;
+
+    impl Choice for AnyLast {
+        fn choose(&self, ballot: &Ballot<'_>) -> Result<BTreeMap<RoleId, RobotId>, String> {
+            Ok(ballot.open.iter().filter_map(|(role, robots)| Some((role.clone(), robots.last()?.clone()))).collect())
+        }
     }
 
     #[test]

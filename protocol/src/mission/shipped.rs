@@ -4,16 +4,18 @@ use super::file::{Format, MissionTemplate};
 use std::collections::BTreeMap;
 use std::sync::OnceLock;
 
-const FILES: [&str; 4] = [
+const FILES: [&str; 6] = [
     include_str!("../../missions/lab-samples.yaml"),
     include_str!("../../missions/lab-samples-watched.yaml"),
     include_str!("../../missions/bed-transfer.yaml"),
     include_str!("../../missions/ward-disinfection.yaml"),
+    include_str!("../../missions/food-logistics.yaml"),
+    include_str!("../../missions/vital-signs.yaml"),
 ];
 
 /// The shipped missions, by name: `lab-samples` (the exemplar of the thesis), `lab-samples-watched`
-/// (the same with a recovery branch), `bed-transfer` (two robots, a joint task)
-/// and `ward-disinfection` (unordered methods).
+/// (the same with a recovery branch), `bed-transfer` (two robots, a joint task), `ward-disinfection` (unordered methods),
+/// `food-logistics` (an item handed over between two robots) and `vital-signs` (rounds that two robots share out).
 pub fn shipped() -> &'static BTreeMap<String, MissionTemplate> {
     static TEMPLATES: OnceLock<BTreeMap<String, MissionTemplate>> = OnceLock::new();
     TEMPLATES.get_or_init(|| {
@@ -30,7 +32,17 @@ mod tests {
     #[test]
     fn every_shipped_mission_is_valid_with_its_defaults() {
         let names: Vec<&str> = shipped().keys().map(String::as_str).collect();
-        assert_eq!(names, ["bed-transfer", "lab-samples", "lab-samples-watched", "ward-disinfection"]);
+        assert_eq!(
+            names,
+            [
+                "bed-transfer",
+                "food-logistics",
+                "lab-samples",
+                "lab-samples-watched",
+                "vital-signs",
+                "ward-disinfection"
+            ]
+        );
         for template in shipped().values() {
             assert!(!template.title().is_empty());
             if let Err(errors) = template.instantiate(&BTreeMap::new(), &Domain::hospital()) {

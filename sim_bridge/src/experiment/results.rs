@@ -1,5 +1,6 @@
 //! Results as tidy rows: one for each trial, in CSV.
 
+use super::calibration::Observation;
 use super::outcome::EndState;
 use super::policy::Policy;
 use serde::{Deserialize, Serialize};
@@ -15,6 +16,9 @@ pub enum Treatment {
 }
 
 impl Treatment {
+    /// All of them.
+    pub const ALL: [Treatment; 2] = [Treatment::Calm, Treatment::CoordinatorKilled];
+
     /// As in files.
     pub const fn as_str(self) -> &'static str {
         match self {
@@ -72,6 +76,19 @@ pub fn write(rows: &[TrialRow], to: impl std::io::Write) -> Result<(), csv::Erro
     let mut writer = csv::Writer::from_writer(to);
     for row in rows {
         writer.serialize(row)?;
+    }
+    writer.flush()?;
+    Ok(())
+}
+
+/// Writes what tasks took beside what was estimated, a row for each, with their header.
+///
+/// # Errors
+/// The writer's.
+pub fn write_observations(observations: &[Observation], to: impl std::io::Write) -> Result<(), csv::Error> {
+    let mut writer = csv::Writer::from_writer(to);
+    for observation in observations {
+        writer.serialize(observation)?;
     }
     writer.flush()?;
     Ok(())

@@ -3,9 +3,10 @@
 use super::{Drawing, Map, MapError, Options, open};
 
 /// The names that [`shipped`] knows.
-pub const SHIPPED: &[&str] = &["hospital"];
+pub const SHIPPED: &[&str] = &["hospital", "clinic"];
 
 const HOSPITAL: &str = include_str!("../../maps/hospital.yaml");
+const CLINIC: &str = include_str!("../../maps/clinic.yaml");
 
 /// A map that comes with the program.
 ///
@@ -22,6 +23,7 @@ pub fn shipped(name: &str) -> Result<Map, MapError> {
 pub fn shipped_drawing(name: &str) -> Result<Drawing, MapError> {
     match name {
         "hospital" => open(HOSPITAL, "hospital.yaml", &Options::default()),
+        "clinic" => open(CLINIC, "clinic.yaml", &Options::default()),
         _ => Err(MapError::NotShipped { name: name.to_owned() }),
     }
 }

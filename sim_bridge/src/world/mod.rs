@@ -43,6 +43,7 @@ mod samples;
 mod sensing;
 mod setup;
 mod shared;
+mod speed;
 mod stance;
 mod system;
 mod systems;

@@ -4,7 +4,8 @@
 //!  DescriptorRegistry ──resolve(Environment)──▶ Estimator ──price(LocalPlan, Context)──▶ one BidPart per step
 //! ```
 //!
-//! Tasks are chained: where one ends, the next begins.
+//! Tasks are chained: where one ends, the next begins. A descriptor may say how far off its estimate of energy may be; a
+//! [cautious](DescriptorRegistry::cautious) robot then bids only if its battery lasts in all but the worst cases.
 
 mod fixed;
 mod navigation;
@@ -14,7 +15,7 @@ mod registry;
 pub use fixed::{FixedTime, STEP_TIME_S, StatedTime};
 pub use navigation::Navigation;
 pub use path::Path;
-pub use registry::{DescriptorRegistry, Estimator, MissingNeed, PriceError, ResolveError};
+pub use registry::{Budget, DescriptorRegistry, Estimator, MissingNeed, PriceError, ResolveError};
 
 use crate::environment::{Environment, MissingDescriptor, RouteError};
 use consort_protocol::ids::{PlaceId, TaskType};
@@ -44,6 +45,8 @@ pub struct Estimate {
     pub time: Seconds,
     /// Charge it uses, as a share of a full battery. It may exceed 1.
     pub energy: f64,
+    /// How far that may be off: the standard deviation of what it turns out to be; 0 where nobody has looked.
+    pub energy_sd: f64,
     /// Where it ends.
     pub ends_at: PlaceId,
 }
@@ -51,7 +54,7 @@ pub struct Estimate {
 impl Estimate {
     /// A task that takes this long at the robot's usual discharge, and ends at `place`.
     pub fn lasting(time: Seconds, context: &Context, place: PlaceId) -> Estimate {
-        Estimate { time, energy: context.discharge.over(time), ends_at: place }
+        Estimate { time, energy: context.discharge.over(time), energy_sd: 0.0, ends_at: place }
     }
 }
 

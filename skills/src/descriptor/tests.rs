@@ -125,3 +125,47 @@ fn an_environment_without_routes_names_the_skills_that_need_them() {
          it has none"
     );
 }
+
+/// Knows that it is off by half of what it says.
+struct Rough(Navigation);
+
+impl SkillDescriptor for Rough {
+    fn task_type(&self) -> &TaskType {
+        self.0.task_type()
+    }
+
+    fn needs(&self) -> Vec<&'static str> {
+        self.0.needs()
+    }
+
+    fn estimate(
+        &self,
+        task: &TaskSpec,
+        context: &Context,
+        environment: &Environment,
+    ) -> Result<Estimate, EstimateError> {
+        let plain = self.0.estimate(task, context, environment)?;
+        Ok(Estimate { energy_sd: plain.energy / 2.0, ..plain })
+    }
+}
+
+#[test]
+fn a_cautious_robot_keeps_a_reserve_for_the_plan_as_a_whole() {
+    let there_and_back = plan(vec![
+        doing("to_b", task("navigation", &[("to", "B")])),
+        doing("open", task("operate_drawer", &[("action", "open")])),
+        doing("to_a", task("navigation", &[("to", "A")])),
+    ]);
+    let budget = |margin_sds: f64| {
+        let rough = DescriptorRegistry::standard().with(Rough(Navigation::new(TaskType::new("navigation").unwrap())));
+        let estimator = rough.cautious(margin_sds).resolve(environment()).unwrap();
+        let budget = estimator.budget(&there_and_back, &robot("A")).unwrap();
+        assert_eq!(budget.parts, estimator.price(&there_and_back, &robot("A")).unwrap());
+        budget.energy
+    };
+    // Two drives of 0.02 and a drawer of 0.002; each drive is off by 0.01, both together by less than 0.02.
+    assert!((budget(0.0) - 0.042).abs() < 1e-12);
+    assert!((budget(2.0) - (0.042 + 2.0 * 0.01 * 2.0_f64.sqrt())).abs() < 1e-12);
+    let sure = estimator().budget(&there_and_back, &robot("A")).unwrap();
+    assert_eq!(sure.parts.iter().map(|part| part.energy).sum::<f64>(), sure.energy);
+}

@@ -1,10 +1,12 @@
 //! Who gets which role, by four rules. `consort` itself is [`consort_protocol::auction::select`]; here are those it is
 //! compared with, as arithmetic on bids.
 
+mod choice;
 mod greedy;
 mod optimal;
 mod random;
 
+pub use choice::{ByChance, ByFate, ByGreed};
 pub use greedy::greedy;
 pub use optimal::{Prospect, optimal};
 pub use random::random;

@@ -14,6 +14,7 @@ mod preconditions;
 mod properties;
 mod sensing;
 mod setups;
+mod speed;
 mod steered_journeys;
 mod steering;
 mod systems;

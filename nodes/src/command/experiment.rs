@@ -1,0 +1,371 @@
+//! `consort experiment`: the published evaluation, and others, on whole fleets.
+
+use crate::config::{self, Problem, Problems};
+use crate::exit::Failure;
+use crate::{floor, output};
+use clap::{Args as ClapArgs, Subcommand};
+use consort_sim::experiment::calibration::{Calibration, Observation, QUANTILE};
+use consort_sim::experiment::design::{self, Design, Scenario};
+use consort_sim::experiment::outcome::EndState;
+use consort_sim::experiment::policy::Policy;
+use consort_sim::experiment::reference;
+use consort_sim::experiment::report::{Gain, Heading, ReportFile, report, tallies};
+use consort_sim::experiment::results::{self, Treatment, TrialRow};
+use consort_sim::experiment::seeds::derive;
+use consort_sim::experiment::stats::Summary;
+use consort_sim::experiment::travel::{Legs, TravelModel};
+use consort_sim::map::{self, Map};
+use consort_tests::experiment::{Outcome, Stage, run as run_trials, trials};
+use indicatif::{ProgressBar, ProgressStyle};
+use std::fmt::Display;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::time::Instant;
+
+/// Runs evaluations: scenarios by factors, policies against one another, on whole fleets
+///
+/// Each trial is a fleet in this process on virtual time: robots bid, the coordinator awards, robots carry their plans out
+/// in a simulated world. The policy decides who gets the award; everything else is the same for all. The same design gives the
+/// same rows, to the byte, on any machine and with any number of jobs.
+#[derive(Debug, ClapArgs)]
+#[command(after_long_help = "\
+Examples:
+  consort experiment run published --out results
+  consort experiment calibrate published --out calibrated")]
+pub struct Args {
+    /// What to do
+    #[command(subcommand)]
+    what: What,
+}
+
+#[derive(Debug, Subcommand)]
+enum What {
+    Run(RunArgs),
+    Calibrate(CalibrateArgs),
+}
+
+/// Carries a design out and writes rows (CSV), a report (Markdown, SVG) and statistics (JSON)
+#[derive(Debug, ClapArgs)]
+#[command(after_long_help = "\
+Examples:
+  consort experiment run published --out results          # the published design: 1296 trials
+  consort experiment run published --out all --policies consort,mission-control,random,optimal --treatments calm,coordinator-killed
+  consort experiment run food --out food --jobs 4 --repetitions 2
+  consort experiment run my-design.toml --out results --legs legs.csv
+  consort experiment run published --out repeated --scenarios scenarios_81.json --map hospital_map.json --legs nav_legs.csv
+
+Designs that come with the program: published, food, rounds (in sim_bridge/designs/ of the source). A design file is TOML; an
+unknown key is refused with those that are allowed.
+
+What is written: rows.csv, a row for each trial; tasks.csv, what each task was estimated at and what it took; report.md, for
+people, with its figures; statistics.json, the same for programs.
+
+Exit codes: 0 it was carried out; 1 something could not be written; 2 the flags or the files are wrong.")]
+struct RunArgs {
+    #[command(flatten)]
+    common: Common,
+    /// The rules that are compared, in place of the design's; the first is compared with each other one
+    #[arg(long, value_name = "POLICY,…", value_delimiter = ',', value_parser = policy)]
+    policies: Option<Vec<Policy>>,
+    /// What is done to the fleet, in place of the design's: calm, coordinator-killed
+    #[arg(long, value_name = "TREATMENT,…", value_delimiter = ',', value_parser = treatment)]
+    treatments: Option<Vec<Treatment>>,
+    /// What robots have learned of their estimates, as `calibrate` writes it
+    #[arg(long, value_name = "FILE")]
+    calibration: Option<PathBuf>,
+}
+
+/// Learns how far estimates are off, and shows what knowing it gains
+///
+/// Runs the design's scenarios to compare predicted with actual time and energy, by skill and by leg; writes what was learned to
+/// calibration.toml; then runs the design twice, with the estimates as they were and with what was learned (mean times, and
+/// for the battery an upper quantile), and reports both.
+#[derive(Debug, ClapArgs)]
+#[command(after_long_help = "\
+Examples:
+  consort experiment calibrate published --out calibrated
+  consort experiment run published --out results --calibration calibrated/calibration.toml")]
+struct CalibrateArgs {
+    #[command(flatten)]
+    common: Common,
+    /// The share of drives for which the battery is to last
+    #[arg(long, default_value_t = QUANTILE, value_parser = share)]
+    quantile: f64,
+}
+
+#[derive(Debug, ClapArgs)]
+struct Common {
+    /// The design: a file, or one that comes with the program
+    #[arg(value_name = "DESIGN")]
+    design: String,
+    /// Where to write, as a folder; it is made if it is not there
+    #[arg(long, value_name = "DIR")]
+    out: PathBuf,
+    /// How often each scenario is tried under each policy, in place of what the design says
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
+    repetitions: Option<u32>,
+    /// Where all chance comes from, in place of the design's
+    #[arg(long)]
+    seed: Option<u64>,
+    /// Trials at the same time [default: one on each core]
+    #[arg(long)]
+    jobs: Option<usize>,
+    /// Scenarios in the published form (JSON), in place of those that the factors make
+    #[arg(long, value_name = "FILE")]
+    scenarios: Option<PathBuf>,
+    /// A map in our own form or the published one, in place of the design's
+    #[arg(long, value_name = "FILE")]
+    map: Option<PathBuf>,
+    /// Measured drives (CSV with origin, dest, duration_s, estimate_s) from which durations are drawn
+    #[arg(long, value_name = "FILE")]
+    legs: Option<PathBuf>,
+}
+
+/// One of those that have a name.
+fn named<T: Copy>(text: &str, all: &[T], name: impl Fn(T) -> &'static str) -> Result<T, String> {
+    let known = || all.iter().map(|one| name(*one)).collect::<Vec<_>>().join(", ");
+    all.iter().copied().find(|one| name(*one) == text).ok_or_else(|| format!("there are: {}", known()))
+}
+
+fn policy(text: &str) -> Result<Policy, String> {
+    named(text, &Policy::ALL, Policy::as_str)
+}
+
+fn treatment(text: &str) -> Result<Treatment, String> {
+    named(text, &Treatment::ALL, Treatment::as_str)
+}
+
+fn share(text: &str) -> Result<f64, String> {
+    let share: f64 = text.parse().map_err(|_| format!("{text:?} is not a number"))?;
+    if (0.5..1.0).contains(&share) { Ok(share) } else { Err("from 0.5 to below 1".to_owned()) }
+}
+
+/// Runs the command.
+///
+/// # Errors
+/// [`Failure::Usage`] for wrong flags or files; [`Failure::Unsuccessful`] if something cannot be written.
+pub fn run(args: &Args) -> Result<(), Failure> {
+    match &args.what {
+        What::Run(args) => carry_out(args),
+        What::Calibrate(args) => calibrate(args),
+    }
+}
+
+/// A design with all that it names.
+struct Plan {
+    design: Design,
+    scenarios: Vec<Scenario>,
+    map: Map,
+    travel: TravelModel,
+}
+
+impl Common {
+    fn plan(&self) -> Result<Plan, Failure> {
+        let mut design = self.design()?;
+        design.repetitions = self.repetitions.unwrap_or(design.repetitions);
+        design.seed = self.seed.unwrap_or(design.seed);
+        let scenarios = match &self.scenarios {
+            Some(file) => {
+                let text = read(file)?;
+                reference::scenarios(&text, &design).map_err(|problem| wrong(file, problem))?
+            }
+            None => design::scenarios(&design),
+        };
+        let map = match &self.map {
+            Some(file) => load_map(&file.display().to_string())?,
+            None => load_map(&design.map)?,
+        };
+        let legs = self.legs.as_ref().or(design.travel.legs.as_ref());
+        let travel = match legs {
+            Some(file) => {
+                let legs = Legs::read(read(file)?.as_bytes()).map_err(|problem| wrong(file, problem))?;
+                TravelModel::Empirical(legs)
+            }
+            None => TravelModel::Kinematic(design.travel.clone()),
+        };
+        Ok(Plan { design, scenarios, map, travel })
+    }
+
+    fn design(&self) -> Result<Design, Failure> {
+        let path = Path::new(&self.design);
+        let shipped = design::SHIPPED.iter().find(|(name, _)| *name == self.design);
+        match shipped {
+            Some((name, text)) if !path.is_file() => Ok(config::from_text(text, name)?),
+            _ if path.exists() => Ok(config::load(path)?),
+            _ => {
+                let known: Vec<&str> = design::SHIPPED.iter().map(|(name, _)| *name).collect();
+                let what = format!("no such file; it is the path of a file, or one of {}", known.join(", "));
+                Err(Problems::from(Problem::of(&self.design, what)).into())
+            }
+        }
+    }
+
+    fn jobs(&self) -> usize {
+        self.jobs.unwrap_or_else(|| std::thread::available_parallelism().map_or(1, Into::into)).max(1)
+    }
+
+    fn folder(&self) -> Result<(), Failure> {
+        std::fs::create_dir_all(&self.out).map_err(|problem| unwritten(&self.out, problem))
+    }
+}
+
+impl Plan {
+    fn stage(&self, design: Design, learned: Option<Arc<Calibration>>) -> Result<Stage, Failure> {
+        let set = Stage::set(design, self.scenarios.clone(), self.map.clone(), self.travel.clone(), learned);
+        set.map_err(|problems| Failure::Usage(problems.to_string()))
+    }
+
+    fn heading(&self) -> Heading {
+        Heading {
+            design: self.design.name.clone(),
+            seed: self.design.seed,
+            map: self.map.name().to_owned(),
+            travel: self.travel.describe(),
+            world_speed: self.design.world_speed,
+        }
+    }
+}
+
+fn carry_out(args: &RunArgs) -> Result<(), Failure> {
+    let plan = args.common.plan()?;
+    let learned = args.calibration.as_ref().map(|file| config::load::<Calibration>(file)).transpose()?;
+    let mut design = plan.design.clone();
+    design.policies = args.policies.clone().unwrap_or(design.policies);
+    design.treatments = args.treatments.clone().unwrap_or(design.treatments);
+    let stage = plan.stage(design, learned.map(Arc::new))?;
+    args.common.folder()?;
+    let began = Instant::now();
+    let outcomes = with_progress(&stage, args.common.jobs(), "");
+    let seconds = began.elapsed().as_secs_f64();
+    let (rows, observations) = parted(outcomes);
+    let out = &args.common.out;
+    write_rows(out, "rows.csv", &rows)?;
+    write_observations(out, &observations)?;
+    write_report(out, &report(&plan.heading(), &rows, None))?;
+    output::line(summary(&rows))?;
+    let count = rows.len();
+    output::line(format_args!("{count} trials in {seconds:.1} s; see {}", out.join("report.md").display()))
+}
+
+fn calibrate(args: &CalibrateArgs) -> Result<(), Failure> {
+    let plan = args.common.plan()?;
+    let jobs = args.common.jobs();
+    args.common.folder()?;
+    let one = |design: &Design, policies: Vec<Policy>| Design {
+        policies,
+        treatments: vec![Treatment::Calm],
+        ..design.clone()
+    };
+    // Other chance than that of the trials by which the gain is judged; chance sends robots where we would not.
+    let seed = derive(plan.design.seed, &["calibrate"]);
+    let learning = Design { seed, ..one(&plan.design, vec![Policy::Consort, Policy::Random]) };
+    let stage = plan.stage(learning, None)?;
+    let outcomes = with_progress(&stage, jobs, "learning ");
+    let trials = outcomes.len();
+    let (_, observations) = parted(outcomes);
+    let learned = Arc::new(Calibration::of(&observations, args.quantile));
+    let judged = one(&plan.design, vec![Policy::Consort]);
+    let stage = plan.stage(judged.clone(), None)?;
+    let (before, observed_before) = parted(with_progress(&stage, jobs, "as they were "));
+    let stage = plan.stage(judged, Some(Arc::clone(&learned)))?;
+    let (after, observed_after) = parted(with_progress(&stage, jobs, "calibrated "));
+    let out = &args.common.out;
+    write(&out.join("calibration.toml"), &config::to_toml(&*learned))?;
+    write_observations(out, &observations)?;
+    write_rows(out, "rows-before.csv", &before)?;
+    write_rows(out, "rows-after.csv", &after)?;
+    let learned = (*learned).clone();
+    let gain = Gain { learned, trials, before, after, observed_before, observed_after };
+    write_report(out, &report(&plan.heading(), &gain.before, Some(&gain)))?;
+    output::line(format_args!("as they were:\n{}\ncalibrated:\n{}", summary(&gain.before), summary(&gain.after)))?;
+    output::line(format_args!("learned from {trials} trials; see {}", out.join("report.md").display()))
+}
+
+fn with_progress(stage: &Stage, jobs: usize, what: &'static str) -> Vec<Outcome> {
+    let all = trials(stage);
+    let bar = ProgressBar::new(all.len() as u64);
+    bar.set_style(
+        ProgressStyle::with_template("{prefix}{bar:40} {pos}/{len} trials, {elapsed} so far, {eta} left")
+            .expect("the template is sound"),
+    );
+    bar.set_prefix(what);
+    let (mut done, total) = (0, all.len());
+    let outcomes = run_trials(stage, &all, jobs, |_| {
+        bar.inc(1);
+        done += 1;
+        // Where no bar can be drawn, a line for each tenth.
+        if bar.is_hidden() && done * 10 / total > (done - 1) * 10 / total {
+            output::note(format_args!("{what}{done} of {total} trials"));
+        }
+    });
+    bar.finish_and_clear();
+    outcomes
+}
+
+fn parted(outcomes: Vec<Outcome>) -> (Vec<TrialRow>, Vec<Observation>) {
+    let (mut rows, mut observations) = (vec![], vec![]);
+    for outcome in outcomes {
+        rows.push(outcome.row);
+        observations.extend(outcome.observations);
+    }
+    (rows, observations)
+}
+
+/// How trials ended, as a table.
+fn summary(rows: &[TrialRow]) -> String {
+    let head = ["policy", "treatment", "trials"].into_iter().chain(EndState::ALL.map(EndState::as_str));
+    let mut table = vec![head.chain(["success", "mean TTC"]).map(str::to_owned).collect::<Vec<_>>()];
+    for tally in tallies(rows) {
+        let mut line = vec![tally.policy.to_string(), tally.treatment.as_str().to_owned(), tally.trials.to_string()];
+        line.extend(tally.ended.iter().map(ToString::to_string));
+        line.push(format!("{:.1} %", tally.successes() as f64 * 100.0 / tally.trials.max(1) as f64));
+        line.push(Summary::of(&tally.ttc_s).map_or(String::new(), |times| format!("{:.1} s", times.mean)));
+        table.push(line);
+    }
+    output::table(&table)
+}
+
+fn load_map(name: &str) -> Result<Map, Failure> {
+    if floor::is_shipped(name) {
+        return Ok(map::shipped(name).map_err(|problem| floor::problems(name, problem))?);
+    }
+    let text = floor::text(name)?;
+    if floor::is_published_form(&text) {
+        return reference::floor(&text, name).map_err(|problem| wrong(Path::new(name), problem));
+    }
+    Ok(map::read(&text, name).map_err(|problem| floor::problems(name, problem))?)
+}
+
+fn read(file: &Path) -> Result<String, Failure> {
+    std::fs::read_to_string(file).map_err(|problem| wrong(file, format!("cannot be read: {problem}")))
+}
+
+fn wrong(file: &Path, problem: impl Display) -> Failure {
+    Problems::from(Problem::of(file.display(), problem)).into()
+}
+
+fn unwritten(file: &Path, problem: impl Display) -> Failure {
+    Failure::Unsuccessful(format!("{} cannot be written: {problem}", file.display()))
+}
+
+fn write(file: &Path, text: &str) -> Result<(), Failure> {
+    std::fs::write(file, text).map_err(|problem| unwritten(file, problem))
+}
+
+fn write_rows(out: &Path, name: &str, rows: &[TrialRow]) -> Result<(), Failure> {
+    let mut text = vec![];
+    let file = out.join(name);
+    results::write(rows, &mut text).map_err(|problem| unwritten(&file, problem))?;
+    std::fs::write(&file, text).map_err(|problem| unwritten(&file, problem))
+}
+
+fn write_observations(out: &Path, observations: &[Observation]) -> Result<(), Failure> {
+    let mut text = vec![];
+    let file = out.join("tasks.csv");
+    results::write_observations(observations, &mut text).map_err(|problem| unwritten(&file, problem))?;
+    std::fs::write(&file, text).map_err(|problem| unwritten(&file, problem))
+}
+
+fn write_report(out: &Path, files: &[ReportFile]) -> Result<(), Failure> {
+    files.iter().try_for_each(|file| write(&out.join(&file.name), &file.text))
+}

@@ -1,0 +1,143 @@
+use super::support::{run, written};
+use std::path::{Path, PathBuf};
+
+/// A design of two trials.
+const THIN: &str = r#"
+name = "thin"
+seed = 7
+repetitions = 1
+policies = ["consort", "random"]
+map = "hospital"
+
+[mission]
+name = "lab-samples"
+parameters = { room = "@room" }
+delivered = { item = "sample", to = "lab-arm" }
+
+[[robots]]
+count = 3
+skills = ["navigation", "approach_person", "authenticate_person", "operate_drawer", "approach_robot"]
+drawer = true
+
+[[fixed]]
+name = "lab-arm"
+place = "Laboratory"
+skills = ["pick_up"]
+role = "lab_arm"
+
+[[people]]
+name = "nurse"
+role = "nurse"
+place = "@room"
+items = ["sample"]
+
+[factors]
+speed = { levels = 1, between = [0.5, 0.5] }
+charge = { levels = 1, between = [0.9, 0.9] }
+discharge = { levels = 1, between = [0.0003, 0.0003] }
+skills = { lacking = [0] }
+
+[factors.location]
+levels = 1
+starts = ["IC Room 1", "IC Room 3", "PC Room 1"]
+sites = { room = ["IC Room 6"] }
+"#;
+
+fn folder(name: &str) -> PathBuf {
+    PathBuf::from(env!("CARGO_TARGET_TMPDIR")).join("experiment").join(name)
+}
+
+fn text(folder: &Path, file: &str) -> String {
+    std::fs::read_to_string(folder.join(file)).unwrap_or_else(|problem| panic!("{file}: {problem}"))
+}
+
+#[test]
+fn a_design_becomes_rows_and_a_report() {
+    let (design, out) = (written("thin.toml", THIN), folder("run"));
+    let ran = run(&["experiment", "run", &design, "--out", &out.display().to_string(), "--jobs", "1"]);
+    assert_eq!(ran.code, Some(0), "{}{}", ran.out, ran.err);
+    assert!(ran.out.contains("2 trials in "), "{}", ran.out);
+    assert!(ran.err.contains("1 of 2 trials\n2 of 2 trials\n"), "{}", ran.err);
+    let rows = text(&out, "rows.csv");
+    assert_eq!(rows.lines().count(), 3, "{rows}");
+    assert!(
+        rows.contains("lab-samples/aaaaa/consort/calm/1,lab-samples,aaaaa,a,a,a,a,a,consort,calm,1,success,"),
+        "{rows}"
+    );
+    assert!(
+        text(&out, "tasks.csv")
+            .starts_with("skill,from,to,predicted_s,actual_s,predicted_share,actual_share,budget_share\n")
+    );
+    assert!(text(&out, "report.md").contains("### consort against random"));
+    for figure in ["end-states.svg", "successes.svg", "ttc.svg"] {
+        assert!(text(&out, figure).starts_with("<svg"), "{figure}");
+    }
+}
+
+#[test]
+fn what_is_learned_is_written_and_can_be_used() {
+    let (design, out) = (written("thin-to-calibrate.toml", THIN), folder("calibrate"));
+    let ran = run(&["experiment", "calibrate", &design, "--out", &out.display().to_string()]);
+    assert_eq!(ran.code, Some(0), "{}{}", ran.out, ran.err);
+    assert!(text(&out, "report.md").contains("## What calibration gains"));
+    let learned = out.join("calibration.toml").display().to_string();
+    let again = folder("calibrated").display().to_string();
+    let ran = run(&["experiment", "run", &design, "--out", &again, "--calibration", &learned]);
+    assert_eq!(ran.code, Some(0), "{}{}", ran.out, ran.err);
+    // A fleet can be told of it, too, and is told what is wrong with it.
+    let fleet = written("fleet-that-learned.toml", &format!("calibration = {learned:?}\n"));
+    let ran = run(&["check", "--kind", "fleet", &fleet]);
+    assert_eq!(ran.code, Some(0), "{}{}", ran.out, ran.err);
+    let wrong =
+        written("wrong-calibration.toml", &std::fs::read_to_string(&learned).unwrap().replace("mean = ", "mean = -"));
+    let fleet = written("fleet-that-learned-wrong.toml", &format!("calibration = {wrong:?}\n"));
+    let ran = run(&["check", "--kind", "fleet", &fleet]);
+    assert_eq!(ran.code, Some(1), "{}{}", ran.out, ran.err);
+    assert!(ran.out.contains(&format!("{wrong}: skills.operate_drawer: mean -")), "{}", ran.out);
+}
+
+#[test]
+fn policies_treatments_and_repetitions_can_be_given_in_place_of_the_designs() {
+    let (design, out) = (written("thin-to-change.toml", THIN), folder("changed"));
+    let (out_flag, calm) = (out.display().to_string(), "calm,coordinator-killed");
+    let flags = ["--policies", "optimal", "--treatments", calm, "--repetitions", "2", "--seed", "8"];
+    let ran = run(&[&["experiment", "run", &design, "--out", &out_flag], &flags[..]].concat());
+    assert_eq!(ran.code, Some(0), "{}{}", ran.out, ran.err);
+    let rows = text(&out, "rows.csv");
+    assert_eq!(rows.matches(",optimal,calm,").count(), 2, "{rows}");
+    assert_eq!(rows.matches(",optimal,coordinator-killed,").count(), 2, "{rows}");
+    assert!(text(&out, "report.md").contains("## With the coordinator killed"));
+    let ran = run(&["experiment", "run", &design, "--out", &out_flag, "--policies", "best"]);
+    assert_eq!(ran.code, Some(2));
+    assert!(ran.err.contains("there are: consort, mission-control, random, optimal"), "{}", ran.err);
+}
+
+#[test]
+fn mistakes_are_told_with_their_place_and_what_is_allowed() {
+    let out = folder("never").display().to_string();
+    let said = |text: &str| {
+        let ran = run(&["experiment", "run", &written("wrong-design.toml", text), "--out", &out]);
+        assert_eq!(ran.code, Some(2), "{}{}", ran.out, ran.err);
+        ran.err
+    };
+    let unknown = said(&THIN.replace("repetitions = 1", "repetitions = 1\nrepetition = 2"));
+    assert!(unknown.contains(":5:1: unknown key `repetition` in a design file; allowed: name, seed, "), "{unknown}");
+    assert!(
+        said(&THIN.replace("@room\"\nitems", "@rom\"\nitems"))
+            .contains("there is no site @rom; did you mean \"room\"?")
+    );
+    assert!(
+        said(&THIN.replace("IC Room 1", "IC Rom 1"))
+            .contains("there is no place \"IC Rom 1\" on map hospital; did you mean")
+    );
+    let policy = said(&THIN.replace("\"random\"", "\"rnadom\""));
+    assert!(policy.contains("`rnadom`") && policy.contains("`mission-control`"), "{policy}");
+    let ran = run(&["experiment", "run", "publishd", "--out", &out]);
+    assert_eq!(ran.code, Some(2));
+    assert!(
+        ran.err.contains("publishd: no such file; it is the path of a file, or one of published, food, rounds"),
+        "{}",
+        ran.err
+    );
+    assert!(!Path::new(&out).exists());
+}

@@ -1,0 +1,181 @@
+//! From factors to scenarios: all combinations of their levels.
+
+use super::super::seeds::generator;
+use super::{Design, Lacking, Levels, Location, Scenario, ScenarioRobot, Span};
+use consort_protocol::ids::{PlaceId, RobotId, TaskType};
+use rand::RngExt;
+use rand::seq::{IndexedRandom, SliceRandom};
+use rand_chacha::ChaCha8Rng;
+use std::collections::{BTreeMap, BTreeSet};
+
+/// `a`, `b`, …
+pub(super) fn level_name(level: usize) -> String {
+    char::from(b'a' + u8::try_from(level.min(25)).unwrap_or(25)).to_string()
+}
+
+/// The scenarios of a sound design, in the order of their codes. A level depends on the design's name and seed, its factor
+/// and its own name alone: a level more leaves the others as they were.
+pub fn scenarios(design: &Design) -> Vec<Scenario> {
+    let rng = |factor: &str, level: usize| generator(design.seed, &[&design.name, factor, &level_name(level)]);
+    let robots: usize = design.robots.iter().map(|part| part.count).sum();
+    let spans = |factor: &str, span: &Span| -> Vec<Vec<f64>> {
+        (0..span.levels).map(|level| numbers(span, robots, &mut rng(factor, level))).collect()
+    };
+    let factors = &design.factors;
+    let (speeds, charges) = (spans("speed", &factors.speed), spans("charge", &factors.charge));
+    let discharges = spans("discharge", &factors.discharge);
+    let sites = site_orders(&factors.location, &mut generator(design.seed, &[&design.name, "sites"]));
+    let locations: Vec<_> = (0..factors.location.levels)
+        .map(|level| locate(&factors.location, &sites, level, robots, &mut rng("location", level)))
+        .collect();
+    let skills: Vec<_> = (0..factors.skills.lacking.len())
+        .map(|level| lack(design, &factors.skills, level, &mut rng("skills", level)))
+        .collect();
+
+    let mut scenarios = vec![];
+    for (a, speed) in speeds.iter().enumerate() {
+        for (b, charge) in charges.iter().enumerate() {
+            for (c, discharge) in discharges.iter().enumerate() {
+                for (d, (places, sites)) in locations.iter().enumerate() {
+                    for (e, skills) in skills.iter().enumerate() {
+                        let levels = [a, b, c, d, e].map(level_name);
+                        let parts = design.robots.iter().flat_map(|part| std::iter::repeat_n(part, part.count));
+                        let robot = |(index, part): (usize, &super::RobotsPart)| ScenarioRobot {
+                            name: RobotId::new(format!("r{}", index + 1)).expect("r and a number are a slug"),
+                            speed_mps: speed[index],
+                            charge: charge[index],
+                            discharge: discharge[index],
+                            place: places[index].clone(),
+                            skills: skills[index].clone(),
+                            drawer: part.drawer,
+                            arm: part.arm,
+                            roles: part.roles.clone(),
+                        };
+                        let code = levels.concat();
+                        let [speed_level, charge_level, discharge_level, location, skills_level] = levels;
+                        scenarios.push(Scenario {
+                            code,
+                            levels: Levels {
+                                speed: speed_level,
+                                charge: charge_level,
+                                discharge: discharge_level,
+                                location,
+                                skills: skills_level,
+                            },
+                            sites: sites.clone(),
+                            robots: parts.enumerate().map(robot).collect(),
+                        });
+                    }
+                }
+            }
+        }
+    }
+    scenarios
+}
+
+fn numbers(span: &Span, robots: usize, rng: &mut ChaCha8Rng) -> Vec<f64> {
+    let (least, most) = span.between;
+    (0..robots).map(|_| rng.random_range(least..=most)).collect()
+}
+
+/// For each site its candidates, shuffled: level by level they are taken in turn.
+fn site_orders(location: &Location, rng: &mut ChaCha8Rng) -> BTreeMap<String, Vec<PlaceId>> {
+    let shuffled = |(name, places): (&String, &Vec<PlaceId>)| {
+        let mut places = places.clone();
+        places.shuffle(rng);
+        (name.clone(), places)
+    };
+    location.sites.iter().map(shuffled).collect()
+}
+
+fn locate(
+    location: &Location,
+    orders: &BTreeMap<String, Vec<PlaceId>>,
+    level: usize,
+    robots: usize,
+    rng: &mut ChaCha8Rng,
+) -> (Vec<PlaceId>, BTreeMap<String, PlaceId>) {
+    let mut starts = location.starts.clone();
+    starts.shuffle(rng);
+    starts.truncate(robots);
+    let mut sites: BTreeMap<String, PlaceId> = BTreeMap::new();
+    for (name, places) in orders {
+        let turns = (0..places.len()).map(|turn| &places[(level + turn) % places.len()]);
+        let mut free = turns.filter(|place| !sites.values().any(|taken| taken == *place));
+        // A sound design has a place left for each site.
+        if let Some(place) = free.next() {
+            sites.insert(name.clone(), place.clone());
+        }
+    }
+    (starts, sites)
+}
+
+fn lack(design: &Design, skills: &Lacking, level: usize, rng: &mut ChaCha8Rng) -> Vec<BTreeSet<TaskType>> {
+    let mut all: Vec<BTreeSet<TaskType>> =
+        design.robots.iter().flat_map(|part| std::iter::repeat_n(part.skills.clone(), part.count)).collect();
+    // In each part one is spared.
+    let mut exposed = vec![];
+    let mut first = 0;
+    for part in &design.robots {
+        let mut members: Vec<usize> = (first..first + part.count).collect();
+        members.shuffle(rng);
+        exposed.extend(members.into_iter().skip(1));
+        first += part.count;
+    }
+    exposed.shuffle(rng);
+    for robot in exposed.into_iter().take(skills.lacking[level]) {
+        let own: Vec<TaskType> = all[robot].iter().cloned().collect();
+        if let Some(lost) = own.choose(rng) {
+            all[robot].remove(lost);
+        }
+    }
+    all
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::shipped;
+    use super::*;
+
+    fn published() -> Design {
+        shipped("published").unwrap().unwrap()
+    }
+
+    #[test]
+    fn the_published_design_has_81_scenarios_of_six_robots() {
+        let scenarios = scenarios(&published());
+        assert_eq!(scenarios.len(), 81);
+        let codes: BTreeSet<&str> = scenarios.iter().map(|scenario| scenario.code.as_str()).collect();
+        assert_eq!((codes.len(), scenarios[0].code.as_str(), scenarios[80].code.as_str()), (81, "aaaaa", "acccc"));
+        for scenario in &scenarios {
+            assert_eq!(scenario.robots.len(), 6);
+            let places: BTreeSet<_> = scenario.robots.iter().map(|robot| &robot.place).collect();
+            assert_eq!(places.len(), 6, "each robot starts in a place of its own");
+            let full = &published().robots[0].skills;
+            let lacking = scenario.robots.iter().filter(|robot| robot.skills.len() == full.len() - 1).count();
+            let expected = match scenario.levels.skills.as_str() {
+                "a" => 4,
+                "b" => 2,
+                _ => 0,
+            };
+            assert_eq!(lacking, expected, "{}", scenario.code);
+            assert!(scenario.robots.iter().all(|robot| (0.05..=0.95).contains(&robot.charge)));
+        }
+        let rooms: BTreeSet<_> = scenarios.iter().map(|scenario| &scenario.sites["room"]).collect();
+        assert_eq!(rooms.len(), 3, "each location has a nurse in another room");
+    }
+
+    #[test]
+    fn a_level_more_leaves_the_others_as_they_were() {
+        let before = published();
+        let mut more = before.clone();
+        more.factors.charge.levels = 4;
+        let after = scenarios(&more);
+        assert_eq!(after.len(), 108);
+        for scenario in scenarios(&before) {
+            assert!(after.contains(&scenario), "{}", scenario.code);
+        }
+        let other = scenarios(&Design { seed: 7, ..before });
+        assert!(other.iter().all(|scenario| !after.contains(scenario)));
+    }
+}

@@ -1,0 +1,220 @@
+//! The report's text.
+
+use super::super::outcome::EndState;
+use super::super::policy::Policy;
+use super::super::results::{Treatment, TrialRow};
+use super::super::stats::{Interval, Summary, risk_difference};
+use super::analysis::{Comparison, Question, Tally, tallies};
+use super::gain::Gain;
+use super::{Heading, analysis};
+use std::collections::{BTreeMap, BTreeSet};
+use std::fmt::Write;
+
+pub(super) fn text(
+    heading: &Heading,
+    rows: &[TrialRow],
+    tallies: &[Tally],
+    comparisons: &[Comparison],
+    links: &BTreeMap<String, String>,
+    gain: Option<&Gain>,
+) -> String {
+    let mut text = String::new();
+    let link = |name: &str| links.get(name).cloned().unwrap_or_default();
+    let scenarios: BTreeSet<&str> = rows.iter().map(|row| row.scenario.as_str()).collect();
+    let Heading { design, seed, map, travel, world_speed } = heading;
+    let mut say = |line: &str| {
+        text.push_str(line);
+        text.push('\n');
+    };
+    say(&format!("# Evaluation: {design}\n"));
+    say(&format!(
+        "{} trials in {} scenarios on the map {map}; seed {seed}; drives: {travel}; {world_speed} world seconds in one \
+         second of the fleet's time. End states and times to conclude as in thesis 4.1.2; intervals hold with 95 %.\n",
+        rows.len(),
+        scenarios.len()
+    ));
+    say("## How trials ended\n");
+    say(&ends_table(tallies));
+    say(&format!("{}\n", link("end-states")));
+    say(&format!("{}\n", link("successes")));
+    say("## Time to conclude\n");
+    say(&times_table(tallies));
+    say(&format!("{}\n", link("ttc")));
+    for (factor, _) in analysis::factors(rows) {
+        say(&format!("{}\n", link(&format!("ttc-by-{factor}"))));
+    }
+    if !comparisons.is_empty() {
+        say("## Which is better\n");
+        say(
+            "Successes and battery failures are counted per scenario and paired; times are those of successful trials. \
+             Each question is one-sided, its interval of the difference two-sided.\n",
+        );
+        for comparison in comparisons {
+            say(&comparison_text(comparison));
+        }
+    }
+    if tallies.iter().any(|tally| tally.treatment == Treatment::CoordinatorKilled) {
+        say("## With the coordinator killed\n");
+        say(&fault_table(tallies));
+    }
+    if let Some(gain) = gain {
+        say("## What calibration gains\n");
+        say(&gain_text(gain));
+    }
+    text
+}
+
+fn percent(share: f64) -> String {
+    format!("{:.1} %", share * 100.0)
+}
+
+fn percents(interval: &Interval) -> String {
+    format!("{:.1} to {:.1} %", interval.low * 100.0, interval.high * 100.0)
+}
+
+fn ends_table(tallies: &[Tally]) -> String {
+    let mut text = "| policy | treatment | trials |".to_owned();
+    for state in EndState::ALL {
+        let _ = write!(text, " {state} |");
+    }
+    text.push_str(" success | interval |\n|---|---|---:|---:|---:|---:|---:|---:|---:|---|\n");
+    for tally in tallies {
+        let _ = write!(text, "| {} | {} | {} |", tally.policy, tally.treatment.as_str(), tally.trials);
+        for count in tally.ended {
+            let _ = write!(text, " {count} |");
+        }
+        let share = tally.successes() as f64 / tally.trials.max(1) as f64;
+        let interval = tally.success.as_ref().map(percents).unwrap_or_default();
+        let _ = writeln!(text, " {} | {interval} |", percent(share));
+    }
+    text
+}
+
+fn times_table(tallies: &[Tally]) -> String {
+    let mut text =
+        "| policy | treatment | successes | mean, s | sd | median | quartiles |\n|---|---|---:|---:|---:|---:|---|\n"
+            .to_owned();
+    for tally in tallies {
+        let _ = write!(text, "| {} | {} |", tally.policy, tally.treatment.as_str());
+        let _ = match Summary::of(&tally.ttc_s) {
+            Some(Summary { count, mean, sd, median, q1, q3, .. }) => {
+                writeln!(text, " {count} | {mean:.1} | {sd:.1} | {median:.1} | {q1:.1} to {q3:.1} |")
+            }
+            None => writeln!(text, " 0 | | | | |"),
+        };
+    }
+    text
+}
+
+fn p_value(p: f64) -> String {
+    if p < 0.0001 { "< 0.0001".to_owned() } else { format!("{p:.4}") }
+}
+
+fn comparison_text(comparison: &Comparison) -> String {
+    let Comparison { first, second, gain, questions } = comparison;
+    let mut text = format!("### {first} against {second}\n\n");
+    if let Some((gain, interval)) = gain {
+        let points = |share: f64| share * 100.0;
+        let _ = writeln!(
+            text,
+            "Share of successes: {:+.1} points ({:+.1} to {:+.1}, Newcombe).\n",
+            points(*gain),
+            points(interval.low),
+            points(interval.high)
+        );
+    }
+    text.push_str("| question | difference | t | p | permutation p | effect g |\n|---|---|---:|---:|---:|---|\n");
+    for question in questions {
+        let _ = writeln!(text, "| {} | {} |", question.asked, question_cells(question));
+    }
+    text
+}
+
+fn question_cells(question: &Question) -> String {
+    let t = match &question.t {
+        Ok(t) => format!(
+            "{:.3} ({:.3} to {:.3}) | {:.2} (df {:.1}) | {}",
+            t.difference,
+            t.interval.low,
+            t.interval.high,
+            t.t,
+            t.freedom,
+            p_value(t.p)
+        ),
+        Err(why) => format!("{why} | | "),
+    };
+    let permutation = question.permutation.as_ref().map_or(String::new(), |found| p_value(found.p));
+    let effect = match &question.effect {
+        Ok(effect) => format!("{:.2} ({:.2} to {:.2})", effect.g, effect.interval.low, effect.interval.high),
+        Err(_) => String::new(),
+    };
+    format!("{t} | {permutation} | {effect}")
+}
+
+fn fault_table(tallies: &[Tally]) -> String {
+    let mut text =
+        "| policy | success without | success with | difference, points | interval |\n|---|---:|---:|---:|---|\n"
+            .to_owned();
+    let of =
+        |policy: Policy, treatment| tallies.iter().find(|tally| (tally.policy, tally.treatment) == (policy, treatment));
+    for killed in tallies.iter().filter(|tally| tally.treatment == Treatment::CoordinatorKilled) {
+        let share = |tally: &Tally| tally.successes() as f64 / tally.trials.max(1) as f64;
+        let calm = of(killed.policy, Treatment::Calm);
+        let difference = calm.and_then(|calm| {
+            risk_difference((killed.successes(), killed.trials), (calm.successes(), calm.trials)).ok()
+        });
+        let without = calm.map(|calm| percent(share(calm))).unwrap_or_default();
+        let cells = difference.map_or(" | ".to_owned(), |(difference, interval)| {
+            let points = |share: f64| share * 100.0;
+            format!("{:+.2} | {:+.1} to {:+.1}", points(difference), points(interval.low), points(interval.high))
+        });
+        let _ = writeln!(text, "| {} | {without} | {} | {cells} |", killed.policy, percent(share(killed)));
+    }
+    text
+}
+
+fn gain_text(gain: &Gain) -> String {
+    let mut text = format!(
+        "Learned from {} trials; the others, below, were run twice: with the estimates as they were, and with mean times and, \
+         for the battery, the {:.0} % quantile of what was seen.\n\n",
+        gain.trials,
+        gain.learned.quantile * 100.0
+    );
+    text.push_str("| estimates | trials | success | battery failures | mean TTC, s | error of a drive, s | drives within their energy |\n|---|---:|---:|---:|---:|---:|---:|\n");
+    for (name, rows, observed) in
+        [("as they were", &gain.before, &gain.observed_before), ("calibrated", &gain.after, &gain.observed_after)]
+    {
+        // One policy and one treatment: one tally.
+        for tally in tallies(rows) {
+            let share = tally.successes() as f64 / tally.trials.max(1) as f64;
+            let ttc = Summary::of(&tally.ttc_s).map_or(String::new(), |summary| format!("{:.1}", summary.mean));
+            let (error, _) = Gain::error_s(observed);
+            let _ = writeln!(
+                text,
+                "| {name} | {} | {} | {} | {ttc} | {error:.1} | {} |",
+                tally.trials,
+                percent(share),
+                tally.ended[2],
+                percent(Gain::covered(observed))
+            );
+        }
+    }
+    text.push_str("\n| skill | observations | mean factor | sd | upper quantile |\n|---|---:|---:|---:|---:|\n");
+    for (skill, factor) in &gain.learned.skills {
+        let _ = writeln!(
+            text,
+            "| {skill} | {} | {:.2} | {:.2} | {:.2} |",
+            factor.count, factor.mean, factor.sd, factor.upper
+        );
+    }
+    text.push_str("\n| leg | observations | mean factor | sd | upper quantile |\n|---|---:|---:|---:|---:|\n");
+    for leg in &gain.learned.legs {
+        let factor = &leg.factor;
+        let _ = writeln!(
+            text,
+            "| {} – {} | {} | {:.2} | {:.2} | {:.2} |",
+            leg.from, leg.to, factor.count, factor.mean, factor.sd, factor.upper
+        );
+    }
+    text
+}

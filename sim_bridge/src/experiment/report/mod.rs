@@ -1,0 +1,122 @@
+//! The report of an evaluation: Markdown, figures, and the statistics as JSON. From rows alone, so it can be made again.
+
+mod analysis;
+mod figures;
+mod gain;
+mod markdown;
+
+pub use analysis::{Comparison, Question, Tally, comparisons, per_scenario, tallies};
+pub use gain::Gain;
+
+use super::outcome::EndState;
+use super::policy::Policy;
+use super::results::{Treatment, TrialRow};
+use std::collections::BTreeMap;
+
+/// What a report says of where its rows come from.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Heading {
+    /// The design's name.
+    pub design: String,
+    /// Its seed.
+    pub seed: u64,
+    /// The map.
+    pub map: String,
+    /// The travel model, in words.
+    pub travel: String,
+    /// World seconds in one second of the fleet's time.
+    pub world_speed: f64,
+}
+
+/// A file of a report.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct ReportFile {
+    /// Its name.
+    pub name: String,
+    /// Its text.
+    pub text: String,
+}
+
+/// The files of a report on rows of one design: `report.md`, its figures, `statistics.json`. With a gain it also tells what
+/// calibration did. A figure that cannot be drawn is left out, and the report says why.
+pub fn report(heading: &Heading, rows: &[TrialRow], gain: Option<&Gain>) -> Vec<ReportFile> {
+    let tallies = tallies(rows);
+    let comparisons = comparisons(rows, heading.seed);
+    let mut files = vec![];
+    let mut links: BTreeMap<String, String> = BTreeMap::new();
+    for (name, figure) in figures_of(rows) {
+        let link = match figure {
+            Ok(text) => {
+                let file = format!("{name}.svg");
+                files.push(ReportFile { name: file.clone(), text });
+                format!("![{name}]({file})")
+            }
+            Err(problem) => format!("(not drawn: {problem})"),
+        };
+        links.insert(name, link);
+    }
+    let statistics = serde_json::json!({ "tallies": tallies, "comparisons": comparisons });
+    let text = serde_json::to_string_pretty(&statistics).expect("statistics are plain data") + "\n";
+    files.push(ReportFile { name: "statistics.json".to_owned(), text });
+    let text = markdown::text(heading, rows, &tallies, &comparisons, &links, gain);
+    files.insert(0, ReportFile { name: "report.md".to_owned(), text });
+    files
+}
+
+/// All figures, by name.
+fn figures_of(rows: &[TrialRow]) -> Vec<(String, figures::Figure)> {
+    let mut series: Vec<(Policy, Treatment)> = vec![];
+    for row in rows {
+        if !series.contains(&(row.policy, row.treatment)) {
+            series.push((row.policy, row.treatment));
+        }
+    }
+    let Some(shown) = series.first().map(|(_, treatment)| *treatment) else { return vec![] };
+    let several = series.iter().any(|(_, treatment)| *treatment != shown);
+    let name = |policy: Policy, treatment: Treatment| {
+        if several { format!("{policy}, {}", treatment.as_str()) } else { policy.to_string() }
+    };
+    let of = |of: (Policy, Treatment)| rows.iter().filter(move |row| (row.policy, row.treatment) == of);
+
+    let panels: Vec<_> = series.iter().map(|key| (name(key.0, key.1), ends(of(*key)))).collect();
+    // What a kill does is in a table of its own; beside one another so many shapes could not be told apart.
+    series.retain(|(_, treatment)| *treatment == shown);
+    let successes: Vec<_> =
+        series.iter().map(|key| (name(key.0, key.1), per_scenario(of(*key), EndState::Success))).collect();
+    let times = |key: &(Policy, Treatment)| of(*key).filter_map(|row| row.ttc_s).collect::<Vec<f64>>();
+    let ttc: Vec<_> = series.iter().map(|key| (name(key.0, key.1), times(key))).collect();
+    let mut figures = vec![
+        ("end-states".to_owned(), figures::stacked(&panels)),
+        ("successes".to_owned(), figures::violins("Successes per scenario", "successes", &successes, 0.5)),
+        ("ttc".to_owned(), figures::violins("Time to conclude", "seconds", &ttc, 1.0)),
+    ];
+    let names: Vec<String> = series.iter().map(|(policy, treatment)| name(*policy, *treatment)).collect();
+    for (factor, level) in analysis::factors(rows) {
+        let mut levels: Vec<&str> = rows.iter().map(level).collect();
+        levels.sort_unstable();
+        levels.dedup();
+        let group = |wanted: &str| {
+            let times = |key: &(Policy, Treatment)| {
+                of(*key).filter(|row| level(row) == wanted).filter_map(|row| row.ttc_s).collect::<Vec<f64>>()
+            };
+            (wanted.to_owned(), series.iter().map(times).collect::<Vec<_>>())
+        };
+        let groups: Vec<_> = levels.into_iter().map(group).collect();
+        let title = format!("Time to conclude by {factor}");
+        figures.push((format!("ttc-by-{factor}"), figures::boxes(&title, "seconds", &names, &groups)));
+    }
+    figures
+}
+
+/// Scenario by scenario, how many trials ended in each state.
+fn ends<'r>(rows: impl Iterator<Item = &'r TrialRow>) -> Vec<[usize; 5]> {
+    let mut scenarios: BTreeMap<&str, [usize; 5]> = BTreeMap::new();
+    for row in rows {
+        let state = EndState::ALL.iter().position(|state| *state == row.end_state).unwrap_or(0);
+        scenarios.entry(&row.scenario).or_default()[state] += 1;
+    }
+    scenarios.into_values().collect()
+}
+
+#[cfg(test)]
+mod tests;

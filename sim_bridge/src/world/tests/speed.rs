@@ -1,0 +1,41 @@
+//! Robots whose speed is changed from outside.
+
+use super::steering::{all, steered, until_ended};
+use super::*;
+
+/// How long a robot of 0.5 m/s takes to drive from A to B, 10 m away, and back, having been told to drive so fast once it
+/// had left A.
+fn there_and_back(body: RobotBody, speed: f64) -> (f64, f64) {
+    let text = "{name: hall, places: [{name: A, kind: other, x_m: 0, y_m: 0}, {name: B, kind: other, x_m: 10, y_m: 0}], \
+                lanes: [{between: [A, B]}]}";
+    let setup = WorldSetup::new(map::read(text, "hall").unwrap(), 1);
+    let mut world = World::new(setup.robot(body)).unwrap();
+    let goal = go(&world, "B");
+    world.start(&robot("r1"), GoalId(1), goal);
+    world.advance(at(1.0));
+    world.set_speed(&robot("r1"), MetresPerSecond::new(speed).unwrap());
+    world.set_speed(&robot("who"), MetresPerSecond::new(9.0).unwrap());
+    assert_eq!(until_ended(&mut world, "r1", 1), GoalStatus::Succeeded);
+    let there = world.now().as_secs();
+    let goal = go(&world, "A");
+    world.start(&robot("r1"), GoalId(2), goal);
+    assert_eq!(until_ended(&mut world, "r1", 2), GoalStatus::Succeeded);
+    (there, world.now().as_secs() - there)
+}
+
+#[test]
+fn a_drive_begun_later_goes_at_the_new_speed_and_one_under_way_at_the_old() {
+    assert_eq!(there_and_back(carrier("r1", "A"), 0.25), (20.0, 40.0));
+    assert_eq!(there_and_back(carrier("r1", "A"), 1.0), (20.0, 10.0));
+}
+
+#[test]
+fn robots_with_kinematics_heed_it_too() {
+    for kinematics in all() {
+        let (there, back) = there_and_back(steered("r1", "A", kinematics), 0.5);
+        let (same, slow) = there_and_back(steered("r1", "A", kinematics), 0.25);
+        assert_eq!(same, there, "{kinematics:?}");
+        // Speeding up, braking and turning round take the same.
+        assert!((slow - back - 20.0).abs() < 3.0, "{kinematics:?}: {back} s at 0.5 m/s, {slow} s at 0.25 m/s");
+    }
+}

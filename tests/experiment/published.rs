@@ -1,0 +1,58 @@
+//! The published scenarios on the published map: the same choices from the same inputs.
+
+use consort_sim::experiment::design::shipped;
+use consort_sim::experiment::policy::Policy;
+use consort_sim::experiment::reference;
+use consort_sim::experiment::travel::{Legs, Travel, TravelModel};
+use consort_tests::experiment::{Stage, run, trials};
+use serde_json::Value;
+use std::collections::BTreeMap;
+use std::path::Path;
+
+/// A file of the published evaluation; `None` where the material is not there.
+fn material(file: &str) -> Option<String> {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../shared/reference/mission_control");
+    let found = std::fs::read_to_string(folder.join(file)).ok();
+    if found.is_none() {
+        println!("skipped: {} is not there", folder.join(file).display());
+    }
+    found
+}
+
+#[test]
+fn the_fleet_chooses_as_published() {
+    let (Some(scenarios), Some(map), Some(bids)) =
+        (material("scenarios_81.json"), material("hospital_map.json"), material("bids_27.jsonl"))
+    else {
+        return;
+    };
+    let selected: BTreeMap<String, String> = bids
+        .lines()
+        .map(|line| {
+            let bid: Value = serde_json::from_str(line).unwrap();
+            (bid["code"].as_str().unwrap().to_owned(), bid["selected"]["worker"].as_str().unwrap().to_owned())
+        })
+        .collect();
+    let mut design = shipped("published").unwrap().unwrap();
+    design.policies = vec![Policy::Consort, Policy::MissionControl];
+    design.repetitions = 1;
+    // The choice is all that is looked at.
+    design.limits.sim_s = 5.0;
+    let mut chosen = reference::scenarios(&scenarios, &design).unwrap();
+    chosen.retain(|scenario| selected.contains_key(&scenario.code));
+    assert_eq!(chosen.len(), 27);
+    let map = reference::floor(&map, "hospital_map.json").unwrap();
+    let stage = Stage::set(design, chosen, map, TravelModel::Kinematic(Travel::default()), None).unwrap();
+    for outcome in run(&stage, &trials(&stage), 2, |_| ()) {
+        let row = outcome.row;
+        let robot = row.robots.split(' ').find_map(|pair| pair.strip_prefix("r1=")).unwrap_or_default().to_owned();
+        assert_eq!(robot, selected[&row.scenario], "{row:?}");
+    }
+}
+
+#[test]
+fn the_published_legs_can_be_driven() {
+    let Some(legs) = material("nav_legs.csv") else { return };
+    let legs = Legs::read(legs.as_bytes()).unwrap();
+    assert_eq!(TravelModel::Empirical(legs).describe(), "empirical, 2162 drives on 21 pairs of places");
+}

@@ -1,0 +1,153 @@
+//! What comes of trials.
+
+use consort_sim::experiment::design::{Design, Levels, scenarios, shipped};
+use consort_sim::experiment::outcome::EndState;
+use consort_sim::experiment::policy::Policy;
+use consort_sim::experiment::results::{Treatment, TrialRow, write};
+use consort_sim::experiment::travel::TravelModel;
+use consort_tests::experiment::{Stage, run, trials};
+use std::collections::{BTreeMap, BTreeSet};
+
+/// A shipped design cut down to its first scenarios.
+pub(crate) fn thin(name: &str, scenarios_max: usize, change: impl FnOnce(&mut Design)) -> Stage {
+    let mut design = shipped(name).unwrap().unwrap();
+    change(&mut design);
+    let mut chosen = scenarios(&design);
+    // Every so many, so that all levels come up.
+    let step = (chosen.len() / scenarios_max).max(1);
+    chosen = chosen.into_iter().step_by(step).take(scenarios_max).collect();
+    let map = consort_sim::map::shipped(&design.map).unwrap();
+    let travel = TravelModel::Kinematic(design.travel.clone());
+    Stage::set(design, chosen, map, travel, None).unwrap()
+}
+
+pub(crate) fn rows(stage: &Stage, jobs: usize) -> Vec<TrialRow> {
+    run(stage, &trials(stage), jobs, |_| ()).into_iter().map(|outcome| outcome.row).collect()
+}
+
+fn text(rows: &[TrialRow]) -> String {
+    let mut text = vec![];
+    write(rows, &mut text).unwrap();
+    String::from_utf8(text).unwrap()
+}
+
+#[test]
+fn the_same_seed_gives_the_same_rows_to_the_byte_however_many_run_at_a_time() {
+    let stage = thin("published", 2, |design| {
+        design.repetitions = 2;
+        design.treatments = vec![Treatment::Calm, Treatment::CoordinatorKilled];
+    });
+    let one = text(&rows(&stage, 1));
+    assert_eq!(one.lines().count(), 1 + 2 * 2 * 2 * 2);
+    assert_eq!(text(&rows(&stage, 2)), one);
+    let other = thin("published", 2, |design| {
+        design.repetitions = 2;
+        design.treatments = vec![Treatment::Calm, Treatment::CoordinatorKilled];
+        design.seed = 7;
+    });
+    assert_ne!(text(&rows(&other, 2)), one);
+}
+
+#[test]
+fn every_repetition_has_chance_of_its_own_and_policies_that_choose_alike_end_alike() {
+    let stage = thin("published", 3, |design| {
+        design.repetitions = 3;
+        design.policies = vec![Policy::Consort, Policy::MissionControl];
+    });
+    let rows = rows(&stage, 2);
+    let mut times: BTreeMap<&str, BTreeSet<String>> = BTreeMap::new();
+    for row in rows.iter().filter(|row| row.policy == Policy::Consort) {
+        times.entry(&row.scenario).or_default().insert(format!("{:?}", row.ttc_s));
+        let other = rows.iter().find(|other| {
+            other.policy == Policy::MissionControl
+                && (&other.scenario, other.repetition) == (&row.scenario, row.repetition)
+        });
+        let other = other.unwrap();
+        // One role that moves and estimates that are the same: the rule is the same, too.
+        assert_eq!(other.robots, row.robots);
+        assert_eq!((other.end_state, other.ttc_s, &other.note), (row.end_state, row.ttc_s, &row.note));
+    }
+    assert!(times.values().any(|times| times.len() == 3), "{times:?}");
+}
+
+#[test]
+fn consort_never_sends_a_robot_without_the_skill_and_chance_does() {
+    let stage = thin("published", 9, |design| design.repetitions = 1);
+    let rows = rows(&stage, 2);
+    let unskilled = |policy| {
+        let of = rows.iter().filter(|row| row.policy == policy && row.end_state == EndState::NoSkill);
+        of.map(|row| row.note.as_str()).collect::<Vec<_>>()
+    };
+    assert_eq!(unskilled(Policy::Consort), Vec::<&str>::new());
+    assert!(unskilled(Policy::Random).iter().all(|note| note.contains(" lacks ")), "{rows:?}");
+    assert!(!unskilled(Policy::Random).is_empty());
+    for row in &rows {
+        assert_eq!(row.ttc_s.is_some(), row.end_state == EndState::Success, "{row:?}");
+        assert!(row.robots.contains("r1=r") && row.robots.contains("lab_arm=lab-arm"), "{row:?}");
+    }
+    assert!(rows.iter().any(|row| row.end_state == EndState::Success));
+}
+
+#[test]
+fn a_mission_goes_on_when_its_coordinator_is_killed() {
+    let stage = thin("published", 3, |design| {
+        design.repetitions = 2;
+        design.policies = vec![Policy::Consort];
+        design.treatments = vec![Treatment::Calm, Treatment::CoordinatorKilled];
+    });
+    let rows = rows(&stage, 2);
+    let ends = |treatment| {
+        let of = rows.iter().filter(|row| row.treatment == treatment);
+        of.map(|row| (row.scenario.as_str(), row.repetition, row.end_state)).collect::<Vec<_>>()
+    };
+    assert_eq!(ends(Treatment::Calm), ends(Treatment::CoordinatorKilled));
+    let killed = rows.iter().filter(|row| row.note.contains("coordinator killed after ")).count();
+    assert!(killed > 0, "{rows:?}");
+}
+
+#[test]
+fn a_robot_that_stands_still_with_an_empty_battery_is_a_battery_failure_though_its_role_is_taken_away_at_once() {
+    let mut stage = thin("published", 81, |design| {
+        design.repetitions = 3;
+        design.policies = vec![Policy::Consort];
+    });
+    // A robot with just enough by its own estimates, on drives that take half as long again.
+    stage.scenarios.retain(|scenario| scenario.code == "aacbc");
+    let rows = rows(&stage, 2);
+    let empty: Vec<&TrialRow> = rows.iter().filter(|row| row.note.contains("battery low: the battery of r")).collect();
+    assert!(!empty.is_empty(), "{rows:?}");
+    assert!(empty.iter().all(|row| row.end_state == EndState::LowBattery), "{empty:?}");
+    assert!(empty.iter().all(|row| row.lowest_share.is_some_and(|share| share < 0.051)), "{empty:?}");
+}
+
+#[test]
+fn missions_with_several_managed_roles_are_carried_out() {
+    for (name, roles) in [("food", ["porter=", "server="]), ("rounds", ["left=", "right="])] {
+        let stage = thin(name, 6, |design| {
+            design.repetitions = 1;
+            design.policies = vec![Policy::Consort, Policy::Optimal];
+            design.treatments = vec![Treatment::Calm];
+        });
+        let rows = rows(&stage, 2);
+        let successes = rows.iter().filter(|row| row.end_state == EndState::Success).count();
+        assert!(successes >= rows.len() / 2, "{name}: {rows:#?}");
+        assert!(rows.iter().all(|row| row.robots.is_empty() || roles.iter().all(|role| row.robots.contains(role))));
+        assert!(rows.iter().all(|row| row.end_state != EndState::NoSkill));
+    }
+}
+
+#[test]
+fn a_place_that_is_not_on_the_map_is_told_before_anything_runs() {
+    let design = shipped("published").unwrap().unwrap();
+    let mut chosen = scenarios(&design);
+    chosen.truncate(1);
+    chosen[0].robots[0].place = "IC Rom 1".parse().unwrap();
+    chosen[0].levels = Levels::default();
+    let map = consort_sim::map::shipped("hospital").unwrap();
+    let travel = TravelModel::Kinematic(design.travel.clone());
+    let problems = Stage::set(design, chosen, map, travel, None).err().unwrap();
+    assert_eq!(
+        problems.0,
+        ["scenario aaaaa, r1: there is no place \"IC Rom 1\" on map hospital; did you mean \"IC Room 1\"?"]
+    );
+}
