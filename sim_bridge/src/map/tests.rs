@@ -47,7 +47,7 @@ fn the_shipped_hospital_is_as_described() {
         assert!(map.place(&place(&room)).is_some(), "{room}");
     }
     assert_eq!(map.bounds(), ((0.0, 0.0), (36.0, 35.0)));
-    assert!(shipped("castle").unwrap_err().to_string().ends_with("there are: hospital"));
+    assert!(shipped("castle").unwrap_err().to_string().ends_with("there are: hospital, clinic"));
 }
 
 #[test]

@@ -8,7 +8,6 @@ use consort_sim::experiment::design::{Design, Scenario};
 use consort_sim::experiment::travel::TravelModel;
 use consort_sim::map::Map;
 use consort_skills::descriptor::{DescriptorRegistry, Estimator};
-use consort_skills::environment::{Environment, Routes};
 use consort_skills::library::SkillLibrary;
 use std::sync::Arc;
 

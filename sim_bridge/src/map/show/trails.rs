@@ -56,7 +56,7 @@ fn key(trails: &[Trail], page: &Page) -> Group {
 /// How far a trail is moved aside, by its place among all: every other one to the other side.
 fn aside(place: usize) -> f64 {
     let step = (place % LANES).div_ceil(2) as f64;
-    if place % 2 == 0 { -step * APART } else { step * APART }
+    if place.is_multiple_of(2) { -step * APART } else { step * APART }
 }
 
 impl Floor<'_> {
