@@ -1,10 +1,12 @@
 //! Whether files are right, each judged by what it is.
 
 use crate::config::{self, FleetConfig, Problem, Problems, RobotConfig, StationConfig, WorldConfig};
+use crate::plan::{Instead, Plan};
 use crate::{floor, source, wiring};
 use consort_protocol::ids::TaskId;
 use consort_protocol::mission::{Domain, Format, IhtnReading, Mission, MissionTemplate, TemplateKind, import_ihtn};
 use consort_protocol::plan::divide_and_check;
+use consort_sim::experiment::calibration::Calibration;
 use consort_sim::map::MapForm;
 use serde_json::Value;
 use std::collections::{BTreeMap, BTreeSet};
@@ -32,6 +34,10 @@ pub enum Kind {
     Workers,
     /// Scenarios of the published evaluation.
     Scenarios,
+    /// The design of an evaluation, in TOML.
+    Design,
+    /// What robots have learned of their estimates, in TOML.
+    Calibration,
 }
 
 impl fmt::Display for Kind {
@@ -46,6 +52,8 @@ impl fmt::Display for Kind {
             Kind::World => "a world",
             Kind::Workers => "workers",
             Kind::Scenarios => "scenarios",
+            Kind::Design => "a design",
+            Kind::Calibration => "a calibration",
         })
     }
 }
@@ -103,6 +111,17 @@ fn judge(kind: Kind, path: &Path, text: &str, file: &str) -> Result<String, Prob
         }
         Kind::Workers => source::workers(text, file).map(|workers| format!("{} of them", workers.len())),
         Kind::Scenarios => source::scenarios(text, file).map(|scenarios| format!("{} of them", scenarios.len())),
+        Kind::Design => {
+            let plan = Plan::of(config::load(path)?, &Instead::default())?;
+            let design = &plan.design;
+            plan.stage(design.clone(), None)?;
+            let trials = plan.scenarios.len() * design.policies.len() * design.treatments.len();
+            Ok(format!("{}, {} trials", design.name, trials * design.repetitions as usize))
+        }
+        Kind::Calibration => {
+            let learned: Calibration = config::load(path)?;
+            Ok(format!("{} skills, {} legs", learned.skills.len(), learned.legs.len()))
+        }
     }
 }
 
@@ -191,7 +210,7 @@ fn recognise_toml(text: &str, file: &str) -> Result<Kind, Problems> {
         config::from_text::<FleetConfig>(text, file).err().unwrap_or_else(|| unknown(file, "it is not TOML"))
     })?;
     // Keys by which a kind is known. Robots and stations share most of theirs: a robot has a place and skills.
-    const MARKS: [(Kind, &[&str]); 5] = [
+    const MARKS: [(Kind, &[&str]); 6] = [
         (Kind::Workers, &["worker"]),
         (Kind::World, &["robot", "person", "seed", "speed", "durations"]),
         (Kind::Robot, &["place", "skills", "speed_mps", "battery", "discharge_share_per_s", "useful_charge"]),
@@ -212,15 +231,20 @@ fn recognise_toml(text: &str, file: &str) -> Result<Kind, Problems> {
                 "ensemble",
             ],
         ),
-        (Kind::Station, &["fleet", "stationary", "mains_powered", "may_vote", "bus"]),
+        (Kind::Design, &["repetitions", "policies", "treatments", "mission", "robots", "fixed", "factors", "travel"]),
+        (Kind::Calibration, &["quantile", "to", "from", "legs"]),
     ];
+    const STATION: &[&str] = &["fleet", "stationary", "mains_powered", "may_vote", "bus"];
     let count = |marks: &[&str]| marks.iter().filter(|mark| table.contains_key(**mark)).count();
     // Of equal counts the first kind wins; a station is what is left.
-    let most = MARKS.iter().take(4).map(|(kind, marks)| (count(marks), *kind)).rev().max_by_key(|(count, _)| *count);
+    let most = MARKS.iter().map(|(kind, marks)| (count(marks), *kind)).rev().max_by_key(|(count, _)| *count);
     match most {
         Some((1.., kind)) => Ok(kind),
-        _ if count(MARKS[4].1) > 0 => Ok(Kind::Station),
+        _ if count(STATION) > 0 => Ok(Kind::Station),
         _ if table.contains_key("name") => Ok(Kind::Fleet),
-        _ => Err(unknown(file, "none of its keys is one of a fleet, robot, station, world or workers file")),
+        _ => Err(unknown(
+            file,
+            "none of its keys is one of a fleet, robot, station, world, workers, design or calibration file",
+        )),
     }
 }

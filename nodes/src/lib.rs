@@ -13,6 +13,7 @@ pub mod dry_run;
 pub mod exit;
 pub mod floor;
 pub mod output;
+pub mod plan;
 pub mod rendering;
 pub mod running;
 pub mod source;

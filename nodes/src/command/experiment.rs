@@ -2,19 +2,17 @@
 
 use crate::config::{self, Problem, Problems};
 use crate::exit::Failure;
-use crate::{floor, output};
+use crate::output;
+use crate::plan::{Instead, Plan};
 use clap::{Args as ClapArgs, Subcommand};
 use consort_sim::experiment::calibration::{Calibration, Observation, QUANTILE};
-use consort_sim::experiment::design::{self, Design, Scenario};
+use consort_sim::experiment::design::{self, Design};
 use consort_sim::experiment::outcome::EndState;
 use consort_sim::experiment::policy::Policy;
-use consort_sim::experiment::reference;
 use consort_sim::experiment::report::{Gain, Heading, ReportFile, report, tallies};
 use consort_sim::experiment::results::{self, Treatment, TrialRow};
 use consort_sim::experiment::seeds::derive;
 use consort_sim::experiment::stats::Summary;
-use consort_sim::experiment::travel::{Legs, TravelModel};
-use consort_sim::map::{self, Map};
 use consort_tests::experiment::{Outcome, Stage, run as run_trials, trials};
 use indicatif::{ProgressBar, ProgressStyle};
 use std::fmt::Display;
@@ -151,39 +149,14 @@ pub fn run(args: &Args) -> Result<(), Failure> {
     }
 }
 
-/// A design with all that it names.
-struct Plan {
-    design: Design,
-    scenarios: Vec<Scenario>,
-    map: Map,
-    travel: TravelModel,
-}
-
 impl Common {
     fn plan(&self) -> Result<Plan, Failure> {
         let mut design = self.design()?;
         design.repetitions = self.repetitions.unwrap_or(design.repetitions);
         design.seed = self.seed.unwrap_or(design.seed);
-        let scenarios = match &self.scenarios {
-            Some(file) => {
-                let text = read(file)?;
-                reference::scenarios(&text, &design).map_err(|problem| wrong(file, problem))?
-            }
-            None => design::scenarios(&design),
-        };
-        let map = match &self.map {
-            Some(file) => load_map(&file.display().to_string())?,
-            None => load_map(&design.map)?,
-        };
-        let legs = self.legs.as_ref().or(design.travel.legs.as_ref());
-        let travel = match legs {
-            Some(file) => {
-                let legs = Legs::read(read(file)?.as_bytes()).map_err(|problem| wrong(file, problem))?;
-                TravelModel::Empirical(legs)
-            }
-            None => TravelModel::Kinematic(design.travel.clone()),
-        };
-        Ok(Plan { design, scenarios, map, travel })
+        let instead =
+            Instead { scenarios: self.scenarios.as_deref(), map: self.map.as_deref(), legs: self.legs.as_deref() };
+        Ok(Plan::of(design, &instead)?)
     }
 
     fn design(&self) -> Result<Design, Failure> {
@@ -209,20 +182,13 @@ impl Common {
     }
 }
 
-impl Plan {
-    fn stage(&self, design: Design, learned: Option<Arc<Calibration>>) -> Result<Stage, Failure> {
-        let set = Stage::set(design, self.scenarios.clone(), self.map.clone(), self.travel.clone(), learned);
-        set.map_err(|problems| Failure::Usage(problems.to_string()))
-    }
-
-    fn heading(&self) -> Heading {
-        Heading {
-            design: self.design.name.clone(),
-            seed: self.design.seed,
-            map: self.map.name().to_owned(),
-            travel: self.travel.describe(),
-            world_speed: self.design.world_speed,
-        }
+fn heading(plan: &Plan) -> Heading {
+    Heading {
+        design: plan.design.name.clone(),
+        seed: plan.design.seed,
+        map: plan.map.name().to_owned(),
+        travel: plan.travel.describe(),
+        world_speed: plan.design.world_speed,
     }
 }
 
@@ -241,7 +207,7 @@ fn carry_out(args: &RunArgs) -> Result<(), Failure> {
     let out = &args.common.out;
     write_rows(out, "rows.csv", &rows)?;
     write_observations(out, &observations)?;
-    write_report(out, &report(&plan.heading(), &rows, None))?;
+    write_report(out, &report(&heading(&plan), &rows, None))?;
     output::line(summary(&rows))?;
     let count = rows.len();
     output::line(format_args!("{count} trials in {seconds:.1} s; see {}", out.join("report.md").display()))
@@ -276,7 +242,7 @@ fn calibrate(args: &CalibrateArgs) -> Result<(), Failure> {
     write_rows(out, "rows-after.csv", &after)?;
     let learned = (*learned).clone();
     let gain = Gain { learned, trials, before, after, observed_before, observed_after };
-    write_report(out, &report(&plan.heading(), &gain.before, Some(&gain)))?;
+    write_report(out, &report(&heading(&plan), &gain.before, Some(&gain)))?;
     output::line(format_args!("as they were:\n{}\ncalibrated:\n{}", summary(&gain.before), summary(&gain.after)))?;
     output::line(format_args!("learned from {trials} trials; see {}", out.join("report.md").display()))
 }
@@ -323,25 +289,6 @@ fn summary(rows: &[TrialRow]) -> String {
         table.push(line);
     }
     output::table(&table)
-}
-
-fn load_map(name: &str) -> Result<Map, Failure> {
-    if floor::is_shipped(name) {
-        return Ok(map::shipped(name).map_err(|problem| floor::problems(name, problem))?);
-    }
-    let text = floor::text(name)?;
-    if floor::is_published_form(&text) {
-        return reference::floor(&text, name).map_err(|problem| wrong(Path::new(name), problem));
-    }
-    Ok(map::read(&text, name).map_err(|problem| floor::problems(name, problem))?)
-}
-
-fn read(file: &Path) -> Result<String, Failure> {
-    std::fs::read_to_string(file).map_err(|problem| wrong(file, format!("cannot be read: {problem}")))
-}
-
-fn wrong(file: &Path, problem: impl Display) -> Failure {
-    Problems::from(Problem::of(file.display(), problem)).into()
 }
 
 fn unwritten(file: &Path, problem: impl Display) -> Failure {

@@ -10,6 +10,8 @@ fn the_shipped_examples_missions_and_maps_are_right() {
         ("examples/world.toml", "a world: 2 robots, 1 people"),
         ("examples/workers.toml", "workers: 4 of them"),
         ("examples/follow-path.yaml", "a mission: follow-path, 1 roles, 2 steps"),
+        ("examples/calibration.toml", "a calibration: 0 skills, 0 legs"),
+        ("../sim_bridge/designs/published.toml", "a design: published, 1296 trials"),
         ("tests/data/ward_map.json", "a map: 5 places, 4 ways"),
         ("tests/data/ward_scenarios.json", "scenarios: 1 of them"),
         ("../protocol/missions/lab-samples.yaml", "a mission: lab-samples, 3 roles, 19 steps"),
