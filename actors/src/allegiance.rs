@@ -249,12 +249,12 @@ mod tests {
             ClusterBus::new(bus, keys.clone(), allegiance)
         };
         let (ada, bob, cyd) = (end("ada", ONE), end("bob", ONE), end("cyd", OTHER));
-        for key in [keys.write(&Key::Beacon), keys.write(&Key::Events)] {
+        for key in [keys.write(&Key::Beacon), keys.write(&Key::Events(NodeId::new("ada").unwrap()))] {
             let (mut at_bob, mut at_cyd) = (bob.subscribe(&key).await.unwrap(), cyd.subscribe(&key).await.unwrap());
             ada.publish(&key, Bytes::from_static(b"here"), Encoding::Wire, Delivery::Drop).await.unwrap();
             assert_eq!(at_bob.recv().await.unwrap().payload, "here");
             tokio::time::sleep(Duration::from_secs(1)).await;
-            assert_eq!(at_cyd.try_recv().is_some(), key.ends_with("events"), "{key}");
+            assert_eq!(at_cyd.try_recv().is_some(), key.ends_with("events/ada"), "{key}");
         }
         let key = keys.write(&Key::Live(NodeId::new("bob").unwrap()));
         let mut asked = bob.serve(&key).await.unwrap();

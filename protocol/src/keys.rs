@@ -5,7 +5,7 @@
 //! consort/{fleet}/view/**   JSON, for people and any client    get: fleet, robots, coordinator, missions, auctions, world
 //! consort/{fleet}/api/**    JSON, for people and any client    query: submit, cancel, get, list, leave/{node}
 //! consort/{fleet}/alive/**  presence tokens                    robot/{id}, node/{id}, coordinator/{term}/{id}
-//! consort/{fleet}/events    JSON, published                    what happens, as it happens
+//! consort/{fleet}/events/** JSON, published                    {node}: what happens there, as it happens
 //! ```
 
 use crate::ids::{FleetId, MissionId, NodeId, RobotId, RoleId};
@@ -68,8 +68,8 @@ pub enum Key {
     AliveNode(NodeId),
     /// `alive/coordinator/{term}/{node}`.
     AliveCoordinator(u64, NodeId),
-    /// `events`.
-    Events,
+    /// `events/{node}`: a node publishes what happens on it.
+    Events(NodeId),
 }
 
 macro_rules! words {
@@ -275,6 +275,11 @@ impl Keys {
         format!("{}/api/*", self.prefix)
     }
 
+    /// Key expression for the events of all nodes.
+    pub fn any_events(&self) -> String {
+        format!("{}/events/**", self.prefix)
+    }
+
     /// Key expression for all presence tokens.
     pub fn any_alive(&self) -> String {
         format!("{}/alive/**", self.prefix)
@@ -322,7 +327,7 @@ impl fmt::Display for Key {
             Key::AliveRobot(robot) => write!(f, "alive/robot/{robot}"),
             Key::AliveNode(node) => write!(f, "alive/node/{node}"),
             Key::AliveCoordinator(term, node) => write!(f, "alive/coordinator/{term}/{node}"),
-            Key::Events => f.write_str("events"),
+            Key::Events(node) => write!(f, "events/{node}"),
         }
     }
 }
@@ -359,7 +364,7 @@ fn read(text: &str) -> Option<Key> {
         ["alive", "robot", robot] => Key::AliveRobot(robot.parse().ok()?),
         ["alive", "node", node] => Key::AliveNode(node.parse().ok()?),
         ["alive", "coordinator", term, node] => Key::AliveCoordinator(term.parse().ok()?, node.parse().ok()?),
-        ["events"] => Key::Events,
+        ["events", node] => Key::Events(node.parse().ok()?),
         _ => return None,
     })
 }
@@ -396,8 +401,8 @@ mod tests {
             Key::Leave(node.clone()),
             Key::AliveRobot(robot.clone()),
             Key::AliveNode(node.clone()),
-            Key::AliveCoordinator(7, node),
-            Key::Events,
+            Key::AliveCoordinator(7, node.clone()),
+            Key::Events(node),
         ];
         keys.extend(RaftCall::ALL.iter().map(|call| Key::Raft(0x00ab_cdef, *call)));
         keys.extend(BodyCall::ALL.iter().map(|call| Key::Body(robot.clone(), *call)));

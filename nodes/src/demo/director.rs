@@ -112,8 +112,8 @@ impl<S: Stage> Director<S> {
 
     async fn acts(&mut self) -> Result<(), Failure> {
         let bus = self.stage.bus();
-        let key = self.keys.write(&Key::Events);
-        let mut events = bus.subscribe(&key).await.map_err(|problem| Failure::Unreached(problem.to_string()))?;
+        let mut events =
+            bus.subscribe(&self.keys.any_events()).await.map_err(|problem| Failure::Unreached(problem.to_string()))?;
         self.narrator.open(&self.stage.introduction())?;
         self.await_coordinator(&mut events).await?;
         self.submit_all(&mut events).await?;

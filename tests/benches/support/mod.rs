@@ -35,7 +35,7 @@ impl Fleet {
         let program = Path::new(env!("CARGO_BIN_EXE_consort"));
         let stage = Processes::set(cast, program, None).await.map_err(|problem| problem.to_string())?;
         let keys = Keys::new(&cast.fleet.name);
-        let events = stage.bus().subscribe(&keys.write(&Key::Events)).await.map_err(|problem| problem.to_string())?;
+        let events = stage.bus().subscribe(&keys.any_events()).await.map_err(|problem| problem.to_string())?;
         let mut fleet = Fleet { stage, keys, events };
         let wanted = cast.voters().len().min(5);
         let deadline = Instant::now() + PATIENCE;

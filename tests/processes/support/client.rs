@@ -29,7 +29,7 @@ impl Client {
             zenoh::open(config.clone()).wait().ok()
         });
         // Zenoh's own queue holds 256 and stops its sender when full.
-        let events = session.declare_subscriber(format!("consort/{fleet}/events"));
+        let events = session.declare_subscriber(format!("consort/{fleet}/events/**"));
         let events = events.with(zenoh::handlers::FifoChannel::new(8192)).wait().expect("events can be followed");
         Client { session, events, heard: vec![], fleet }
     }
