@@ -170,6 +170,15 @@ impl Bus for ClusterBus {
         self.bus.query(key_expr, self.wrap(key_expr, payload)?, limit).await
     }
 
+    async fn query_nearest(&self, key_expr: &str, payload: Bytes, limit: Duration) -> Result<Stream<Reply>, BusError> {
+        self.bus.query_nearest(key_expr, self.wrap(key_expr, payload)?, limit).await
+    }
+
+    async fn serve_complete(&self, key_expr: &str) -> Result<Stream<Query>, BusError> {
+        // Nothing that concerns missions is served alike by several nodes.
+        self.bus.serve_complete(key_expr).await
+    }
+
     async fn serve(&self, key_expr: &str) -> Result<Stream<Query>, BusError> {
         let mut queries = self.bus.serve(key_expr).await?;
         if !self.keys.is_within_cluster(key_expr) {

@@ -109,7 +109,10 @@ pub(crate) fn acknowledged(answer: Option<&Value>) -> Option<MissionId> {
 /// Asks, and gives the first answer that is JSON.
 pub(crate) async fn ask(bus: &SharedBus, key: &str, payload: &Value, limit: Duration) -> Option<Value> {
     let bytes = if payload.is_null() { vec![] } else { payload.to_string().into_bytes() };
-    let mut replies = bus.query(key, bytes.into(), limit).await.ok()?;
+    let mut replies = match key.contains("/view/") {
+        true => bus.query_nearest(key, bytes.into(), limit).await.ok()?,
+        false => bus.query(key, bytes.into(), limit).await.ok()?,
+    };
     while let Some(reply) = replies.recv().await {
         if let Some(value) = reply.payload.ok().and_then(|bytes| serde_json::from_slice(&bytes).ok()) {
             return Some(value);
