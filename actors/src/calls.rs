@@ -244,9 +244,13 @@ pub(crate) fn help() -> Value {
 /// # Errors
 /// What is wrong in words: which field, what is wrong with it, what is allowed, and an example.
 pub(crate) fn read<T: serde::de::DeserializeOwned>(call: ApiCall, payload: &[u8]) -> Result<T, String> {
-    serde_json::from_slice(payload).map_err(|problem| {
-        let field = serde_json::from_slice::<Value>(payload).ok().and_then(|payload| misfit(call, &payload));
-        let what = field.unwrap_or_else(|| problem.to_string());
+    let fields = serde_json::from_slice::<Value>(payload);
+    let misfit = fields.ok().and_then(|payload| misfit(call, &payload));
+    let read = match misfit {
+        Some(problem) => Err(problem),
+        None => serde_json::from_slice(payload).map_err(|problem| problem.to_string()),
+    };
+    read.map_err(|what| {
         let example = example(call).map(|example| format!("; an example is {example}")).unwrap_or_default();
         format!("{what}{example}; api/{}/help has the whole", call.word())
     })
