@@ -170,6 +170,15 @@ impl Bus for ClusterBus {
         self.bus.query(key_expr, self.wrap(key_expr, payload)?, limit).await
     }
 
+    async fn query_nearest(&self, key_expr: &str, payload: Bytes, limit: Duration) -> Result<Stream<Reply>, BusError> {
+        self.bus.query_nearest(key_expr, self.wrap(key_expr, payload)?, limit).await
+    }
+
+    async fn serve_complete(&self, key_expr: &str) -> Result<Stream<Query>, BusError> {
+        // Nothing that concerns missions is served alike by several nodes.
+        self.bus.serve_complete(key_expr).await
+    }
+
     async fn serve(&self, key_expr: &str) -> Result<Stream<Query>, BusError> {
         let mut queries = self.bus.serve(key_expr).await?;
         if !self.keys.is_within_cluster(key_expr) {
@@ -249,12 +258,12 @@ mod tests {
             ClusterBus::new(bus, keys.clone(), allegiance)
         };
         let (ada, bob, cyd) = (end("ada", ONE), end("bob", ONE), end("cyd", OTHER));
-        for key in [keys.write(&Key::Beacon), keys.write(&Key::Events)] {
+        for key in [keys.write(&Key::Beacon), keys.write(&Key::Events(NodeId::new("ada").unwrap()))] {
             let (mut at_bob, mut at_cyd) = (bob.subscribe(&key).await.unwrap(), cyd.subscribe(&key).await.unwrap());
             ada.publish(&key, Bytes::from_static(b"here"), Encoding::Wire, Delivery::Drop).await.unwrap();
             assert_eq!(at_bob.recv().await.unwrap().payload, "here");
             tokio::time::sleep(Duration::from_secs(1)).await;
-            assert_eq!(at_cyd.try_recv().is_some(), key.ends_with("events"), "{key}");
+            assert_eq!(at_cyd.try_recv().is_some(), key.ends_with("events/ada"), "{key}");
         }
         let key = keys.write(&Key::Live(NodeId::new("bob").unwrap()));
         let mut asked = bob.serve(&key).await.unwrap();

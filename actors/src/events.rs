@@ -32,7 +32,7 @@ impl Events {
     /// Opens the stream. An observer is told first, at the instant of telling.
     pub fn open(node: NodeId, keys: &Keys, bus: SharedBus, clock: Clock, observer: Option<SharedObserver>) -> Events {
         let (to, mut happened) = unbounded_channel::<Event>();
-        let key = keys.write(&Key::Events);
+        let key = keys.write(&Key::Events(node.clone()));
         let mut task = tokio::task::JoinSet::new();
         task.spawn(async move {
             while let Some(event) = happened.recv().await {

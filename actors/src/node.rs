@@ -21,6 +21,7 @@ use crate::robot::{Patience, Robot, RobotMessage, RobotSettings};
 use crate::store::{Notebook, Store};
 use crate::tasks::Tasks;
 use crate::timing::Timing;
+use crate::views::Views;
 use consort_protocol::auction::{Choice, Limits};
 use consort_protocol::ensemble::Ensemble;
 use consort_protocol::ids::{FleetId, NodeId, RobotId};
@@ -36,6 +37,7 @@ use consort_skills::library::SkillLibrary;
 use ractor::{Actor, ActorProcessingErr, ActorRef, SpawnErr, SupervisionEvent};
 use rand::{Rng, SeedableRng};
 use rand_chacha::ChaCha8Rng;
+use serde_json::Value;
 use std::sync::{Arc, OnceLock};
 use std::time::Duration;
 use tokio::sync::watch;
@@ -71,6 +73,8 @@ pub struct FleetSettings {
     pub voters: usize,
     /// How long a voter must be gone until the autopilot replaces it.
     pub dead_after: Duration,
+    /// Its map, as it is shown on `view/map`; nothing is decided by it.
+    pub map: Option<Arc<Value>>,
 }
 
 /// What one node is.
@@ -380,6 +384,7 @@ async fn assemble(
     );
     let times = fleet.timing.times();
 
+    let mut own_coordinator = None;
     if let Some(replica) = &replica {
         let (mut own, sworn) = (replica.cluster(), allegiance.clone());
         tasks.spawn(async move {
@@ -414,7 +419,8 @@ async fn assemble(
             dead_after: fleet.dead_after,
             near: times.election_max,
         };
-        Actor::spawn_linked(None, Coordinator, coordinator, supervisor.clone()).await?;
+        let (started, _) = Actor::spawn_linked(None, Coordinator, coordinator, supervisor.clone()).await?;
+        own_coordinator = Some(started);
         let (watched, root) = (replica.clone(), root.clone());
         tasks.spawn(async move {
             let problem = watched.failed().await;
@@ -435,6 +441,21 @@ async fn assemble(
         };
         tasks.spawn(bootstrap.run(asked));
     }
+
+    let views = Views {
+        node: node.clone(),
+        keys: keys.clone(),
+        bus: bus.clone(),
+        clock,
+        replica: replica.clone(),
+        coordinator: own_coordinator,
+        knowledge: shared.clone(),
+        allegiance: allegiance.clone(),
+        ensemble: Arc::clone(&fleet.ensemble),
+        map: fleet.map.clone(),
+        beat: times.beacon,
+    };
+    views.open(&mut tasks).await?;
 
     if let Some(host) = settings.host {
         let host_settings = HostSettings {

@@ -265,6 +265,65 @@ async fn a_service_answers_only_what_it_was_asked([a, _, c]: Nodes<'_>) {
     ended(&mut replies, "replies").await;
 }
 
+/// All replies to a question of the nearest, in order.
+async fn nearest(bus: &dyn Bus, key: &str) -> Vec<(String, String)> {
+    let mut stream = bus.query_nearest(key, Bytes::new(), Duration::from_secs(5)).await.unwrap();
+    let mut replies = Vec::new();
+    while let Some(reply) = timeout(PATIENCE, stream.recv()).await.expect("the query ends") {
+        replies.push((reply.key, String::from_utf8(reply.payload.unwrap().to_vec()).unwrap()));
+    }
+    replies.sort();
+    replies
+}
+
+/// Answers on two keys with its own name.
+async fn complete_service(bus: &dyn Bus, below: &'static str, name: &'static str) -> tokio::task::JoinHandle<()> {
+    let stream = bus.serve_complete(&format!("{below}/**")).await.unwrap();
+    answer_all(stream, move |question| async move {
+        let asked = zenoh_keyexpr::keyexpr::new(question.key.as_str()).unwrap();
+        for key in ["one", "two"].map(|key| format!("{below}/{key}")) {
+            if asked.intersects(zenoh_keyexpr::keyexpr::new(key.as_str()).unwrap()) {
+                question.replier.reply(&key, bytes(name), Encoding::Wire).await.unwrap();
+            }
+        }
+    })
+}
+
+async fn of_complete_services_one_answers_for_all([a, b, c]: Nodes<'_>) {
+    let (at_b, at_c) = (complete_service(b, "whole", "bob").await, complete_service(c, "whole", "cyd").await);
+    for bus in [a, b, c] {
+        served(bus, "whole/one", 2).await;
+    }
+    for bus in [a, b, c] {
+        for (asked, keys) in [("whole/one", &["whole/one"][..]), ("whole/**", &["whole/one", "whole/two"])] {
+            let replies = nearest(bus, asked).await;
+            assert_eq!(replies.iter().map(|(key, _)| key.as_str()).collect::<Vec<_>>(), keys, "each key once");
+            assert!(replies.iter().all(|(_, name)| ["bob", "cyd"].contains(&name.as_str())), "{replies:?}");
+        }
+    }
+    // What asks for more than is served whole is asked of all, and still answered once on each key.
+    assert_eq!(nearest(a, "*/one").await.len(), 1);
+    // The other takes over.
+    at_b.abort();
+    let end = Instant::now() + PATIENCE;
+    while nearest(a, "whole/one").await != [("whole/one".to_owned(), "cyd".to_owned())] {
+        assert!(Instant::now() < end, "nobody took over");
+        sleep(Duration::from_millis(20)).await;
+    }
+    at_c.abort();
+}
+
+async fn of_others_all_answer_and_one_answer_on_each_key_is_given([a, b, c]: Nodes<'_>) {
+    let at_b = echo_service(b, "alike/key").await;
+    let at_c = echo_service(c, "alike/key").await;
+    served(a, "alike/key", 2).await;
+    let replies = nearest(a, "alike/*").await;
+    assert_eq!(replies.iter().map(|(key, _)| key.as_str()).collect::<Vec<_>>(), ["alike/key"]);
+    assert!(nearest(a, "nobody/*").await.is_empty());
+    at_b.abort();
+    at_c.abort();
+}
+
 async fn what_is_dropped_has_ended([a, b, c]: Nodes<'_>) {
     // A subscription: one that stays shows that what was sent has come through.
     let gone = c.subscribe("drop/*").await.unwrap();
@@ -416,6 +475,8 @@ stories! {
     a_refusal_arrives_with_its_reason,
     a_selector_has_parameters,
     a_service_answers_only_what_it_was_asked,
+    of_complete_services_one_answers_for_all,
+    of_others_all_answer_and_one_answer_on_each_key_is_given,
     what_is_dropped_has_ended,
     tokens_show_first_what_is_there_and_then_each_change,
     a_token_announced_twice_is_there_until_both_have_ended,

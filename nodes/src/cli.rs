@@ -1,8 +1,8 @@
 //! The command line.
 
 use crate::command::{
-    bench, cancel, chaos, check, dry_run, experiment, fleet, leave, map, missions, recover, rescue, robot, station,
-    submit, test, world,
+    bench, cancel, chaos, check, dry_run, experiment, explain, fleet, keys, leave, map, missions, recover, rescue,
+    robot, station, submit, test, world,
 };
 use crate::demo;
 use crate::exit::Failure;
@@ -56,9 +56,11 @@ enum Command {
     World(world::Args),
     Submit(submit::Args),
     Missions(missions::Args),
+    Explain(explain::Args),
     Cancel(cancel::Args),
     Rescue(rescue::Args),
     Fleet(fleet::Args),
+    Keys(keys::Args),
     Leave(leave::Args),
     Check(check::Args),
     Map(map::Args),
@@ -79,9 +81,11 @@ pub fn run() -> ExitCode {
         Command::World(args) => world::run(args),
         Command::Submit(args) => submit::run(args),
         Command::Missions(args) => missions::run(args),
+        Command::Explain(args) => explain::run(args),
         Command::Cancel(args) => cancel::run(args),
         Command::Rescue(args) => rescue::run(args),
         Command::Fleet(args) => fleet::run(args),
+        Command::Keys(args) => keys::run(args),
         Command::Leave(args) => leave::run(args),
         Command::Check(args) => check::run(args),
         Command::Map(args) => map::run(args),

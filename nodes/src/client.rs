@@ -132,20 +132,21 @@ impl Client {
         Ok(Client { bus, keys, fleet, to: describe(&links), timeout, waiting })
     }
 
-    /// Makes a request of the coordinator's.
+    /// Makes a request: of the coordinator, or of the nearest node if it changes nothing.
     ///
     /// # Errors
     /// [`Failure::Unsuccessful`] with what it refused; [`Failure::Unreached`] if nobody coordinates.
     pub async fn api(&mut self, call: ApiCall, request: &Value) -> Result<Value, Failure> {
-        self.ask(&Key::Api(call), request.to_string()).await
+        let whom = if call.is_reading() { Whom::Nearest } else { Whom::All };
+        self.ask(&Key::Api(call), request.to_string(), whom).await
     }
 
-    /// Looks at what the coordinator shows.
+    /// Looks at what the nearest node shows.
     ///
     /// # Errors
     /// As [`api`](Self::api).
     pub async fn view(&mut self, key: &Key) -> Result<Value, Failure> {
-        self.ask(key, String::new()).await
+        self.ask(key, String::new(), Whom::Nearest).await
     }
 
     /// Asks one node for something that it does at most once, and waits for its answer.
@@ -153,7 +154,7 @@ impl Client {
     /// # Errors
     /// [`Failure::Unsuccessful`] with what it refused; [`Failure::Unreached`] if the node does not answer.
     pub async fn ask_node(&mut self, key: &Key, node: &NodeId, limit: Duration) -> Result<Value, Failure> {
-        match self.once(&self.keys.write(key), "", limit).await {
+        match self.once(&self.keys.write(key), "", limit, Whom::All).await {
             Ok(value) => Ok(value),
             Err(Hindrance::Refused(problem)) => Err(Failure::Unsuccessful(problem)),
             Err(Hindrance::MayPass(problem, _)) => Err(Failure::Unreached(format!("{node}: {problem}"))),
@@ -175,13 +176,13 @@ impl Client {
         let _ = self.bus.close().await;
     }
 
-    async fn ask(&mut self, key: &Key, payload: String) -> Result<Value, Failure> {
+    async fn ask(&mut self, key: &Key, payload: String, whom: Whom) -> Result<Value, Failure> {
         let until = Instant::now() + self.timeout;
         let key = self.keys.write(key);
         let mut waited = false;
         loop {
             let left = until.saturating_duration_since(Instant::now());
-            let hindrance = match self.once(&key, &payload, ONE_QUERY.min(left.max(AGAIN))).await {
+            let hindrance = match self.once(&key, &payload, ONE_QUERY.min(left.max(AGAIN)), whom).await {
                 Ok(value) => {
                     if waited {
                         self.waiting.clear();
@@ -191,7 +192,7 @@ impl Client {
                 Err(Hindrance::Refused(problem)) => return Err(Failure::Unsuccessful(problem)),
                 Err(Hindrance::MayPass(problem, after)) => (problem, after.max(AGAIN)),
                 Err(Hindrance::Silence) if self.bus.links().await.is_empty() => ("the link is down".to_owned(), AGAIN),
-                Err(Hindrance::Silence) => (format!("no coordinator of fleet {} answers yet", self.fleet), AGAIN),
+                Err(Hindrance::Silence) => (format!("no {} of fleet {} answers yet", whom.word(), self.fleet), AGAIN),
             };
             let (hindrance, after) = hindrance;
             if Instant::now() + after >= until {
@@ -210,8 +211,12 @@ impl Client {
         }
     }
 
-    async fn once(&self, key: &str, payload: &str, limit: Duration) -> Result<Value, Hindrance> {
-        let asked = self.bus.query(key, Bytes::from(payload.to_owned()), limit).await;
+    async fn once(&self, key: &str, payload: &str, limit: Duration, whom: Whom) -> Result<Value, Hindrance> {
+        let payload = Bytes::from(payload.to_owned());
+        let asked = match whom {
+            Whom::Nearest => self.bus.query_nearest(key, payload, limit).await,
+            Whom::All => self.bus.query(key, payload, limit).await,
+        };
         let mut replies = asked.map_err(|problem| Hindrance::MayPass(problem.to_string(), AGAIN))?;
         let mut hindrance = Hindrance::Silence;
         // Whoever has just lost the coordination may answer too; the one who can act settles it, if it does soon.
@@ -238,6 +243,24 @@ impl Client {
             until = until.min(Instant::now() + AGAIN);
         }
         Err(hindrance)
+    }
+}
+
+/// Who is asked.
+#[derive(Clone, Copy)]
+enum Whom {
+    /// The nearest node that can answer.
+    Nearest,
+    /// All, of whom the one answers whom it concerns.
+    All,
+}
+
+impl Whom {
+    fn word(self) -> &'static str {
+        match self {
+            Whom::Nearest => "node",
+            Whom::All => "coordinator",
+        }
     }
 }
 

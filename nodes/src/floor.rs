@@ -1,8 +1,9 @@
 //! Maps, from wherever they come, as routes for estimators and skills and as a floor for the simulator.
 
 use crate::config::{Problem, Problems};
-use consort_sim::map::{self, Map, MapError};
+use consort_sim::map::{self, GROUND, Map, MapError};
 use consort_skills::environment::TopologicalMap;
+use serde_json::{Value, json};
 use std::path::Path;
 
 /// A map that was read.
@@ -12,6 +13,28 @@ pub struct Floor {
     pub topology: TopologicalMap,
     /// The floor as the simulator takes it; a map of the published form has none.
     pub map: Option<Map>,
+}
+
+impl Floor {
+    /// The map in JSON, as `view/map` has it: see [`Map::show`]. One of the published form has places and lanes alone.
+    pub fn show(&self) -> Value {
+        if let Some(map) = &self.map {
+            return map.show();
+        }
+        let places = self.topology.places.iter().map(|(place, pose)| {
+            json!({ "name": place, "kind": "other", "x_m": pose.x, "y_m": pose.y, "yaw_rad": pose.yaw, "level": GROUND })
+        });
+        let lanes = self.topology.edges.iter().map(|edge| json!({ "between": [edge.a, edge.b] }));
+        json!({
+            "name": "published",
+            "levels": [{ "name": GROUND, "elevation_m": 0.0 }],
+            "places": places.collect::<Vec<_>>(),
+            "lanes": lanes.collect::<Vec<_>>(),
+            "doors": [],
+            "lifts": [],
+            "walls": [],
+        })
+    }
 }
 
 /// Whether a map of this name comes with the program.
@@ -58,7 +81,7 @@ pub fn read(text: &str, file: &str) -> Result<Floor, Problems> {
 
 /// Whether a text is JSON with the keys of the published map.
 pub fn is_published_form(text: &str) -> bool {
-    let value: Result<serde_json::Value, _> = serde_json::from_str(text);
+    let value: Result<Value, _> = serde_json::from_str(text);
     value.is_ok_and(|value| value.get("nodes").is_some() && value.get("edges").is_some())
 }
 

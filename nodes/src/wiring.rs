@@ -23,6 +23,7 @@ use consort_skills::environment::{Environment, Passages, Routes};
 use consort_skills::library::SkillLibrary;
 use rand::TryRng;
 use rand::rngs::SysRng;
+use serde_json::Value;
 use std::collections::BTreeMap;
 use std::fmt::Display;
 use std::path::Path;
@@ -114,6 +115,7 @@ pub fn fleet_settings(config: &FleetConfig) -> Result<FleetSettings, Problems> {
         timing: config.timing,
         voters: config.voters,
         dead_after: config.times().dead_after,
+        map: None,
     })
 }
 
@@ -256,7 +258,7 @@ pub fn build_world(world: &WorldConfig, fleet: &FleetConfig) -> Result<World, Pr
 fn bare_node(node: NodeId, fleet: &FleetConfig, life: Life, may_vote: bool) -> Result<NodeSettings, Problems> {
     let Life { clock, incarnation, seed, store } = life;
     Ok(NodeSettings {
-        fleet: fleet_settings(fleet)?,
+        fleet: FleetSettings { map: shown_map(fleet), ..fleet_settings(fleet)? },
         node,
         incarnation,
         seed,
@@ -269,6 +271,17 @@ fn bare_node(node: NodeId, fleet: &FleetConfig, life: Life, may_vote: bool) -> R
         host: None,
         observer: None,
     })
+}
+
+/// The fleet's map, to be looked at. A node that does not need it for itself may lack the file.
+fn shown_map(fleet: &FleetConfig) -> Option<Arc<Value>> {
+    match floor::load(&fleet.map) {
+        Ok(floor) => Some(Arc::new(floor.show())),
+        Err(problem) => {
+            warn!(map = fleet.map, %problem, "the fleet's map cannot be read: this node cannot show it");
+            None
+        }
+    }
 }
 
 /// How a node opens Zenoh: as a router between its neighbours.

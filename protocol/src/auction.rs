@@ -6,11 +6,13 @@
 mod bid;
 mod choice;
 mod conclude;
+mod explain;
 mod record;
 mod select;
 
 pub use bid::{Answer, AuctionId, Bid, BidPart, CallForBids, Limits, Refusal, RefusalReason, Tender, Unviable};
 pub use choice::{Ballot, Choice, Exact};
 pub use conclude::{Circumstances, Conclusion, conclude, conclude_by};
+pub use explain::{Explanation, Outcome, Price, RobotExplained, RoleExplained, explain};
 pub use record::{AuctionEntry, AuctionRecord, Verdict};
 pub use select::{NoCoalition, select};

@@ -1,4 +1,5 @@
-//! What happens, as it happens: the stream on `consort/{fleet}/events`, in JSON, for people and programs to follow.
+//! What happens, as it happens, in JSON, for people and programs to follow: each node tells it on a key of its own,
+//! `consort/{fleet}/events/{node}`.
 
 use crate::auction::{AuctionRecord, Bid};
 use crate::ids::{ClusterId, EnsembleId, MissionId, NodeId, RobotId, RoleId, TaskId};

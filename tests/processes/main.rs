@@ -9,6 +9,7 @@ mod crashes;
 mod demo;
 mod demo_on_virtual_time;
 mod departures;
+mod foreign_clients;
 mod full_disk;
 mod holder;
 mod interruption;

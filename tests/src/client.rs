@@ -44,7 +44,12 @@ impl Fleet {
     async fn query(&self, call: ApiCall, payload: &str) -> Stream<Reply> {
         let key = self.keys.write(&Key::Api(call));
         let limit = Duration::from_secs(3);
-        self.client.query(&key, payload.to_owned().into(), limit).await.expect("a virtual bus")
+        let payload = payload.to_owned().into();
+        let asked = match call.is_reading() {
+            true => self.client.query_nearest(&key, payload, limit).await,
+            false => self.client.query(&key, payload, limit).await,
+        };
+        asked.expect("a virtual bus")
     }
 
     /// Makes a request to which there must be an answer.
@@ -60,7 +65,7 @@ impl Fleet {
     pub async fn view(&self, what: &str) -> BTreeMap<String, Value> {
         let key = format!("consort/ward/view/{what}");
         let limit = Duration::from_secs(1);
-        let mut replies = self.client.query(&key, vec![].into(), limit).await.expect("a virtual bus");
+        let mut replies = self.client.query_nearest(&key, vec![].into(), limit).await.expect("a virtual bus");
         let mut views = BTreeMap::new();
         while let Some(reply) = replies.recv().await {
             let payload = reply.payload.expect("a view");

@@ -38,7 +38,8 @@ pub struct Fleet {
     speed: f64,
     members: BTreeMap<String, Member>,
     pub(crate) nodes: BTreeMap<String, NodeHandle>,
-    pub(crate) client: VirtualBus,
+    /// A client's end of the network.
+    pub client: VirtualBus,
     /// What happened in the world, as far as it was looked at.
     pub(crate) journal: Vec<JournalEntry>,
     lives: u64,

@@ -105,7 +105,7 @@ impl Stations {
     }
 
     async fn listen_at(&self, bus: &VirtualBus) {
-        let mut heard = bus.subscribe(&self.keys.write(&Key::Events)).await.expect("a virtual bus");
+        let mut heard = bus.subscribe(&self.keys.write(&Key::Events(bus.node().clone()))).await.expect("a virtual bus");
         let (events, node) = (Arc::clone(&self.events), bus.node().clone());
         tokio::spawn(async move {
             while let Some(sample) = heard.recv().await {

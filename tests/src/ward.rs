@@ -9,6 +9,7 @@ use consort_protocol::ensemble::{Ensemble, EnsembleSpec};
 use consort_protocol::ids::EnsembleId;
 use consort_protocol::lease::LeaseTerms;
 use consort_protocol::mission::Domain;
+use consort_sim::map::shipped;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -30,5 +31,6 @@ pub(crate) fn ward(skills: &[&str], bootstrap_expect: usize) -> FleetSettings {
         timing: Timing::Lan,
         voters: VOTERS,
         dead_after: Timing::Lan.times().dead_after,
+        map: Some(Arc::new(shipped("hospital").expect("it is shipped").show())),
     }
 }

@@ -7,7 +7,7 @@ use consort_tests::{Stations, slug, tell};
 use rand::seq::SliceRandom as _;
 use rand::{RngExt as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;
-use serde_json::Value;
+use serde_json::{Value, json};
 use std::cell::RefCell;
 use std::collections::BTreeSet;
 use std::time::Duration;
@@ -73,7 +73,8 @@ fn two_that_were_founded_apart_do_not_merge_and_both_say_so() {
         let leader = fleet.leaders().into_iter().find(|name| ONE.contains(&name.as_str())).expect("a leader of one");
         fleet.kill(&leader).await;
         fleet.until("two coordinators again", |fleet| fleet.leaders().len() == 2).await;
-        let answers = fleet.ask("fennel", &Key::Api(ApiCall::List), &Value::Null, Duration::from_secs(1)).await;
+        let cancel = json!({ "mission": "lab-samples-9" });
+        let answers = fleet.ask("fennel", &Key::Api(ApiCall::Cancel), &cancel, Duration::from_secs(1)).await;
         assert_eq!(answers.len(), 2, "seed {seed}: each answers for its own: {answers:?}");
         let shown = fleet.ask("fennel", &Key::ViewCoordinator, &Value::Null, Duration::from_secs(1)).await;
         for view in &shown {

@@ -1,11 +1,14 @@
 //! What anybody can see of a fleet.
 
 use crate::usual::{began, fleet};
+use consort_actors::bus::{Bus, VirtualBus};
 use consort_protocol::event::Happening;
-use consort_tests::{Fleet, tell};
-use serde_json::json;
-use std::collections::BTreeSet;
+use consort_protocol::keys::ApiCall;
+use consort_tests::{Fleet, slug, tell};
+use serde_json::{Value, json};
+use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
+use tokio::time::Instant;
 
 const SEEDS: [u64; 2] = [121, 122];
 const ROOM: &str = "IC Room 6";
@@ -21,14 +24,21 @@ fn every_view_is_answered_once_and_says_how_things_stand() {
         // What robots say of themselves comes by gossip.
         let told = async |fleet: &Fleet| {
             let views = fleet.view("**").await;
-            (views["robot/gorse"]["robot"]["availability"]["holding"]["role"] == "r1").then_some(views)
+            let mut tasks = BTreeMap::new();
+            elementary(&views["mission/lab-samples-1"]["tree"], &mut tasks);
+            let told = views["robot/gorse"]["robot"]["availability"]["holding"]["role"] == "r1";
+            (told && tasks["deposit"] == "under_way").then_some(views)
         };
-        let views = fleet.seen("gorse's word that it holds r1", Duration::from_secs(2), told).await;
+        let views =
+            fleet.seen("gorse's word that it holds r1, and the deposit under way", Duration::from_secs(2), told).await;
         let names: Vec<&str> = views.keys().map(String::as_str).collect();
         let expected = [
             "auctions",
             "coordinator",
+            "ensembles",
             "fleet",
+            "health",
+            "map",
             "mission/lab-samples-1",
             "missions",
             "robot/fern",
@@ -82,6 +92,177 @@ fn every_view_is_answered_once_and_says_how_things_stand() {
         );
         assert_eq!(views["missions"]["missions"][0]["done"], shown["done"], "seed {seed}");
         assert_eq!(views["auctions"]["auctions"][0]["chosen"], json!({ "lab_arm": "lab-arm", "r1": "gorse" }));
+
+        // The tree has the task that was awaited under way, what comes before it done, and what comes after it waiting.
+        let mut tasks = BTreeMap::new();
+        elementary(&shown["tree"], &mut tasks);
+        assert_eq!(tasks["navto_room"], "done", "seed {seed}: {tasks:?}");
+        assert_eq!(tasks["deposit"], "under_way", "seed {seed}: {tasks:?}");
+        assert_eq!(tasks["navto_lab"], "waiting", "seed {seed}: {tasks:?}");
+        assert_eq!(shown["tree"]["state"], "under_way", "seed {seed}");
+
+        let ensemble = &views["ensembles"]["ensembles"][0];
+        assert_eq!(ensemble["members"], json!(["fern", "gorse", "lab-arm"]), "seed {seed}");
+        let why = ensemble["not_members"]["aster"].as_str().expect("a reason");
+        assert!(why.contains("member.robot"), "seed {seed}: {why}");
+        let why = &views["auctions"]["auctions"][0]["explanation"]["roles"][1];
+        assert_eq!((&why["role"], &why["winner"]), (&json!("r1"), &json!("gorse")), "seed {seed}: {why}");
+        let places = views["map"]["places"].as_array().expect("places");
+        let room = places.iter().find(|place| place["name"] == ROOM).expect("the room");
+        assert!(room["x_m"].is_f64() && room["y_m"].is_f64(), "seed {seed}: {room}");
+        assert_eq!(views["health"]["level"], "ok", "seed {seed}: {}", views["health"]);
+        for (name, view) in &views {
+            assert!(view["seen_by"].is_string() && view["age_ms"].is_u64(), "seed {seed}: {name}: {view}");
+            assert_eq!((&view["coordinator"], &view["term"]), (&json!("aster"), &json!(1)), "seed {seed}: {name}");
+        }
+    });
+}
+
+/// The elementary tasks of a tree with their states.
+fn elementary(tree: &Value, tasks: &mut BTreeMap<String, String>) {
+    for child in tree["children"].as_array().into_iter().flatten() {
+        elementary(child, tasks);
+    }
+    if tree["kind"] == "elementary" {
+        let text = |key: &str| tree[key].as_str().unwrap_or("?").to_owned();
+        tasks.insert(text("task"), text("state"));
+    }
+}
+
+/// What is answered on the bus of a node, or of a client: with the time that it took.
+async fn look(bus: &VirtualBus, key: &str) -> (BTreeMap<String, Value>, Duration) {
+    let asked = Instant::now();
+    let mut replies = bus.query_nearest(key, vec![].into(), Duration::from_secs(3)).await.expect("a virtual bus");
+    let mut views = BTreeMap::new();
+    while let Some(reply) = replies.recv().await {
+        let view = serde_json::from_slice(&reply.payload.expect("a view")).expect("JSON");
+        let former = views.insert(reply.key.trim_start_matches("consort/ward/").to_owned(), view);
+        assert!(former.is_none(), "{} was answered twice", reply.key);
+    }
+    (views, asked.elapsed())
+}
+
+#[test]
+fn any_node_answers_alone_and_says_whose_it_is_and_how_old() {
+    tell(SEEDS, async |seed| {
+        let mut fleet = fleet(seed, ROOM).await;
+        let mission = fleet.submit("a", ROOM).await;
+        let began = began("deposit");
+        fleet.until("the deposit", SOON, |fleet| fleet.happened(&began)).await;
+        let nodes = ["aster", "basil", "clove", "fern", "gorse", "lab-arm", "world"];
+        // Those without a copy of the ledger have the missions from one that keeps it.
+        for node in nodes {
+            let bus = fleet.network.bus(slug(node));
+            let (views, _) = look(&bus, "consort/ward/view/**").await;
+            let of_its_own = ["fleet", "coordinator", "ensembles", "map"];
+            for view in of_its_own {
+                assert_eq!(views[&format!("view/{view}")]["seen_by"], node, "seed {seed}: {view}");
+            }
+            let keeper = views["view/missions"]["seen_by"].as_str().expect("a node");
+            let keeps = !["gorse", "world"].contains(&node);
+            assert_eq!(keeper == node, keeps, "seed {seed}: {node} has the missions of {keeper}");
+            assert_eq!(views["view/missions"]["missions"][0]["mission"], json!(mission), "seed {seed}: {node}");
+            assert_eq!(views[&format!("view/mission/{mission}")]["state"], "running", "seed {seed}: {node}");
+            assert!(views["view/world"].is_object(), "seed {seed}: {node}");
+            let age = views["view/coordinator"]["age_ms"].as_u64().expect("an age");
+            assert!(if node == "aster" { age == 0 } else { age <= 500 }, "seed {seed}: {node}: {age} ms");
+            let got = look(&bus, "consort/ward/api/list").await.0;
+            assert_eq!(got["api/list"]["missions"][0]["mission"], json!(mission), "seed {seed}: {node}");
+        }
+        // Each by itself, for whoever wants all of them.
+        let (seen, _) = look(&fleet.client, "consort/ward/seen/*/coordinator").await;
+        let seen: BTreeMap<&str, &str> =
+            seen.iter().map(|(key, view)| (key.as_str(), view["coordinator"].as_str().unwrap_or("nobody"))).collect();
+        let expected: Vec<(String, &str)> =
+            nodes.iter().map(|node| (format!("seen/{node}/coordinator"), "aster")).collect();
+        assert!(seen.iter().map(|(key, who)| ((*key).to_owned(), *who)).eq(expected), "seed {seed}: {seen:?}");
+    });
+}
+
+#[test]
+fn views_are_answered_in_a_moment_while_nobody_leads_and_say_so() {
+    tell(SEEDS, async |seed| {
+        let mut fleet = fleet(seed, ROOM).await;
+        let mission = fleet.submit("a", ROOM).await;
+        fleet.until("the way", SOON, |fleet| fleet.happened(&began("navto_room"))).await;
+        let client = fleet.client.clone();
+        let moment = Duration::from_millis(900);
+        fleet.kill("aster").await;
+        let killed = Instant::now();
+        let mut leaders = vec![];
+        while killed.elapsed() < Duration::from_secs(3) {
+            let (views, took) = look(&client, "consort/ward/view/**").await;
+            assert!(took < moment, "seed {seed}: {took:?} at {:?}", killed.elapsed());
+            let missions = &views["view/missions"];
+            assert_eq!(missions["missions"][0]["mission"], json!(mission), "seed {seed}: {missions}");
+            leaders.push(views["view/coordinator"]["node"].clone());
+            tokio::time::sleep(Duration::from_millis(20)).await;
+        }
+        let next = leaders.last().and_then(Value::as_str).expect("the next is known").to_owned();
+        assert_ne!(next, "aster", "seed {seed}");
+
+        // Without a majority nobody leads any more; those who are left say what is the matter.
+        for voter in ["basil", "clove", "fern", "lab-arm"].into_iter().filter(|voter| *voter != next).take(2) {
+            fleet.kill(voter).await;
+        }
+        fleet.kill(&next).await;
+        let says = async |fleet: &Fleet| {
+            let health = fleet.view("health").await.remove("health")?;
+            let findings = health["findings"].as_array()?.clone();
+            let said = |about: &str| findings.iter().any(|finding| finding["about"] == about);
+            (health["level"] == "error" && said("quorum") && said("coordinator")).then_some(health)
+        };
+        let health = fleet.seen("the loss of the quorum", Duration::from_secs(20), says).await;
+        assert_eq!(health["coordinator"], Value::Null, "seed {seed}: {health}");
+    });
+}
+
+#[test]
+fn why_each_robot_did_or_did_not_get_each_role_is_explained() {
+    tell(SEEDS, async |seed| {
+        let mut fleet = fleet(seed, ROOM).await;
+        let mission = fleet.submit("a", ROOM).await;
+        fleet.completes(&mission).await;
+        let said = fleet.answer(ApiCall::Explain, &json!({ "mission": mission })).await;
+        let words: Vec<&str> = said["words"].as_array().expect("sentences").iter().filter_map(Value::as_str).collect();
+        assert_eq!(words[0], format!("{mission} is completed; auction 1:"), "seed {seed}");
+        for says in [
+            "lab_arm: lab-arm gets it with ",
+            "  fern lacks ",
+            "r1: gorse gets it with ",
+            "  gorse bid ",
+            "  fern bid ",
+            "  lab-arm lacks ",
+        ] {
+            assert!(words.iter().any(|line| line.starts_with(says)), "seed {seed}: {says:?} is not in {words:#?}");
+        }
+        let outcome = |robot: &str| {
+            let robots = said["explanation"]["roles"][1]["robots"].as_array().expect("robots");
+            robots.iter().find(|of| of["robot"] == robot).expect("it is there")["outcome"].clone()
+        };
+        assert_eq!((outcome("gorse"), outcome("fern")), (json!("won"), json!("outbid")), "seed {seed}: {words:#?}");
+        let missing = fleet.answer(ApiCall::Explain, &json!({ "mission": "lab-samples-9" })).await;
+        assert!(missing["error"].as_str().is_some_and(|error| error.contains("no mission lab-samples-9")), "{missing}");
+    });
+}
+
+#[test]
+fn every_call_says_what_it_takes() {
+    tell([123], async |_| {
+        let fleet = fleet(123, ROOM).await;
+        let help = fleet.answer(ApiCall::Help, &Value::Null).await;
+        let calls: Vec<&str> =
+            help["calls"].as_array().expect("calls").iter().filter_map(|call| call["call"].as_str()).collect();
+        assert_eq!(calls, ["submit", "cancel", "rescued", "get", "list", "explain", "help"]);
+        let (each, _) = look(&fleet.client, "consort/ward/api/*/help").await;
+        assert_eq!(each.len(), calls.len());
+        let submit = &each["api/submit/help"];
+        assert_eq!(submit["payload_schema"]["required"], json!(["mission"]), "{submit}");
+        let taken = fleet.ask(ApiCall::Submit, &submit["example"]).await.expect("an answer");
+        assert!(taken["mission"].is_string(), "the example is taken: {taken}");
+        let refused = fleet.ask_in_words(ApiCall::Submit, r#"{"mission": "lab-samples", "priority": "high"}"#).await;
+        let error = refused.expect("an answer")["error"].as_str().expect("an error").to_owned();
+        assert!(error.starts_with("priority is a string; allowed is integer"), "{error}");
     });
 }
 

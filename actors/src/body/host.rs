@@ -119,7 +119,7 @@ impl Actor for Host {
         if world.has_people() {
             let ask = settings.keys.write(&Key::People(PeopleCall::Ask));
             tasks.forward(settings.bus.serve(&ask).await?, &myself, HostMessage::Ask);
-            let view = settings.keys.write(&Key::ViewWorld);
+            let view = settings.keys.write(&Key::World);
             tasks.forward(settings.bus.serve(&view).await?, &myself, HostMessage::View);
         }
         tasks.beat(settings.beat, &myself, || HostMessage::Beat);
@@ -149,7 +149,7 @@ impl Actor for Host {
             HostMessage::Ask(query) => state.ask(query).await,
             HostMessage::View(query) => {
                 let report = state.world.report();
-                answer::json(&query, &state.settings.keys.write(&Key::ViewWorld), &report).await;
+                answer::json(&query, &state.settings.keys.write(&Key::World), &report).await;
             }
             HostMessage::Due => state.armed = None,
             HostMessage::Beat => {

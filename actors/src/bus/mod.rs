@@ -8,6 +8,7 @@
 //! - Samples of one publisher on one key arrive in the order sent, or not at all. Nothing else is ordered.
 //! - A publication may be lost: what must arrive is acknowledged by the application (use a query).
 //! - A query streams the replies of all matching services and ends when all have finished, or at its limit.
+//! - A query of the nearest gives one answer on each key, whoever gives it.
 //! - A token's disappearance is a hint that its node is gone, never a proof.
 
 mod keys;
@@ -192,8 +193,18 @@ pub trait Bus: Send + Sync + 'static {
     /// Asks all services that match; the stream ends when all have answered, or at the limit.
     async fn query(&self, key_expr: &str, payload: Bytes, limit: Duration) -> Result<Stream<Reply>, BusError>;
 
+    /// Asks for one answer on each key. If services that match are [complete](Self::serve_complete) for all that is asked,
+    /// the nearest is asked instead of all (on Zenoh the nearest here and the nearest elsewhere). Of several answers on one key
+    /// one is given. All that was answered is given when the query ends, or at the limit. That is how Zenoh asks unless it is
+    /// told otherwise.
+    async fn query_nearest(&self, key_expr: &str, payload: Bytes, limit: Duration) -> Result<Stream<Reply>, BusError>;
+
     /// Answers queries that match.
     async fn serve(&self, key_expr: &str) -> Result<Stream<Query>, BusError>;
+
+    /// Answers queries that match, and knows everything there is below `key_expr`, as others do that serve the same:
+    /// [`query_nearest`](Self::query_nearest) asks one of them.
+    async fn serve_complete(&self, key_expr: &str) -> Result<Stream<Query>, BusError>;
 
     /// Declares presence under a key.
     async fn announce(&self, key: &str) -> Result<Token, BusError>;

@@ -10,6 +10,7 @@ use crate::events::Events;
 use crate::gossip::SharedKnowledge;
 use crate::replica::{ProposeError, Replica};
 use crate::tasks::Tasks;
+use crate::views::Shown;
 use consort_protocol::auction::{AuctionId, CallForBids, Choice, Limits, Tender};
 use consort_protocol::codec;
 use consort_protocol::ensemble::Ensemble;
@@ -25,6 +26,7 @@ use ractor::{Actor, ActorProcessingErr, ActorRef};
 use std::collections::BTreeSet;
 use std::sync::Arc;
 use std::time::Duration;
+use tokio::sync::oneshot;
 use tokio::time::Instant;
 use tracing::info;
 
@@ -126,8 +128,8 @@ pub enum CoordinatorMessage {
     Api(Query),
     /// A client has asked for something a moment ago, when somebody else was believed to coordinate.
     Unanswered(Query),
-    /// Somebody looks.
-    View(Query),
+    /// Somebody looks: how does this node coordinate, if it does?
+    Show(oneshot::Sender<Shown>),
 }
 
 /// The actor.
@@ -177,6 +179,8 @@ impl Actor for Coordinator {
         match (message, &mut state.reign) {
             (CoordinatorMessage::Leadership, _) => state.follow_leadership(&myself).await?,
             (CoordinatorMessage::Beacon(sample), _) => state.hear_of_another(&sample),
+            // Any node answers those that change nothing: see `views`.
+            (CoordinatorMessage::Api(query), _) if changes_nothing(settings, &query) => {}
             (CoordinatorMessage::Api(query), None) => state.leave_to_another(&myself, query).await,
             (CoordinatorMessage::Unanswered(query), None) => drop(state.put_off(query).await),
             (_, None) => {} // of a reign that is over
@@ -207,10 +211,15 @@ impl Actor for Coordinator {
                 // Whether the former coordinator has carried it out, only the same request again can tell.
                 answer::json(&query, &query.key, &retry(String::new())).await;
             }
-            (CoordinatorMessage::View(query), Some(reign)) => reign.view(settings, &query).await,
+            // Whoever looked may have given up.
+            (CoordinatorMessage::Show(to), Some(reign)) => drop(to.send(reign.show(settings))),
         }
         Ok(())
     }
+}
+
+fn changes_nothing(settings: &CoordinatorSettings, query: &Query) -> bool {
+    matches!(settings.keys.read(&query.key), Some(Key::Api(call)) if call.is_reading())
 }
 
 impl CoordinatorState {

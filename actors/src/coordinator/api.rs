@@ -1,22 +1,8 @@
-//! Requests of clients in any language: JSON in, JSON out, on `consort/{fleet}/api/{submit,cancel,rescued,get,list}`.
-//!
-//! | call | asks | gets |
-//! |---|---|---|
-//! | `submit` | `{"mission": "lab-samples", "parameters": {"room": "IC Room 6"}, "request": "my-7"}`; `mission` may also be a whole mission file as an object; `request` may be left out, as may `priority` (-100 to 100, higher is served first, default 0) and `deadline_s` (seconds from now until the mission should be done) | `{"mission": "lab-samples-1", "again": false}` |
-//! | `cancel` | `{"mission": "lab-samples-1", "by": "a nurse"}` | `{"mission": …, "state": …}` |
-//! | `rescued` | `{"mission": "lab-samples-1", "by": "Nia"}`: what the mission left in robots' hands has been taken care of | `{"mission": …, "state": …}` |
-//! | `get` | `{"mission": "lab-samples-1"}` | the mission, as `view/mission/{id}` has it |
-//! | `list` | nothing | `{"missions": […]}` |
-//!
-//! What cannot be done gets `{"error": "…"}`, and nothing was changed. With `"retry_after_ms"` beside it the same may be
-//! asked again after that time, with the same `request`: nobody coordinates yet, or the ledger could not be heard in time. A
-//! submission is answered once the mission is committed; the same `request` again gets the same answer.
-//!
-//! A mission that is not done by its deadline is given up. Deadlines are kept by the coordinators' wall clocks.
+//! Requests that change something, carried out by the coordinator: see [`crate::calls`] for what they take.
 
 use super::interregnum::RETRY_AFTER_MS;
-use super::view;
 use super::whereabouts::places;
+use crate::calls::{Changed, OnWord, Submit, Submitted, read};
 use crate::gossip::SharedKnowledge;
 use crate::replica::{ProposeError, Replica};
 use consort_protocol::codec;
@@ -25,9 +11,7 @@ use consort_protocol::keys::ApiCall;
 use consort_protocol::ledger::{Command, Ledger, Outcome, Priority, Recovery, Submission, time_until_deadline};
 use consort_protocol::mission::{Domain, Format, MissionTemplate, shipped};
 use consort_protocol::plan::divide_and_check;
-use serde::Deserialize;
 use serde_json::{Value, json};
-use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -49,18 +33,6 @@ pub(super) struct Desk {
     pub(super) number: u64,
 }
 
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-struct Submit {
-    mission: Value,
-    #[serde(default)]
-    parameters: BTreeMap<String, String>,
-    request: Option<RequestId>,
-    #[serde(default)]
-    priority: i64,
-    deadline_s: Option<f64>,
-}
-
 /// Why there is no other answer.
 struct Problem {
     text: String,
@@ -74,24 +46,6 @@ impl From<String> for Problem {
     }
 }
 
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-struct Cancel {
-    mission: MissionId,
-    #[serde(default = "a_client")]
-    by: String,
-}
-
-fn a_client() -> String {
-    "a client".to_owned()
-}
-
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-struct Get {
-    mission: MissionId,
-}
-
 impl Desk {
     /// Carries a request out.
     pub(super) async fn serve(self, call: ApiCall, payload: &[u8]) -> Value {
@@ -99,8 +53,9 @@ impl Desk {
             ApiCall::Submit => self.submit(payload).await,
             ApiCall::Cancel => self.cancel(payload).await,
             ApiCall::Rescued => self.rescued(payload).await,
-            ApiCall::Get => self.get(payload).await,
-            ApiCall::List => self.list().await,
+            ApiCall::Get | ApiCall::List | ApiCall::Explain | ApiCall::Help => {
+                Err(format!("{} is answered by any node", call.word()).into())
+            }
         };
         answer.unwrap_or_else(|Problem { text, may_pass }| match may_pass {
             true => json!({ "error": text, "retry_after_ms": RETRY_AFTER_MS }),
@@ -109,10 +64,10 @@ impl Desk {
     }
 
     async fn submit(&self, payload: &[u8]) -> Result<Value, Problem> {
-        let asked: Submit = read(payload, r#"{"mission": "lab-samples", "parameters": {"room": "IC Room 6"}}"#)?;
+        let asked: Submit = read(ApiCall::Submit, payload)?;
         let submission = self.prepare(asked)?;
         match self.replica.propose(Command::Submit(Box::new(submission)), LIMIT).await {
-            Ok(Outcome::Submitted { mission, again }) => Ok(json!({ "mission": mission, "again": again })),
+            Ok(Outcome::Submitted { mission, again }) => Ok(json!(Submitted { mission, again })),
             Ok(other) => Err(format!("the ledger answered {other:?}").into()),
             Err(problem) => Err(not_committed(&problem)),
         }
@@ -156,13 +111,13 @@ impl Desk {
     }
 
     async fn cancel(&self, payload: &[u8]) -> Result<Value, Problem> {
-        let Cancel { mission, by } = read(payload, r#"{"mission": "lab-samples-1", "by": "a nurse"}"#)?;
+        let OnWord { mission, by } = read(ApiCall::Cancel, payload)?;
         let places = self.replica.read(|ledger| places(&self.knowledge, ledger.mission(&mission)));
         self.change(mission.clone(), Command::Cancel { mission, by, places }).await
     }
 
     async fn rescued(&self, payload: &[u8]) -> Result<Value, Problem> {
-        let Cancel { mission, by } = read(payload, r#"{"mission": "lab-samples-1", "by": "Nia"}"#)?;
+        let OnWord { mission, by } = read(ApiCall::Rescued, payload)?;
         self.change(mission.clone(), Command::Rescued { mission, by }).await
     }
 
@@ -171,28 +126,11 @@ impl Desk {
             Ok(Outcome::Refused(refused)) => Err(refused.to_string().into()),
             Ok(_) => {
                 let state = self.replica.read(|ledger| ledger.mission(&mission).map(|entry| entry.state.clone()));
-                Ok(json!({ "mission": mission, "state": state }))
+                Ok(json!(Changed { mission, state }))
             }
             Err(problem) => Err(not_committed(&problem)),
         }
     }
-
-    async fn get(&self, payload: &[u8]) -> Result<Value, Problem> {
-        let Get { mission } = read(payload, r#"{"mission": "lab-samples-1"}"#)?;
-        self.replica.ensure_leader(LIMIT).await.map_err(|problem| not_committed(&problem))?;
-        self.replica
-            .read(|ledger| ledger.mission(&mission).map(view::mission))
-            .ok_or_else(|| format!("no mission {mission}").into())
-    }
-
-    async fn list(&self) -> Result<Value, Problem> {
-        self.replica.ensure_leader(LIMIT).await.map_err(|problem| not_committed(&problem))?;
-        Ok(self.replica.read(view::missions))
-    }
-}
-
-fn read<T: serde::de::DeserializeOwned>(payload: &[u8], example: &str) -> Result<T, String> {
-    serde_json::from_slice(payload).map_err(|problem| format!("{problem}; an example is {example}"))
 }
 
 fn not_committed(problem: &ProposeError) -> Problem {

@@ -22,7 +22,7 @@ mod news;
 mod pace;
 mod reign;
 mod reports;
-mod view;
 mod whereabouts;
 
 pub use actor::{Coordinator, CoordinatorMessage, CoordinatorSettings};
+pub(crate) use whereabouts::foreign;

@@ -6,18 +6,18 @@ use super::duties::{Duty, Memory, Phase, Round, awards, duties};
 use super::news::Seen;
 use super::pace::{Pace, Stalled};
 use super::reports::Clerk;
-use super::view::Window;
 use super::whereabouts::{foreign, place, places};
 use crate::answer;
 use crate::autopilot::{Autopilot, Done, perform};
 use crate::bus::{BusError, Delivery, Encoding, Query, Token};
 use crate::replica::Leadership;
 use crate::tasks::Tasks;
+use crate::views::Shown;
 use bytes::Bytes;
 use consort_protocol::codec;
 use consort_protocol::event::Happening;
 use consort_protocol::ids::{ClusterId, MissionId, NodeId, RobotId, RoleId};
-use consort_protocol::keys::Key;
+use consort_protocol::keys::{ApiCall, Key};
 use consort_protocol::lease::{Award, Epoch, Watch};
 use consort_protocol::ledger::{Command, MissionEntry, Outcome};
 use consort_protocol::message::{AwardAnswer, AwardNotice, Beacon, Live, LivePlan, Report};
@@ -30,7 +30,6 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 use tokio::time::Instant;
 use tracing::{debug, error, info, warn};
-use zenoh_keyexpr::keyexpr;
 
 /// How long the ledger may take to accept that a role or a mission is given up.
 const GIVE_UP_LIMIT: Duration = Duration::from_secs(1);
@@ -89,7 +88,6 @@ impl Reign {
         let report = keys.write(&Key::Report(node.clone()));
         tasks.forward(bus.serve(&report).await?, myself, CoordinatorMessage::Report);
         tasks.forward(bus.serve(&keys.write(&Key::Live(node.clone()))).await?, myself, CoordinatorMessage::Live);
-        tasks.forward(bus.serve(&keys.any_view()).await?, myself, CoordinatorMessage::View);
         let token = bus.announce(&keys.write(&Key::AliveCoordinator(term, node.clone()))).await?;
         let since = settings.clock.now();
         info!(%node, term, "coordinates");
@@ -371,7 +369,8 @@ impl Reign {
     pub(super) fn api(&mut self, settings: &CoordinatorSettings, query: Query) {
         let Some(Key::Api(call)) = settings.keys.read(&query.key) else {
             let asked = query.key.rsplit('/').next().unwrap_or_default();
-            let error = format!("no such request: {asked}; there are submit, cancel, rescued, get and list");
+            let calls = ApiCall::ALL.iter().map(|call| call.word()).collect::<Vec<_>>().join(", ");
+            let error = format!("no such request: {asked}; there are {calls}");
             self.tasks.spawn(async move { answer::json(&query, &query.key, &json!({ "error": error })).await });
             return;
         };
@@ -395,25 +394,10 @@ impl Reign {
         });
     }
 
-    pub(super) async fn view(&mut self, settings: &CoordinatorSettings, query: &Query) {
-        let leadership = settings.replica.leadership().borrow().clone();
-        let window = Window {
-            keys: &settings.keys,
-            node: &settings.node,
-            leadership: &leadership,
-            since: self.since,
-            now: settings.clock.now(),
-            knowledge: &settings.knowledge,
-            ensemble: &settings.ensemble,
-            replica: &settings.replica,
-            autopilot: self.autopilot.show(),
-        };
-        let Ok(asked) = keyexpr::new(query.key.as_str()) else { return };
-        for (key, value) in window.all() {
-            if keyexpr::new(key.as_str()).is_ok_and(|key| asked.intersects(key)) {
-                answer::json(query, &key, &value).await;
-            }
-        }
+    /// What this node knows of its own reign.
+    pub(super) fn show(&self, settings: &CoordinatorSettings) -> Shown {
+        let since_ms = u64::try_from(settings.clock.now().since(self.since).as_millis()).unwrap_or(u64::MAX);
+        Shown { term: self.term, since_ms, autopilot: self.autopilot.show() }
     }
 }
 

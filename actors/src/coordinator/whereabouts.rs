@@ -20,7 +20,7 @@ pub(super) fn places(knowledge: &SharedKnowledge, entry: Option<&MissionEntry>) 
 }
 
 /// Other clusters of this fleet's name that are heard of, and a node of each.
-pub(super) fn foreign(knowledge: &SharedKnowledge, own: Option<ClusterId>) -> BTreeMap<ClusterId, NodeId> {
+pub(crate) fn foreign(knowledge: &SharedKnowledge, own: Option<ClusterId>) -> BTreeMap<ClusterId, NodeId> {
     knowledge.read(|base| {
         let its = base.iter().filter_map(|(node, heard)| Some((heard.record.knowledge.cluster?, node.clone())));
         its.filter(|(cluster, _)| Some(*cluster) != own).collect()

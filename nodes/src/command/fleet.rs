@@ -8,7 +8,7 @@ use serde_json::{Value, json};
 
 /// Show the nodes of a fleet, and who coordinates
 ///
-/// As the coordinator has heard of them: each belief has an age.
+/// As the nearest node has heard of them: each belief has an age.
 #[derive(Debug, clap::Args)]
 #[command(after_long_help = "\
 Examples:
@@ -48,8 +48,15 @@ fn head(coordinator: &Value) -> String {
         let names: Vec<&str> = names.collect();
         if names.is_empty() { "nobody".to_owned() } else { names.join(", ") }
     };
+    let (term, voters) = (number("term"), list("voters"));
+    if coordinator.get("node").is_none_or(Value::is_null) {
+        return format!(
+            "nobody coordinates, as {} sees it; the last term was {term}; the ledger is kept by {voters}",
+            text("seen_by")
+        );
+    }
     let since = number("since_ms") as f64 / 1000.0;
-    let (node, term, voters) = (text("node"), number("term"), list("voters"));
+    let node = text("node");
     format!("{node} coordinates since {since:.1} s, term {term}; the ledger is kept by {voters}")
 }
 

@@ -5,7 +5,8 @@ use super::narrator::Narrator;
 use super::stage::Stage;
 use crate::exit::Failure;
 use crate::source;
-use consort_actors::bus::{Sample, SharedBus, Stream};
+use bytes::Bytes;
+use consort_actors::bus::{Reply, Sample, SharedBus, Stream};
 use consort_protocol::event::{Event, Happening};
 use consort_protocol::ids::{MissionId, NodeId};
 use consort_protocol::keys::{ApiCall, Key, Keys};
@@ -112,8 +113,8 @@ impl<S: Stage> Director<S> {
 
     async fn acts(&mut self) -> Result<(), Failure> {
         let bus = self.stage.bus();
-        let key = self.keys.write(&Key::Events);
-        let mut events = bus.subscribe(&key).await.map_err(|problem| Failure::Unreached(problem.to_string()))?;
+        let mut events =
+            bus.subscribe(&self.keys.any_events()).await.map_err(|problem| Failure::Unreached(problem.to_string()))?;
         self.narrator.open(&self.stage.introduction())?;
         self.await_coordinator(&mut events).await?;
         self.submit_all(&mut events).await?;
@@ -359,7 +360,8 @@ impl<S: Stage> Director<S> {
     }
 
     async fn look(&self, key: &Key) -> Option<Value> {
-        ask(&self.stage.bus(), &self.keys.write(key), &Value::Null).await
+        let bus = self.stage.bus();
+        first(bus.query_nearest(&self.keys.write(key), Bytes::new(), QUERY_LIMIT).await.ok()?).await
     }
 }
 
@@ -371,7 +373,10 @@ fn sample(report: &Value) -> (String, String) {
 /// Asks, and gives the first answer that is JSON.
 async fn ask(bus: &SharedBus, key: &str, payload: &Value) -> Option<Value> {
     let bytes = if payload.is_null() { vec![] } else { payload.to_string().into_bytes() };
-    let mut replies = bus.query(key, bytes.into(), QUERY_LIMIT).await.ok()?;
+    first(bus.query(key, bytes.into(), QUERY_LIMIT).await.ok()?).await
+}
+
+async fn first(mut replies: Stream<Reply>) -> Option<Value> {
     while let Some(reply) = replies.recv().await {
         if let Some(value) = reply.payload.ok().and_then(|bytes| serde_json::from_slice(&bytes).ok()) {
             return Some(value);

@@ -17,6 +17,27 @@ fn a_client_that_reaches_nobody_says_so_and_what_to_do() {
 }
 
 #[test]
+fn the_keys_are_those_of_the_module_that_writes_them() {
+    use consort_protocol::keys::TABLE;
+    let ran = run(&["keys", "--fleet", "north"]);
+    assert_eq!(ran.code, Some(0), "{}", ran.err);
+    let lines: Vec<&str> = ran.out.lines().skip(1).collect();
+    assert_eq!(lines.len(), TABLE.len(), "{}", ran.out);
+    for (line, about) in lines.iter().zip(TABLE) {
+        let key = format!("consort/north/{}", about.pattern);
+        assert_eq!(line.split_whitespace().next(), Some(key.as_str()), "{line}");
+        assert!(line.contains(about.who) && line.contains(about.what), "{line}");
+    }
+    let ran = run(&["keys", "--json"]);
+    let keys: serde_json::Value = serde_json::from_str(&ran.out).expect("JSON");
+    let submit = keys["keys"].as_array().expect("a list").iter().find(|key| key["key"] == "consort/ward/api/submit");
+    let submit = submit.expect("it is listed");
+    assert_eq!((&submit["usage"], &submit["encoding"]), (&"answers".into(), &"application/json".into()), "{submit}");
+    let ran = run(&["keys", "--fleet", "a b"]);
+    assert_eq!(ran.code, Some(2), "{}", ran.out);
+}
+
+#[test]
 fn a_station_alone_coordinates_takes_missions_and_stops_when_told() {
     let address = free_address();
     let station = consort(&["station", "--name", "s1", "--listen", &address])
@@ -36,11 +57,16 @@ fn a_station_alone_coordinates_takes_missions_and_stops_when_told() {
     assert!(ran.out.starts_with("s1 coordinates since "), "{}{}", ran.out, ran.err);
     let ran = run(&["missions", "--connect", &address]);
     assert!(ran.out.contains("lab-samples-1  pending  0/16"), "{}{}", ran.out, ran.err);
+    let ran = run(&["explain", "lab-samples-1", "--connect", &address]);
+    assert!(ran.out.starts_with("lab-samples-1 is pending; "), "{}{}", ran.out, ran.err);
+    let ran = run(&["explain", "lab-samples-9", "--connect", &address]);
+    assert_eq!(ran.code, Some(1));
+    assert!(ran.err.contains("no mission lab-samples-9 is known at s1"), "{}", ran.err);
     let ran = run(&["cancel", "lab-samples-1", "--by", "Nia", "--connect", &address]);
     assert_eq!((ran.code, ran.out.as_str()), (Some(0), "lab-samples-1 canceled: by Nia\n"), "{}", ran.err);
     let ran = run(&["fleet", "--fleet", "another", "--timeout", "0.5", "--connect", &address]);
     assert_eq!(ran.code, Some(3));
-    assert!(ran.err.contains("no coordinator of fleet another answers"), "{}", ran.err);
+    assert!(ran.err.contains("no node of fleet another answers"), "{}", ran.err);
 
     // The port is taken: a second node there says so.
     let ran = run(&["station", "--name", "s2", "--listen", &address]);

@@ -45,6 +45,7 @@ mod reach;
 pub mod rmf;
 mod shipped;
 pub mod show;
+mod telling;
 #[cfg(test)]
 mod tests;
 mod topology;

@@ -35,7 +35,7 @@ impl Fleet {
         let program = Path::new(env!("CARGO_BIN_EXE_consort"));
         let stage = Processes::set(cast, program, None).await.map_err(|problem| problem.to_string())?;
         let keys = Keys::new(&cast.fleet.name);
-        let events = stage.bus().subscribe(&keys.write(&Key::Events)).await.map_err(|problem| problem.to_string())?;
+        let events = stage.bus().subscribe(&keys.any_events()).await.map_err(|problem| problem.to_string())?;
         let mut fleet = Fleet { stage, keys, events };
         let wanted = cast.voters().len().min(5);
         let deadline = Instant::now() + PATIENCE;
@@ -109,7 +109,10 @@ pub(crate) fn acknowledged(answer: Option<&Value>) -> Option<MissionId> {
 /// Asks, and gives the first answer that is JSON.
 pub(crate) async fn ask(bus: &SharedBus, key: &str, payload: &Value, limit: Duration) -> Option<Value> {
     let bytes = if payload.is_null() { vec![] } else { payload.to_string().into_bytes() };
-    let mut replies = bus.query(key, bytes.into(), limit).await.ok()?;
+    let mut replies = match key.contains("/view/") {
+        true => bus.query_nearest(key, bytes.into(), limit).await.ok()?,
+        false => bus.query(key, bytes.into(), limit).await.ok()?,
+    };
     while let Some(reply) = replies.recv().await {
         if let Some(value) = reply.payload.ok().and_then(|bytes| serde_json::from_slice(&bytes).ok()) {
             return Some(value);

@@ -7,7 +7,7 @@ use std::time::Duration;
 use zenoh::bytes::Encoding;
 use zenoh::handlers::FifoChannelHandler;
 use zenoh::pubsub::Subscriber;
-use zenoh::query::{ConsolidationMode, QueryTarget};
+use zenoh::query::{ConsolidationMode, QueryTarget, Reply};
 use zenoh::sample::Sample;
 use zenoh::{Config, Session, Wait};
 
@@ -29,17 +29,31 @@ impl Client {
             zenoh::open(config.clone()).wait().ok()
         });
         // Zenoh's own queue holds 256 and stops its sender when full.
-        let events = session.declare_subscriber(format!("consort/{fleet}/events"));
+        let events = session.declare_subscriber(format!("consort/{fleet}/events/**"));
         let events = events.with(zenoh::handlers::FifoChannel::new(8192)).wait().expect("events can be followed");
         Client { session, events, heard: vec![], fleet }
     }
 
-    /// All answers to a question on `consort/{fleet}/{key}`, none left out, by their keys without `consort/{fleet}/`.
+    /// All answers to a question on `consort/{fleet}/{key}`, by their keys without `consort/{fleet}/`: of a view as Zenoh
+    /// asks by itself, and of a request none left out.
     pub(crate) fn all(&self, key: &str, payload: &str) -> Vec<(String, Value)> {
         let prefix = format!("consort/{}/", self.fleet);
         let asked = self.session.get(format!("{prefix}{key}")).payload(payload).timeout(Duration::from_secs(5));
-        let asked = asked.target(QueryTarget::All).consolidation(ConsolidationMode::None).wait();
-        let answers = asked.expect("a question can be asked");
+        let asked = match key.starts_with("view/") {
+            true => asked,
+            false => asked.target(QueryTarget::All).consolidation(ConsolidationMode::None),
+        };
+        self.hear(key, asked.wait().expect("a question can be asked"))
+    }
+
+    /// What a client gets that has every node answer, and else leaves all settings as they are.
+    pub(crate) fn from_all_nodes(&self, key: &str) -> Vec<(String, Value)> {
+        let asked = self.session.get(format!("consort/{}/{key}", self.fleet)).target(QueryTarget::All);
+        self.hear(key, asked.wait().expect("a question can be asked"))
+    }
+
+    fn hear(&self, key: &str, answers: FifoChannelHandler<Reply>) -> Vec<(String, Value)> {
+        let prefix = format!("consort/{}/", self.fleet);
         let mut all = vec![];
         while let Ok(answer) = answers.recv() {
             // Whoever is being killed just now may leave a question to its limit: that is no answer.

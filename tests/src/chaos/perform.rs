@@ -4,7 +4,7 @@ use super::cast::{Cast, WORLD};
 use super::gear::Gear;
 use super::schedule::{Act, Fate};
 use crate::{Entry, Fleet, slug};
-use consort_actors::bus::{Bus, LinkModel};
+use consort_actors::bus::{Bus, BusError, LinkModel, Reply, Stream};
 use consort_protocol::ids::NodeId;
 use consort_protocol::keys::{ApiCall, Key};
 use consort_protocol::units::BatteryShare;
@@ -246,7 +246,7 @@ impl Hand {
         tokio::spawn(async move {
             loop {
                 // Also what was asked for without a name and never acknowledged.
-                let answers = ask(&client, &list, &Value::Null).await;
+                let answers = look(&client, &list).await;
                 let mut stranded: Vec<Value> = vec![];
                 for mission in answers.iter().filter_map(|answer| answer["missions"].as_array()).flatten() {
                     if mission["state"] == "needs_rescue" {
@@ -302,10 +302,17 @@ impl Hand {
 
 /// What whoever coordinates says; several may believe that they do, and none may be heard.
 async fn ask(client: &impl Bus, key: &str, asked: &Value) -> Vec<Value> {
+    hear(client.query(key, asked.to_string().into(), Duration::from_secs(3)).await).await
+}
+
+/// What the nearest node says.
+async fn look(client: &impl Bus, key: &str) -> Vec<Value> {
+    hear(client.query_nearest(key, vec![].into(), Duration::from_secs(3)).await).await
+}
+
+async fn hear(asked: Result<Stream<Reply>, BusError>) -> Vec<Value> {
     let mut answers = vec![];
-    let Ok(mut replies) = client.query(key, asked.to_string().into(), Duration::from_secs(3)).await else {
-        return answers;
-    };
+    let Ok(mut replies) = asked else { return answers };
     while let Some(reply) = replies.recv().await {
         if let Ok(answer) = reply.payload.map(|payload| serde_json::from_slice(&payload).unwrap_or(Value::Null)) {
             answers.push(answer);

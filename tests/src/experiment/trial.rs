@@ -136,6 +136,7 @@ impl<'s> Play<'s> {
             timing: Timing::Lan,
             voters: STATIONS.len(),
             dead_after: times.dead_after,
+            map: None,
         };
         let network = VirtualNetwork::new(derive(seed, &["network"]), LinkModel::LAN);
         let watcher = Watcher::new(brief);

@@ -9,6 +9,7 @@
 //! - Every node is linked with every other. Subscriptions and services are known everywhere at once.
 //! - What crosses a cut link is lost, however short the cut: nothing is sent again. Use
 //!   [`pause`](VirtualNetwork::pause) for what is late and not lost.
+//! - Of several complete services the nearest is a node's own, else that of the node which joined first.
 //! - A healed link works at once; tokens come back after one latency.
 //! - [`Delivery::Drop`] and [`Delivery::Block`] are one: mailboxes have no limit, and the link model loses both.
 //!
@@ -32,7 +33,7 @@ use super::{
 use async_trait::async_trait;
 use bytes::Bytes;
 use consort_protocol::ids::NodeId;
-use network::{Life, Network, Number, Question};
+use network::{Life, Network, Number, Question, Whom};
 use responder::Leg;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
 use std::time::Duration;
@@ -195,6 +196,22 @@ impl VirtualBus {
         })
     }
 
+    fn ask(&self, key_expr: &str, payload: Bytes, limit: Duration, whom: Whom) -> Result<Stream<Reply>, BusError> {
+        let (wanted, parameters) = keys::selector(key_expr)?;
+        keys::fits("query", &payload, MESSAGE_MAX)?;
+        let question = Question { wanted, parameters: parameters.to_owned(), payload };
+        let (replies, receiver) = mpsc::unbounded_channel();
+        let number = self.act("query", |network| network.ask(self.life, question, limit, whom, replies))?;
+        Ok(self.stream(receiver, number, Network::stop_asking))
+    }
+
+    fn answer(&self, key_expr: &str, complete: bool) -> Result<Stream<Query>, BusError> {
+        let wanted = keys::expression(key_expr)?;
+        let (mailbox, receiver) = mpsc::unbounded_channel();
+        let number = self.act("serve", |network| network.serve(self.life, wanted, complete, mailbox))?;
+        Ok(self.stream(receiver, number, Network::stop_serving))
+    }
+
     fn stream<T>(
         &self,
         receiver: mpsc::UnboundedReceiver<T>,
@@ -233,19 +250,19 @@ impl Bus for VirtualBus {
     }
 
     async fn query(&self, key_expr: &str, payload: Bytes, limit: Duration) -> Result<Stream<Reply>, BusError> {
-        let (wanted, parameters) = keys::selector(key_expr)?;
-        keys::fits("query", &payload, MESSAGE_MAX)?;
-        let question = Question { wanted, parameters: parameters.to_owned(), payload };
-        let (replies, receiver) = mpsc::unbounded_channel();
-        let number = self.act("query", |network| network.ask(self.life, question, limit, replies))?;
-        Ok(self.stream(receiver, number, Network::stop_asking))
+        self.ask(key_expr, payload, limit, Whom::All)
+    }
+
+    async fn query_nearest(&self, key_expr: &str, payload: Bytes, limit: Duration) -> Result<Stream<Reply>, BusError> {
+        self.ask(key_expr, payload, limit, Whom::Nearest)
     }
 
     async fn serve(&self, key_expr: &str) -> Result<Stream<Query>, BusError> {
-        let wanted = keys::expression(key_expr)?;
-        let (mailbox, receiver) = mpsc::unbounded_channel();
-        let number = self.act("serve", |network| network.serve(self.life, wanted, mailbox))?;
-        Ok(self.stream(receiver, number, Network::stop_serving))
+        self.answer(key_expr, false)
+    }
+
+    async fn serve_complete(&self, key_expr: &str) -> Result<Stream<Query>, BusError> {
+        self.answer(key_expr, true)
     }
 
     async fn announce(&self, key: &str) -> Result<Token, BusError> {

@@ -144,6 +144,40 @@ fn reply(from: zenoh::query::Reply, asked: &OwnedKeyExpr) -> Option<Reply> {
     }
 }
 
+impl ZenohBus {
+    async fn ask(
+        &self,
+        key_expr: &str,
+        payload: Bytes,
+        limit: Duration,
+        (target, consolidation): (QueryTarget, ConsolidationMode),
+    ) -> Result<Stream<Reply>, BusError> {
+        let (asked, parameters) = keys::selector(key_expr)?;
+        keys::fits("query", &payload, self.life.settings().message_max)?;
+        let (mailbox, receiver) = mpsc::unbounded_channel();
+        let key = asked.clone();
+        let hear = move |answer: zenoh::query::Reply| {
+            if let Some(reply) = reply(answer, &key) {
+                let _ = mailbox.send(reply);
+            }
+        };
+        let session = self.life.session();
+        let mut get = session.get((asked, parameters)).target(target).consolidation(consolidation).timeout(limit);
+        if !payload.is_empty() {
+            get = get.payload(payload).encoding(to_zenoh(Encoding::Wire));
+        }
+        get.callback(hear).await.map_err(|problem| failed("query", problem))?;
+        Ok(Stream::new(receiver, Box::new(())))
+    }
+
+    async fn answer(&self, key_expr: &str, complete: bool) -> Result<Stream<Query>, BusError> {
+        let wanted = keys::expression(key_expr)?;
+        let (mailbox, receiver) = mpsc::unbounded_channel();
+        let declared = self.life.declare(Declaration::Questions { key: wanted, mailbox, complete }).await?;
+        Ok(Stream::new(receiver, Box::new(declared)))
+    }
+}
+
 #[async_trait]
 impl Bus for ZenohBus {
     async fn publish(&self, key: &str, payload: Bytes, encoding: Encoding, delivery: Delivery) -> Result<(), BusError> {
@@ -166,33 +200,19 @@ impl Bus for ZenohBus {
     }
 
     async fn query(&self, key_expr: &str, payload: Bytes, limit: Duration) -> Result<Stream<Reply>, BusError> {
-        let (asked, parameters) = keys::selector(key_expr)?;
-        keys::fits("query", &payload, self.life.settings().message_max)?;
-        let (mailbox, receiver) = mpsc::unbounded_channel();
-        let key = asked.clone();
-        let hear = move |answer: zenoh::query::Reply| {
-            if let Some(reply) = reply(answer, &key) {
-                let _ = mailbox.send(reply);
-            }
-        };
-        let session = self.life.session();
-        let mut get = session
-            .get((asked, parameters))
-            .target(QueryTarget::All)
-            .consolidation(ConsolidationMode::None)
-            .timeout(limit);
-        if !payload.is_empty() {
-            get = get.payload(payload).encoding(to_zenoh(Encoding::Wire));
-        }
-        get.callback(hear).await.map_err(|problem| failed("query", problem))?;
-        Ok(Stream::new(receiver, Box::new(())))
+        self.ask(key_expr, payload, limit, (QueryTarget::All, ConsolidationMode::None)).await
+    }
+
+    async fn query_nearest(&self, key_expr: &str, payload: Bytes, limit: Duration) -> Result<Stream<Reply>, BusError> {
+        self.ask(key_expr, payload, limit, (QueryTarget::BestMatching, ConsolidationMode::Latest)).await
     }
 
     async fn serve(&self, key_expr: &str) -> Result<Stream<Query>, BusError> {
-        let wanted = keys::expression(key_expr)?;
-        let (mailbox, receiver) = mpsc::unbounded_channel();
-        let declared = self.life.declare(Declaration::Questions(wanted, mailbox)).await?;
-        Ok(Stream::new(receiver, Box::new(declared)))
+        self.answer(key_expr, false).await
+    }
+
+    async fn serve_complete(&self, key_expr: &str) -> Result<Stream<Query>, BusError> {
+        self.answer(key_expr, true).await
     }
 
     async fn announce(&self, key: &str) -> Result<Token, BusError> {

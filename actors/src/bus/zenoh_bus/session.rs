@@ -27,8 +27,8 @@ const TRIES: u32 = 30;
 pub(super) enum Declaration {
     /// Samples are heard.
     Samples(OwnedKeyExpr, UnboundedSender<Sample>),
-    /// Questions are answered.
-    Questions(OwnedKeyExpr, UnboundedSender<Query>),
+    /// Questions are answered, by one who knows all there is below the key or by one of several.
+    Questions { key: OwnedKeyExpr, mailbox: UnboundedSender<Query>, complete: bool },
     /// Presence is told.
     Token(OwnedKeyExpr),
     /// Presence is heard; what is present is remembered, since Zenoh repeats itself when links come and go.
@@ -115,8 +115,8 @@ impl Declaration {
                 let declared = session.declare_subscriber(key.clone()).callback(hear).await;
                 Ok(Box::new(declared.map_err(|problem| failed("subscribe", problem))?))
             }
-            Declaration::Questions(key, mailbox) => {
-                let declared = session.declare_queryable(key.clone());
+            Declaration::Questions { key, mailbox, complete } => {
+                let declared = session.declare_queryable(key.clone()).complete(*complete);
                 let declared = declared.callback(questions(mailbox.clone(), message_max)).await;
                 Ok(Box::new(declared.map_err(|problem| failed("serve", problem))?))
             }

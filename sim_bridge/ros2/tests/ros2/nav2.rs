@@ -185,7 +185,7 @@ async fn whoever_refuses_a_command_is_not_the_bodys_host_however_soon_it_answers
 #[tokio::test(flavor = "multi_thread")]
 async fn only_the_world_answers_for_people_and_for_what_there_is_to_see() {
     let driven = Driven::new().await;
-    let mut answers = driven.bus.query(&keys().write(&Key::ViewWorld), Bytes::new(), LIMIT).await.unwrap();
+    let mut answers = driven.bus.query(&keys().write(&Key::World), Bytes::new(), LIMIT).await.unwrap();
     let view = within("the world", answers.recv()).await.unwrap().payload.unwrap();
     assert!(view.starts_with(b"{"), "{view:?}");
     assert!(within("the end", answers.recv()).await.is_none(), "the adapter has answered, too");

@@ -15,6 +15,8 @@ const ROUTES_MAX: usize = 65_536;
 pub(super) struct Declaration<T> {
     pub(super) place: Place,
     pub(super) wanted: OwnedKeyExpr,
+    /// Whether it knows all there is below its key: of services alone.
+    pub(super) complete: bool,
     pub(super) mailbox: UnboundedSender<T>,
 }
 
@@ -34,6 +36,8 @@ pub(super) struct Route {
     pub(super) kind: KeyKind,
     /// By place, in order.
     pub(super) targets: Vec<(Place, Vec<Number>)>,
+    /// Those that know all that is asked for, in the order of their places.
+    pub(super) complete: Vec<(Place, Number)>,
 }
 
 impl<T> Directory<T> {
@@ -72,11 +76,16 @@ impl<T> Directory<T> {
             return Arc::clone(route);
         }
         let mut targets: BTreeMap<Place, Vec<Number>> = BTreeMap::new();
+        let mut complete = Vec::new();
         for (number, declaration) in &self.declared {
             if declaration.wanted.intersects(key) {
                 targets.entry(declaration.place).or_default().push(*number);
+                if declaration.complete && declaration.wanted.includes(key) {
+                    complete.push((declaration.place, *number));
+                }
             }
         }
+        complete.sort_unstable();
         let mut hasher = DefaultHasher::new();
         key.as_str().hash(&mut hasher);
         let route = Arc::new(Route {
@@ -84,6 +93,7 @@ impl<T> Directory<T> {
             hash: hasher.finish(),
             kind: KeyKind::of(key),
             targets: targets.into_iter().collect(),
+            complete,
         });
         if self.routes.len() >= ROUTES_MAX {
             self.routes.clear();

@@ -14,7 +14,7 @@ mod presence;
 mod publications;
 mod queries;
 
-pub(super) use queries::Question;
+pub(super) use queries::{Question, Whom};
 
 use super::Shared;
 use super::faults::Faults;

@@ -40,7 +40,7 @@ impl Network {
         mailbox: UnboundedSender<Sample>,
     ) -> Number {
         let number = self.number();
-        self.subscriptions.declare(number, Declaration { place: life.place, wanted, mailbox });
+        self.subscriptions.declare(number, Declaration { place: life.place, wanted, complete: false, mailbox });
         number
     }
 

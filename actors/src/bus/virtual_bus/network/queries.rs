@@ -18,10 +18,30 @@ use zenoh_keyexpr::OwnedKeyExpr;
 pub(super) struct Pending {
     pub(super) asker: Place,
     replies: UnboundedSender<Reply>,
+    /// The latest answer on each key, to be given at the end, where one is enough.
+    latest: Option<BTreeMap<String, Reply>>,
     question: Arc<Question>,
     kind: KeyKind,
     /// By number of the service asked.
     legs: BTreeMap<Number, LegState>,
+}
+
+impl Drop for Pending {
+    fn drop(&mut self) {
+        for (_, reply) in self.latest.take().unwrap_or_default() {
+            // Nobody may listen any more.
+            let _ = self.replies.send(reply);
+        }
+    }
+}
+
+/// Who is asked.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(in super::super) enum Whom {
+    /// Every service that matches.
+    All,
+    /// The nearest of those that are complete; if there is none, as above, with one answer on each key.
+    Nearest,
 }
 
 pub(in super::super) struct Question {
@@ -55,10 +75,11 @@ impl Network {
         &mut self,
         life: Life,
         wanted: OwnedKeyExpr,
+        complete: bool,
         mailbox: UnboundedSender<Query>,
     ) -> Number {
         let number = self.number();
-        self.services.declare(number, Declaration { place: life.place, wanted, mailbox });
+        self.services.declare(number, Declaration { place: life.place, wanted, complete, mailbox });
         number
     }
 
@@ -71,16 +92,28 @@ impl Network {
         life: Life,
         question: Question,
         limit: Duration,
+        whom: Whom,
         replies: UnboundedSender<Reply>,
     ) -> Number {
         let asker = life.place;
         let query = self.number();
         let route = self.services.route(&question.wanted);
         let mut legs = BTreeMap::new();
-        for (place, services) in &route.targets {
-            let there = &self.nodes[*place].peers[asker];
-            if there.cut && !self.nodes[asker].peers[*place].connected {
-                continue; // given up: its services are known no more
+        // What is given up is known no more.
+        let is_known = |network: &Network, place: Place| {
+            !network.nodes[place].peers[asker].cut || network.nodes[asker].peers[place].connected
+        };
+        let nearest = match whom {
+            Whom::All => None,
+            Whom::Nearest => {
+                let known = || route.complete.iter().filter(|(place, _)| is_known(self, *place));
+                known().find(|(place, _)| *place == asker).or_else(|| known().next())
+            }
+        };
+        let alone = nearest.map(|(place, service)| vec![(*place, vec![*service])]);
+        for (place, services) in alone.as_ref().unwrap_or(&route.targets) {
+            if !is_known(self, *place) {
+                continue;
             }
             for service in services {
                 let arrival = self.cross(asker, *place, route.kind, Some(question.bytes()));
@@ -93,8 +126,9 @@ impl Network {
             }
         }
         if !legs.is_empty() {
-            self.queries
-                .insert(query, Pending { asker, replies, question: Arc::new(question), kind: route.kind, legs });
+            let (kind, question) = (route.kind, Arc::new(question));
+            let latest = (whom == Whom::Nearest).then(BTreeMap::new);
+            self.queries.insert(query, Pending { asker, replies, latest, question, kind, legs });
             if let Some(end) = self.now.checked_add(limit) {
                 self.at(end, Event::Limit { query });
             }
@@ -165,13 +199,20 @@ impl Network {
     }
 
     pub(super) fn deliver_answer(&mut self, from: Place, to: Place, leg: Leg, reply: Reply) {
-        let Some(query) = self.queries.get(&leg.query) else { return self.count(false) };
+        let Some(query) = self.queries.get_mut(&leg.query) else { return self.count(false) };
         let content = match &reply.payload {
             Ok(payload) => payload.clone(),
             Err(reason) => Bytes::copy_from_slice(reason.as_bytes()),
         };
         let bytes = size(&reply);
-        let (heard, kind) = (query.replies.send(reply).is_ok(), query.kind);
+        let kind = query.kind;
+        let heard = match &mut query.latest {
+            Some(latest) if reply.payload.is_ok() => {
+                latest.insert(reply.key.clone(), reply);
+                !query.replies.is_closed()
+            }
+            _ => query.replies.send(reply).is_ok(),
+        };
         self.take(from, to, kind, bytes);
         self.trace.note(self.now, from, to, leg.service, &content);
         self.count(heard);

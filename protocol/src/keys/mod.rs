@@ -2,11 +2,18 @@
 //!
 //! ```text
 //! consort/{fleet}/wire/**   bincode, between nodes             (see `message` for who says what)
-//! consort/{fleet}/view/**   JSON, for people and any client    get: fleet, robots, coordinator, missions, auctions, world
-//! consort/{fleet}/api/**    JSON, for people and any client    query: submit, cancel, get, list, leave/{node}
+//! consort/{fleet}/view/**   JSON, for people and any client    get: what any one node knows, for all of them
+//! consort/{fleet}/seen/**   JSON, for people and any client    get: {node}/…: the same views as this node has them
+//! consort/{fleet}/api/**    JSON, for people and any client    query: submit, cancel, get, list, help, leave/{node} …
 //! consort/{fleet}/alive/**  presence tokens                    robot/{id}, node/{id}, coordinator/{term}/{id}
-//! consort/{fleet}/events    JSON, published                    what happens, as it happens
+//! consort/{fleet}/events/** JSON, published                    {node}: what happens there, as it happens
 //! ```
+//!
+//! [`TABLE`] has each of them with who says it, how and what.
+
+mod table;
+
+pub use table::{About, TABLE, Usage};
 
 use crate::ids::{FleetId, MissionId, NodeId, RobotId, RoleId};
 use std::fmt;
@@ -44,6 +51,8 @@ pub enum Key {
     Body(RobotId, BodyCall),
     /// `wire/people/{call}`: unmanaged roles are asked to act.
     People(PeopleCall),
+    /// `wire/world`: asked, the host of bodies says how its world looks. In JSON, which is passed on as `view/world`.
+    World,
     /// `view/fleet`.
     ViewFleet,
     /// `view/robot/{robot}`.
@@ -56,10 +65,20 @@ pub enum Key {
     ViewMission(MissionId),
     /// `view/auctions`.
     ViewAuctions,
-    /// `view/world`: answered by the host of bodies, where there is one.
+    /// `view/ensembles`.
+    ViewEnsembles,
+    /// `view/map`.
+    ViewMap,
+    /// `view/health`.
+    ViewHealth,
+    /// `view/world`: as the host of bodies sees it, where there is one.
     ViewWorld,
+    /// `seen/{node}/…`: a view as this one node has it.
+    Seen(NodeId, Box<Key>),
     /// `api/{call}`.
     Api(ApiCall),
+    /// `api/{call}/help`: how a call is made.
+    Help(ApiCall),
     /// `api/leave/{node}`: asks a node to leave the fleet for good.
     Leave(NodeId),
     /// `alive/robot/{robot}`.
@@ -68,8 +87,8 @@ pub enum Key {
     AliveNode(NodeId),
     /// `alive/coordinator/{term}/{node}`.
     AliveCoordinator(u64, NodeId),
-    /// `events`.
-    Events,
+    /// `events/{node}`: a node publishes what happens on it.
+    Events(NodeId),
 }
 
 macro_rules! words {
@@ -137,6 +156,10 @@ words! {
         Get = "get",
         /// Look at all missions.
         List = "list",
+        /// Ask why each robot did or did not get each role of a mission.
+        Explain = "explain",
+        /// Ask which calls there are, and what they take.
+        Help = "help",
     }
     /// What is said on a key, whoever says it of whom: to count by.
     KeyKind {
@@ -171,6 +194,16 @@ words! {
     }
 }
 
+impl ApiCall {
+    /// Whether it changes nothing, and any node answers it from what it knows.
+    pub fn is_reading(self) -> bool {
+        match self {
+            ApiCall::Submit | ApiCall::Cancel | ApiCall::Rescued => false,
+            ApiCall::Get | ApiCall::List | ApiCall::Explain | ApiCall::Help => true,
+        }
+    }
+}
+
 impl KeyKind {
     /// The kind of a key or key expression, of whichever fleet.
     pub fn of(text: &str) -> KeyKind {
@@ -189,10 +222,10 @@ impl KeyKind {
                 ("bid" | "award" | "report", _) => KeyKind::Work,
                 ("signal" | "said", _) => KeyKind::Signal,
                 ("live" | "changed", _) => KeyKind::Live,
-                ("people", _) => KeyKind::People,
+                ("people" | "world", _) => KeyKind::People,
                 _ => KeyKind::Other,
             },
-            (Some("view" | "api" | "events"), _) => KeyKind::People,
+            (Some("view" | "seen" | "api" | "events"), _) => KeyKind::People,
             _ => KeyKind::Other,
         }
     }
@@ -270,9 +303,24 @@ impl Keys {
         format!("{}/view/**", self.prefix)
     }
 
+    /// Key expression for all views as one node has them.
+    pub fn any_seen(&self, node: &NodeId) -> String {
+        format!("{}/seen/{node}/**", self.prefix)
+    }
+
+    /// Key expression for the help on each call.
+    pub fn any_help(&self) -> String {
+        format!("{}/api/*/help", self.prefix)
+    }
+
     /// Key expression for all requests.
     pub fn any_api(&self) -> String {
         format!("{}/api/*", self.prefix)
+    }
+
+    /// Key expression for the events of all nodes.
+    pub fn any_events(&self) -> String {
+        format!("{}/events/**", self.prefix)
     }
 
     /// Key expression for all presence tokens.
@@ -316,13 +364,22 @@ impl fmt::Display for Key {
             Key::ViewMissions => f.write_str("view/missions"),
             Key::ViewMission(mission) => write!(f, "view/mission/{mission}"),
             Key::ViewAuctions => f.write_str("view/auctions"),
+            Key::World => f.write_str("wire/world"),
+            Key::ViewEnsembles => f.write_str("view/ensembles"),
+            Key::ViewMap => f.write_str("view/map"),
+            Key::ViewHealth => f.write_str("view/health"),
             Key::ViewWorld => f.write_str("view/world"),
+            Key::Seen(node, view) => {
+                let view = view.to_string();
+                write!(f, "seen/{node}/{}", view.strip_prefix("view/").unwrap_or(&view))
+            }
+            Key::Help(call) => write!(f, "api/{}/help", call.word()),
             Key::Api(call) => write!(f, "api/{}", call.word()),
             Key::Leave(node) => write!(f, "api/leave/{node}"),
             Key::AliveRobot(robot) => write!(f, "alive/robot/{robot}"),
             Key::AliveNode(node) => write!(f, "alive/node/{node}"),
             Key::AliveCoordinator(term, node) => write!(f, "alive/coordinator/{term}/{node}"),
-            Key::Events => f.write_str("events"),
+            Key::Events(node) => write!(f, "events/{node}"),
         }
     }
 }
@@ -347,19 +404,33 @@ fn read(text: &str) -> Option<Key> {
         ["wire", "said", mission, role] => Key::Said(mission.parse().ok()?, role.parse().ok()?),
         ["wire", "body", robot, call] => Key::Body(robot.parse().ok()?, BodyCall::read(call)?),
         ["wire", "people", call] => Key::People(PeopleCall::read(call)?),
-        ["view", "fleet"] => Key::ViewFleet,
-        ["view", "robot", robot] => Key::ViewRobot(robot.parse().ok()?),
-        ["view", "coordinator"] => Key::ViewCoordinator,
-        ["view", "missions"] => Key::ViewMissions,
-        ["view", "mission", mission] => Key::ViewMission(mission.parse().ok()?),
-        ["view", "auctions"] => Key::ViewAuctions,
-        ["view", "world"] => Key::ViewWorld,
+        ["wire", "world"] => Key::World,
+        ["view", ref view @ ..] => read_view(view)?,
+        ["seen", node, ref view @ ..] => Key::Seen(node.parse().ok()?, Box::new(read_view(view)?)),
         ["api", call] => Key::Api(ApiCall::read(call)?),
+        ["api", call, "help"] if ApiCall::read(call).is_some() => Key::Help(ApiCall::read(call)?),
         ["api", "leave", node] => Key::Leave(node.parse().ok()?),
         ["alive", "robot", robot] => Key::AliveRobot(robot.parse().ok()?),
         ["alive", "node", node] => Key::AliveNode(node.parse().ok()?),
         ["alive", "coordinator", term, node] => Key::AliveCoordinator(term.parse().ok()?, node.parse().ok()?),
-        ["events"] => Key::Events,
+        ["events", node] => Key::Events(node.parse().ok()?),
+        _ => return None,
+    })
+}
+
+/// A view, by the segments behind `view/`.
+fn read_view(segments: &[&str]) -> Option<Key> {
+    Some(match *segments {
+        ["fleet"] => Key::ViewFleet,
+        ["robot", robot] => Key::ViewRobot(robot.parse().ok()?),
+        ["ensembles"] => Key::ViewEnsembles,
+        ["coordinator"] => Key::ViewCoordinator,
+        ["missions"] => Key::ViewMissions,
+        ["mission", mission] => Key::ViewMission(mission.parse().ok()?),
+        ["auctions"] => Key::ViewAuctions,
+        ["map"] => Key::ViewMap,
+        ["health"] => Key::ViewHealth,
+        ["world"] => Key::ViewWorld,
         _ => return None,
     })
 }
@@ -368,7 +439,7 @@ fn read(text: &str) -> Option<Key> {
 mod tests {
     use super::*;
 
-    fn all() -> Vec<Key> {
+    pub(super) fn all() -> Vec<Key> {
         let node = NodeId::new("lab-1").unwrap();
         let robot = RobotId::new("ada").unwrap();
         let mission = MissionId::new("lab-samples-3").unwrap();
@@ -390,19 +461,25 @@ mod tests {
             Key::ViewRobot(robot.clone()),
             Key::ViewCoordinator,
             Key::ViewMissions,
-            Key::ViewMission(mission),
+            Key::ViewMission(mission.clone()),
             Key::ViewAuctions,
+            Key::ViewEnsembles,
+            Key::ViewMap,
+            Key::ViewHealth,
             Key::ViewWorld,
+            Key::World,
+            Key::Seen(node.clone(), Box::new(Key::ViewMission(mission))),
+            Key::Seen(node.clone(), Box::new(Key::ViewHealth)),
             Key::Leave(node.clone()),
             Key::AliveRobot(robot.clone()),
             Key::AliveNode(node.clone()),
-            Key::AliveCoordinator(7, node),
-            Key::Events,
+            Key::AliveCoordinator(7, node.clone()),
+            Key::Events(node),
         ];
         keys.extend(RaftCall::ALL.iter().map(|call| Key::Raft(0x00ab_cdef, *call)));
         keys.extend(BodyCall::ALL.iter().map(|call| Key::Body(robot.clone(), *call)));
         keys.extend(PeopleCall::ALL.iter().map(|call| Key::People(*call)));
-        keys.extend(ApiCall::ALL.iter().map(|call| Key::Api(*call)));
+        keys.extend(ApiCall::ALL.iter().flat_map(|call| [Key::Api(*call), Key::Help(*call)]));
         keys
     }
 
@@ -463,6 +540,10 @@ mod tests {
             "consort/ward/wire/bid/a*",
             "consort/ward/wire/raft/12/vote",
             "consort/ward/api/reboot",
+            "consort/ward/api/reboot/help",
+            "consort/ward/view/tea",
+            "consort/ward/seen/lab-1",
+            "consort/ward/seen/lab-1/seen/lab-1/fleet",
         ] {
             assert_eq!(keys.read(text), None, "{text}");
         }

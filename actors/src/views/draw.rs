@@ -1,0 +1,240 @@
+//! The fleet as one node sees it, in JSON.
+
+use super::Views;
+use super::health::{Picture, findings};
+use super::mission::{auctions, mission, missions};
+use super::standing::Standing;
+use crate::gossip::Status;
+use consort_protocol::ids::{NodeId, RobotId};
+use consort_protocol::keys::Key;
+use consort_protocol::knowledge::{Availability, Heard};
+use consort_protocol::ledger::{Ledger, MissionState};
+use consort_protocol::units::NodeTime;
+use serde_json::{Map, Value, json};
+use std::collections::BTreeMap;
+
+/// What views are drawn from, at one moment.
+pub(super) struct Window<'a> {
+    pub(super) of: &'a Views,
+    pub(super) standing: Standing,
+    pub(super) now: NodeTime,
+}
+
+impl Window<'_> {
+    /// Every view that this node can draw by itself, of those that are `wanted`.
+    pub(super) fn draw(&self, wanted: &impl Fn(&Key) -> bool) -> Vec<(Key, Value)> {
+        let mut views = vec![];
+        for key in [Key::ViewFleet, Key::ViewEnsembles, Key::ViewCoordinator, Key::ViewMap, Key::ViewHealth] {
+            if wanted(&key) {
+                let value = match &key {
+                    Key::ViewFleet => self.fleet(),
+                    Key::ViewEnsembles => json!({ "ensembles": [self.ensemble()] }),
+                    Key::ViewCoordinator => self.coordinator(),
+                    Key::ViewMap => self.map(),
+                    _ => self.health(),
+                };
+                views.push((key, value));
+            }
+        }
+        let statuses = self.of.knowledge.statuses();
+        views.extend(self.of.knowledge.read(|base| {
+            let robots = base.iter().filter(|(_, heard)| heard.record.knowledge.worker.is_some());
+            let keys = robots.map(|(node, heard)| (Key::ViewRobot(RobotId::from(node.clone())), node, heard));
+            let wanted = keys.filter(|(key, ..)| wanted(key));
+            wanted.map(|(key, node, heard)| (key, self.node(node, heard, &statuses))).collect::<Vec<_>>()
+        }));
+        views.extend(self.of_ledger(wanted));
+        views.into_iter().map(|(key, value)| (key, self.marked(value))).collect()
+    }
+
+    /// The views of the ledger, if this node keeps it.
+    fn of_ledger(&self, wanted: &impl Fn(&Key) -> bool) -> Vec<(Key, Value)> {
+        let drawn = self.ledger(|ledger| {
+            let mut views = vec![];
+            if wanted(&Key::ViewMissions) {
+                views.push((Key::ViewMissions, missions(ledger)));
+            }
+            if wanted(&Key::ViewAuctions) {
+                views.push((Key::ViewAuctions, auctions(ledger)));
+            }
+            let entries = ledger.missions().map(|entry| (Key::ViewMission(entry.id.clone()), entry));
+            views.extend(entries.filter(|(key, _)| wanted(key)).map(|(key, entry)| (key, mission(entry))));
+            views
+        });
+        drawn.unwrap_or_default()
+    }
+
+    /// Looks into the ledger, if this node keeps it.
+    fn ledger<T>(&self, look: impl FnOnce(&Ledger) -> T) -> Option<T> {
+        let replica = self.of.replica.as_ref().filter(|_| self.standing.keeps_ledger)?;
+        Some(replica.read(look))
+    }
+
+    /// A view with who has it, and how old what it knows may be. What a view says of itself under these names stays.
+    pub(super) fn marked(&self, value: Value) -> Value {
+        let Value::Object(own) = value else { return value };
+        let mark = serde_json::to_value(self.standing.mark(&self.of.node)).unwrap_or_default();
+        let Value::Object(mut marked) = mark else { return Value::Object(own) };
+        marked.extend(own);
+        Value::Object(marked)
+    }
+
+    fn coordinator(&self) -> Value {
+        let Standing { term, since_ms, voters, observers, autopilot, quorum_age_ms, .. } = &self.standing;
+        let foreign: BTreeMap<String, NodeId> = self.foreign().into_iter().collect();
+        json!({
+            "voters_lost": self.standing.voters_lost,
+            "cluster": self.of.allegiance.cluster(),
+            "foreign": foreign,
+            "autopilot": autopilot,
+            "node": self.standing.coordinator,
+            "term": term,
+            "since_ms": since_ms,
+            "quorum_age_ms": quorum_age_ms,
+            "voters": voters,
+            "observers": observers,
+        })
+    }
+
+    fn foreign(&self) -> Vec<(String, NodeId)> {
+        let own = self.of.allegiance.cluster();
+        let foreign = crate::coordinator::foreign(&self.of.knowledge, own);
+        foreign.into_iter().map(|(cluster, node)| (cluster.to_string(), node)).collect()
+    }
+
+    fn fleet(&self) -> Value {
+        let statuses = self.of.knowledge.statuses();
+        let nodes: Vec<Value> =
+            self.of.knowledge.read(|base| base.iter().map(|(node, heard)| self.node(node, heard, &statuses)).collect());
+        json!({ "cluster": self.of.allegiance.cluster(), "nodes": nodes, "ensembles": [self.ensemble()] })
+    }
+
+    /// The ensemble: what it asks for, and of whom it holds.
+    fn ensemble(&self) -> Value {
+        let statuses = self.of.knowledge.statuses();
+        let spec = self.of.ensemble.spec();
+        // As its coordinator would judge, from what this node has heard.
+        let head = self.standing.coordinator.as_ref().unwrap_or(&self.of.node);
+        let mut not_members = Map::new();
+        let mut members = vec![];
+        let nodes: Vec<Value> = self.of.knowledge.read(|base| {
+            let judge = |(node, _): (&NodeId, &Heard)| {
+                let verdict = self.of.ensemble.judge(node, head, base, self.now);
+                // Whoever is judged down is asked for no bids, however fresh the last that was heard of it.
+                let down = verdict.member && !statuses.get(node).is_some_and(Status::is_alive);
+                let reason = if down { "judged down" } else { &verdict.reason };
+                let member = verdict.member && !down;
+                if member {
+                    members.push(node.clone());
+                } else {
+                    not_members.insert(node.to_string(), json!(reason));
+                }
+                json!({ "node": node, "member": member, "reason": reason, "age_ms": verdict.age_ms })
+            };
+            base.iter().map(judge).collect()
+        });
+        json!({
+            "name": spec.name,
+            "membership": spec.membership,
+            "skills": spec.skills,
+            "stale_after_ms": spec.stale_after_ms,
+            "nodes": nodes,
+            "members": members,
+            "not_members": not_members,
+        })
+    }
+
+    /// One node. The statuses come from outside: knowledge is locked while its records are looked at.
+    fn node(&self, node: &NodeId, heard: &Heard, statuses: &BTreeMap<NodeId, Status>) -> Value {
+        let record = &heard.record;
+        let worker = record.knowledge.worker.as_ref();
+        let by_ledger = self.ledger(|ledger| {
+            let held = ledger.held_by(&RobotId::from(node.clone()));
+            held.map(|(entry, role, epoch)| json!({ "mission": entry.id, "role": role, "epoch": epoch.to_string() }))
+        });
+        // Without the ledger, what the robot says of itself.
+        let held = by_ledger.unwrap_or_else(|| match worker.map(|worker| &worker.availability) {
+            Some(Availability::Holding { mission, role, .. }) => {
+                Some(json!({ "mission": mission, "role": role, "epoch": null }))
+            }
+            Some(Availability::Free | Availability::OutOfService { .. }) | None => None,
+        });
+        json!({
+            "node": node,
+            "alive": statuses.get(node).is_some_and(Status::is_alive),
+            "status": statuses.get(node).unwrap_or(&Status::Unknown).word(),
+            "age_ms": heard.age(self.now).as_millis(),
+            "seen_by": self.of.node,
+            "incarnation": record.stamp.incarnation,
+            "version": record.stamp.version,
+            "may_vote": record.knowledge.may_vote,
+            "stationary": record.knowledge.stationary,
+            "mains_powered": record.knowledge.mains_powered,
+            "cluster": record.knowledge.cluster,
+            "leaving": record.knowledge.leaving,
+            "robot": worker,
+            "holds": held,
+        })
+    }
+
+    /// The fleet's map, if this node was given it.
+    fn map(&self) -> Value {
+        match self.of.map.as_deref() {
+            Some(map) => map.clone(),
+            None => json!({ "error": format!("{} was given no map", self.of.node) }),
+        }
+    }
+
+    fn health(&self) -> Value {
+        let findings = findings(&self.picture());
+        json!({ "level": findings.first().map(|worst| worst.level), "findings": findings })
+    }
+
+    fn picture(&self) -> Picture {
+        let statuses = self.of.knowledge.statuses();
+        let alive = |node: &NodeId| *node == self.of.node || statuses.get(node).is_some_and(Status::is_alive);
+        let mut picture = Picture {
+            coordinator: self.standing.coordinator.clone().map(|node| (node, self.standing.term)),
+            silent_ms: self.standing.age_ms,
+            foreign: self.foreign(),
+            alive: statuses.values().filter(|status| status.is_alive()).count(),
+            knows_missions: self.standing.keeps_ledger,
+            ..Picture::default()
+        };
+        let lost = |node: &NodeId| self.standing.voters_lost.contains(node);
+        picture.voters = self.standing.voters.iter().map(|node| (node.clone(), alive(node) && !lost(node))).collect();
+        self.of.knowledge.read(|base| {
+            for (node, heard) in base.iter() {
+                let status = statuses.get(node).copied().unwrap_or(Status::Unknown);
+                let age_ms = u64::try_from(heard.age(self.now).as_millis()).unwrap_or(u64::MAX);
+                if matches!(status, Status::Down { .. } | Status::Suspect { .. }) && !heard.record.knowledge.leaving {
+                    picture.unwell.push((node.clone(), status.word(), age_ms));
+                }
+                match heard.record.knowledge.worker.as_ref().map(|worker| &worker.availability) {
+                    Some(Availability::OutOfService { problem }) => {
+                        picture.out_of_service.push((node.clone(), problem.clone()));
+                    }
+                    Some(Availability::Holding { mission, role, suspended: true }) => {
+                        picture.suspended.push((node.clone(), format!("{role} of {mission}")));
+                    }
+                    Some(Availability::Holding { .. } | Availability::Free) | None => {}
+                }
+            }
+        });
+        self.ledger(|ledger| {
+            for entry in ledger.missions() {
+                match (&entry.state, &entry.auction) {
+                    (MissionState::NeedsRescue { cause, .. }, _) => {
+                        picture.rescue.push((entry.id.to_string(), cause.clone()));
+                    }
+                    (MissionState::Pending, Some(auction)) => {
+                        let why = auction.failure.clone().map(|why| (entry.id.to_string(), why));
+                        picture.pending.extend(why);
+                    }
+                    _ => {}
+                }
+            }
+        });
+        picture
+    }
+}

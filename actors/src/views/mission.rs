@@ -1,0 +1,225 @@
+//! Missions and their auctions as people see them, from the ledger.
+
+use consort_protocol::auction::{AuctionRecord, explain};
+use consort_protocol::ids::{RoleId, TaskId};
+use consort_protocol::ledger::{Ledger, MissionEntry, MissionState, RoleEntry, RolePhase, Stranded};
+use consort_protocol::mission::{Body, Mission, RoleKind, TaskIndex, TaskSpec};
+use consort_protocol::plan::{LocalPlan, Step, StepAction, StepIndex};
+use serde_json::{Value, json};
+use std::collections::BTreeSet;
+
+/// Auctions shown.
+const AUCTIONS_SHOWN: usize = 20;
+
+/// All missions, briefly, in the order in which they were submitted.
+pub(super) fn missions(ledger: &Ledger) -> Value {
+    let mut entries: Vec<&MissionEntry> = ledger.missions().collect();
+    entries.sort_by_key(|entry| entry.number);
+    let brief = entries.into_iter().map(|entry| {
+        let (done, steps) = entry.progress();
+        json!({
+            "mission": entry.id,
+            "number": entry.number,
+            "state": entry.state.word(),
+            "detail": entry.state,
+            "priority": entry.submission.priority,
+            "deadline_at_ms": entry.submission.deadline_ms,
+            "branch": entry.branch,
+            "items": items(entry),
+            "why_pending": entry.auction.as_ref().and_then(|auction| auction.failure.clone()),
+            "parameters": entry.submission.parameters,
+            "holders": entry.holders(),
+            "done": done,
+            "steps": steps,
+            "submitted_at_ms": entry.submission.at_ms,
+        })
+    });
+    json!({ "missions": brief.collect::<Vec<_>>() })
+}
+
+/// One mission, with the plans of its roles and how far they have come.
+pub(super) fn mission(entry: &MissionEntry) -> Value {
+    let roles = entry.roles.iter().map(|(id, role)| {
+        let plan = entry.plan(id).map(|plan| steps(plan, &role.ended));
+        json!({
+            "role": id,
+            "kind": role.kind,
+            "phase": role.phase,
+            "holder": role.holder.as_ref().map(|holder| &holder.robot),
+            "epoch": role.holder.as_ref().map(|holder| holder.epoch.to_string()),
+            "steps": plan,
+        })
+    });
+    let (done, steps) = entry.progress();
+    json!({
+        "mission": entry.id,
+        "number": entry.number,
+        "request": entry.submission.request,
+        "state": entry.state.word(),
+        "detail": entry.state,
+        "parameters": entry.submission.parameters,
+        "priority": entry.submission.priority,
+        "deadline_at_ms": entry.submission.deadline_ms,
+        "branch": entry.branch,
+        "items": items(entry),
+        "released": entry.released,
+        "releases": entry.releases,
+        "tasks": entry.mission().tasks,
+        "tree": tree(entry, entry.mission(), 0),
+        "roles": roles.collect::<Vec<_>>(),
+        "holders": entry.holders(),
+        "done": done,
+        "steps": steps,
+        "auction": entry.auction,
+        "explanation": entry.auction.as_ref().map(explain),
+        "submitted_at_ms": entry.submission.at_ms,
+    })
+}
+
+/// The latest auction of each mission, latest first, with why it came out as it did.
+pub(super) fn auctions(ledger: &Ledger) -> Value {
+    let mut records: Vec<&AuctionRecord> = ledger.missions().filter_map(|entry| entry.auction.as_ref()).collect();
+    records.sort_by_key(|record| std::cmp::Reverse((record.at_ms, record.auction.clone())));
+    records.truncate(AUCTIONS_SHOWN);
+    let shown = records.into_iter().map(|record| {
+        let mut shown = json!(record);
+        shown["explanation"] = json!(explain(record));
+        shown
+    });
+    json!({ "auctions": shown.collect::<Vec<_>>() })
+}
+
+/// What is in robots' keeping, or waits for a person.
+fn items(entry: &MissionEntry) -> Vec<Stranded> {
+    match &entry.state {
+        MissionState::NeedsRescue { items, .. } => items.clone(),
+        MissionState::Pending | MissionState::Running => entry.custody(),
+        MissionState::Completed | MissionState::Failed { .. } | MissionState::Canceled { .. } => vec![],
+    }
+}
+
+fn steps(plan: &LocalPlan, ended: &BTreeSet<StepIndex>) -> Vec<Value> {
+    let step = |(index, step): (usize, &Step)| {
+        let done = u32::try_from(index).is_ok_and(|index| ended.contains(&index));
+        let (kind, label) = match &step.action {
+            StepAction::Task { id, spec } => (spec.task_type.to_string(), id.to_string()),
+            StepAction::Send(signal) => ("send_message".to_owned(), signal.to_string()),
+            StepAction::Wait(signal) => ("wait_message".to_owned(), signal.to_string()),
+        };
+        json!({ "step": index, "type": kind, "label": label, "after": step.after, "done": done })
+    };
+    plan.steps.iter().enumerate().map(step).collect()
+}
+
+/// How far a task has come.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Progress {
+    /// Its turn has not come.
+    Waiting,
+    /// It could be done now, or a part of it is.
+    UnderWay,
+    /// It has ended.
+    Done,
+}
+
+impl Progress {
+    fn word(self) -> &'static str {
+        match self {
+            Progress::Waiting => "waiting",
+            Progress::UnderWay => "under_way",
+            Progress::Done => "done",
+        }
+    }
+
+    /// That of a task which comes down to others.
+    fn of_all(parts: &[Progress]) -> Progress {
+        match parts {
+            _ if parts.iter().all(|part| *part == Progress::Done) => Progress::Done,
+            _ if parts.iter().all(|part| *part == Progress::Waiting) => Progress::Waiting,
+            _ => Progress::UnderWay,
+        }
+    }
+}
+
+/// A task with all below it. Children stand behind their parents, so this ends.
+fn tree(entry: &MissionEntry, mission: &Mission, index: TaskIndex) -> Value {
+    branch(entry, mission, index).1
+}
+
+fn branch(entry: &MissionEntry, mission: &Mission, index: TaskIndex) -> (Progress, Value) {
+    let Some(node) = mission.tasks.get(index as usize) else { return (Progress::Waiting, Value::Null) };
+    match &node.body {
+        Body::Abstract(method) => {
+            let below = method.children.iter().map(|child| branch(entry, mission, *child));
+            let (parts, children): (Vec<Progress>, Vec<Value>) = below.unzip();
+            let progress = Progress::of_all(&parts);
+            let told = json!({
+                "task": node.id,
+                "kind": "abstract",
+                "order": method.order,
+                "state": progress.word(),
+                "children": children,
+            });
+            (progress, told)
+        }
+        Body::Elementary(spec) => {
+            let progress = elementary(entry, &node.id, spec);
+            let holders: Vec<Value> = spec.roles.iter().map(|role| holder(entry, role)).collect();
+            let told = json!({
+                "task": node.id,
+                "kind": "elementary",
+                "type": spec.task_type,
+                "parameters": spec.parameters,
+                "state": progress.word(),
+                "roles": holders,
+            });
+            (progress, told)
+        }
+    }
+}
+
+fn holder(entry: &MissionEntry, role: &RoleId) -> Value {
+    let holder = entry.roles.get(role).and_then(|role| role.holder.as_ref());
+    json!({
+        "role": role,
+        "holder": holder.map(|holder| &holder.robot),
+        "epoch": holder.map(|holder| holder.epoch.to_string()),
+    })
+}
+
+fn elementary(entry: &MissionEntry, task: &TaskId, spec: &TaskSpec) -> Progress {
+    let parts: Vec<Progress> = spec
+        .roles
+        .iter()
+        .filter_map(|id| {
+            let (role, plan) = (entry.roles.get(id)?, entry.plan(id)?);
+            let is_it = |step: &&Step| matches!(&step.action, StepAction::Task { id, .. } if id == task);
+            let index = StepIndex::try_from(plan.steps.iter().position(|step| is_it(&step))?).ok()?;
+            Some(step_progress(entry, role, plan, index))
+        })
+        .collect();
+    // A task that several do together is under way once the first of them is at it.
+    Progress::of_all(&parts)
+}
+
+fn step_progress(entry: &MissionEntry, role: &RoleEntry, plan: &LocalPlan, index: StepIndex) -> Progress {
+    if role.ended.contains(&index) {
+        return Progress::Done;
+    }
+    let at_work = match role.kind {
+        RoleKind::Managed => role.phase == RolePhase::Active,
+        RoleKind::Unmanaged => true,
+    };
+    let runs = matches!(entry.state, MissionState::Running) && at_work;
+    // What somebody was told has been waited for, though the one who waited may not have said so yet.
+    let told = entry.told(&plan.role);
+    let is_past = |step: &StepIndex| {
+        let awaited = plan.steps.get(*step as usize).is_some_and(|step| match &step.action {
+            StepAction::Wait(signal) => told.contains(signal),
+            StepAction::Task { .. } | StepAction::Send(_) => false,
+        });
+        awaited || role.ended.contains(step)
+    };
+    let permitted = plan.steps.get(index as usize).is_some_and(|step| step.after.iter().all(is_past));
+    if runs && permitted { Progress::UnderWay } else { Progress::Waiting }
+}

@@ -1,0 +1,57 @@
+//! `consort keys`: every key that a fleet uses.
+
+use crate::config::DEFAULT_FLEET;
+use crate::exit::Failure;
+use crate::output;
+use consort_protocol::keys::{About, TABLE};
+use serde_json::json;
+
+/// List every key that a fleet uses on Zenoh
+///
+/// With who says it, how, in which encoding, and what: those for people first (view, seen, api, events, alive), then those
+/// between nodes (wire). It is the table of the module that writes and reads the keys.
+#[derive(Debug, clap::Args)]
+#[command(after_long_help = "\
+Examples:
+  consort keys
+  consort keys --fleet ward --json")]
+pub struct Args {
+    /// The name of the fleet whose keys they are
+    #[arg(long, value_name = "NAME", default_value = DEFAULT_FLEET)]
+    fleet: consort_protocol::ids::FleetId,
+    /// Print JSON
+    #[arg(long)]
+    json: bool,
+}
+
+/// Runs the command.
+///
+/// # Errors
+/// [`Failure::OutputClosed`].
+pub fn run(args: Args) -> Result<(), Failure> {
+    let key = |about: &About| format!("consort/{}/{}", args.fleet, about.pattern);
+    if args.json {
+        let keys = TABLE.iter().map(|about| {
+            json!({
+                "key": key(about),
+                "who": about.who,
+                "usage": about.usage,
+                "encoding": Some(about.encoding).filter(|encoding| !encoding.is_empty()),
+                "what": about.what,
+            })
+        });
+        return output::line(json!({ "keys": keys.collect::<Vec<_>>() }));
+    }
+    let heads = ["KEY", "WHO", "", "ENCODING", "WHAT"].map(str::to_owned).to_vec();
+    let rows = TABLE.iter().map(|about| {
+        let encoding = if about.encoding.is_empty() { "-" } else { about.encoding };
+        vec![
+            key(about),
+            about.who.to_owned(),
+            about.usage.word().to_owned(),
+            encoding.to_owned(),
+            about.what.to_owned(),
+        ]
+    });
+    output::line(output::table(&std::iter::once(heads).chain(rows).collect::<Vec<_>>()))
+}

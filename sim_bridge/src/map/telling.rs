@@ -1,0 +1,87 @@
+//! A map in JSON, for programs that draw it.
+
+use super::{Lane, LevelIndex, Map};
+use serde_json::{Value, json};
+
+impl Map {
+    /// All that is on it: levels, places, lanes, doors (with the posts between which they stand), lifts and walls, under the
+    /// names that a map file has for them; metres, x to the east and y to the north.
+    pub fn show(&self) -> Value {
+        let name = |level: LevelIndex| &self.level(level).name;
+        let levels = self.levels().iter().map(|level| json!({ "name": level.name, "elevation_m": level.elevation_m }));
+        let places = self.places().iter().map(|place| {
+            json!({
+                "name": place.id,
+                "kind": place.kind,
+                "x_m": place.pose.x,
+                "y_m": place.pose.y,
+                "yaw_rad": place.pose.yaw,
+                "level": name(place.level),
+            })
+        });
+        let lane = |lane: &Lane| {
+            json!({
+                "between": [lane.from, lane.to],
+                "length_m": lane.length.get(),
+                "one_way": !lane.two_way,
+                "speed_limit_mps": lane.speed_limit.map(|limit| limit.get()),
+            })
+        };
+        let doors = self.doors().iter().map(|door| {
+            json!({
+                "name": door.name,
+                "on": door.lanes,
+                "posts": self.posts(door),
+                "opening_s": door.opening.get(),
+                "level": door.lanes.first().and_then(|(from, _)| self.level_of(from)).map(name),
+            })
+        });
+        let lifts = self.lifts().iter().map(|lift| {
+            json!({
+                "name": lift.name,
+                "stops": lift.stops,
+                "capacity": lift.capacity,
+                "opening_s": lift.opening.get(),
+                "speed_mps": lift.speed.get(),
+            })
+        });
+        let walls = self.level_indices().flat_map(|level| {
+            self.walls_on(level).map(move |line| json!({ "level": name(level), "line": line })).collect::<Vec<_>>()
+        });
+        let ((west, south), (east, north)) = self.bounds();
+        json!({
+            "name": self.name(),
+            "bounds_m": { "west": west, "south": south, "east": east, "north": north },
+            "levels": levels.collect::<Vec<_>>(),
+            "places": places.collect::<Vec<_>>(),
+            "lanes": self.lanes().iter().map(lane).collect::<Vec<_>>(),
+            "doors": doors.collect::<Vec<_>>(),
+            "lifts": lifts.collect::<Vec<_>>(),
+            "walls": walls.collect::<Vec<_>>(),
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use crate::map::{SHIPPED, shipped};
+
+    #[test]
+    fn everything_on_a_map_is_shown_with_its_place() {
+        for name in SHIPPED {
+            let map = shipped(name).unwrap();
+            let shown = map.show();
+            let of = |list: &str| shown[list].as_array().unwrap().clone();
+            assert_eq!(of("places").len(), map.places().len(), "{name}");
+            assert_eq!(of("lanes").len(), map.lanes().len(), "{name}");
+            assert_eq!(of("doors").len(), map.doors().len(), "{name}");
+            assert_eq!(of("lifts").len(), map.lifts().len(), "{name}");
+            assert_eq!(of("walls").len(), map.walls().len(), "{name}");
+            let placed = |place: &serde_json::Value| place["x_m"].is_f64() && place["y_m"].is_f64();
+            assert!(of("places").iter().all(placed), "{name}");
+            assert!(of("doors").iter().all(|door| !door["posts"].as_array().unwrap().is_empty()), "{name}");
+            let named = of("places").iter().all(|place| map.level_named(place["level"].as_str().unwrap()).is_some());
+            assert!(named, "{name}");
+        }
+    }
+}

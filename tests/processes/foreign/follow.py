@@ -1,0 +1,113 @@
+"""A client of a fleet with eclipse-zenoh and nothing of ours: looks, asks for a mission, and follows it to its end.
+
+    python follow.py tcp/127.0.0.1:7447 FLEET
+
+Tells what it does in lines; after `running` somebody may kill the coordinator.
+"""
+
+import json
+import queue
+import sys
+import time
+
+import zenoh
+
+ADDRESS, FLEET = sys.argv[1:3]
+LIMIT = 90.0
+
+
+def say(*words):
+    print(*words, flush=True)
+
+
+def until(what, look):
+    end = time.monotonic() + LIMIT
+    while time.monotonic() < end:
+        found = look()
+        if found:
+            return found
+        time.sleep(0.05)
+    sys.exit(f"in vain: {what}")
+
+
+config = zenoh.Config()
+config.insert_json5("mode", '"client"')
+config.insert_json5("connect/endpoints", json.dumps([ADDRESS]))
+with zenoh.open(config) as session:
+    base = f"consort/{FLEET}"
+
+    def get(key, payload=None):
+        """The answers by key; every setting is as Zenoh has it."""
+        answers = {}
+        for reply in session.get(f"{base}/{key}", payload=payload):
+            if reply.ok:
+                name = str(reply.ok.key_expr).removeprefix(base + "/")
+                assert name not in answers, f"{name} was answered twice"
+                assert reply.ok.encoding == zenoh.Encoding.APPLICATION_JSON, reply.ok.encoding
+                answers[name] = json.loads(reply.ok.payload.to_string())
+        return answers
+
+    def view(name):
+        return get(f"view/{name}").get(f"view/{name}")
+
+    def request(call, **payload):
+        """Made again as long as it is asked for: the request has a name, so it is done once."""
+
+        def answer():
+            said = get(f"api/{call}", json.dumps(payload)).get(f"api/{call}")
+            return said if said and "retry_after_ms" not in said else None
+
+        return until(f"an answer to {call}", answer)
+
+    heard = queue.Queue()
+    subscriber = session.declare_subscriber(f"{base}/events/**", heard.put)
+
+    coordinator = until("a coordinator", lambda: (view("coordinator") or {}).get("node"))
+    until("two members", lambda: len(view("ensembles")["ensembles"][0]["members"]) == 2)
+    tokens = [str(token.ok.key_expr) for token in session.liveliness().get(f"{base}/alive/**") if token.ok]
+    assert any(token.startswith(f"{base}/alive/coordinator/") and token.endswith(coordinator) for token in tokens), tokens
+    assert f"{base}/alive/robot/ada" in tokens, tokens
+    views = get("view/**")
+    names = ["auctions", "coordinator", "ensembles", "fleet", "health", "map", "missions", "world"]
+    assert all(f"view/{name}" in views for name in names), views.keys()
+    assert all("seen_by" in view and "age_ms" in view for view in views.values())
+    say("coordinator", coordinator)
+
+    help = {call["call"]: call for call in get("api/help")["api/help"]["calls"]}
+    assert help["submit"]["payload_schema"]["required"] == ["mission"], help["submit"]
+    wrong = request("submit", mission="lab-samples", priority="high")
+    assert wrong["error"].startswith("priority is a string; allowed is integer"), wrong
+    asked = {"mission": "lab-samples", "parameters": {"room": "IC Room 6"}, "request": "python-1"}
+    mission = request("submit", **asked)["mission"]
+    say("mission", mission)
+    until("the mission runs", lambda: request("get", mission=mission)["state"] == "running")
+    say("running")
+
+    # Whatever happens to the coordinator: events go on, and views are answered.
+    last = {}
+    state, elected, slowest = None, None, 0.0
+    end = time.monotonic() + LIMIT
+    while state != "completed":
+        assert time.monotonic() < end, f"{mission} is {state}"
+        began = time.monotonic()
+        seen = view("missions")
+        slowest = max(slowest, time.monotonic() - began)
+        assert seen and seen["missions"][0]["mission"] == mission, seen
+        while not heard.empty():
+            sample = heard.get()
+            event = json.loads(sample.payload.to_string())
+            assert str(sample.key_expr) == f"{base}/events/{event['node']}", sample.key_expr
+            assert event["sequence"] == last.get(event["node"], event["sequence"] - 1) + 1, f"a gap: {event}"
+            last[event["node"]] = event["sequence"]
+            if event["event"] == "elected" and event["node"] != coordinator:
+                elected = event["node"]
+            if event["event"] == "mission" and event["mission"] == mission:
+                state = event["state"]
+        time.sleep(0.05)
+    assert request("submit", **asked) == {"mission": mission, "again": True}
+    assert request("get", mission=mission)["tree"]["state"] == "done"
+    for line in request("explain", mission=mission)["words"]:
+        say("explain", line)
+    assert elected, "nobody was elected in the place of the coordinator"
+    assert slowest < 5.0, f"a view took {slowest} s"
+    say("completed", elected)
