@@ -1,18 +1,24 @@
 //! What kinds of task there are, and what each needs to be told.
 //!
-//! A mission is valid within a domain (thesis 3.5: its task types are among those that the system has skills for).
+//! A mission is valid within a domain (thesis 3.5: its task types are among those that the system has skills for). Where the
+//! fleet's map is known, the places that it names are among those on it.
 //! The domain says nothing of how a task is done or what it costs: that is the knowledge of skills.
 
+use super::problem::{Allowed, Fault};
 use crate::ids::{PlaceId, TaskType};
 use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
+use std::sync::Arc;
 
-/// The task types that missions may use.
+/// The task types that missions may use, and the places that they may name.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(transparent)]
 pub struct Domain {
     types: BTreeMap<TaskType, TaskSchema>,
+    /// Those of the fleet's map; none where no map is at hand, and then every name will do.
+    #[serde(skip)]
+    places: Option<Arc<BTreeSet<PlaceId>>>,
 }
 
 /// What a task of one type is told.
@@ -104,6 +110,27 @@ impl Domain {
     pub fn with(mut self, task_type: TaskType, schema: TaskSchema) -> Self {
         self.types.insert(task_type, schema);
         self
+    }
+
+    /// The same, where these are all the places that there are.
+    #[must_use]
+    pub fn with_places(self, places: impl IntoIterator<Item = PlaceId>) -> Self {
+        Self { places: Some(Arc::new(places.into_iter().collect())), ..self }
+    }
+
+    /// The places of the fleet's map, if it is known.
+    pub fn places(&self) -> Option<&BTreeSet<PlaceId>> {
+        self.places.as_deref()
+    }
+
+    /// What is wrong with a value that should be of this kind and is of its form: a place that is on no map.
+    pub(super) fn misplaced(&self, name: &str, kind: &ValueKind, value: &str) -> Option<Fault> {
+        let places = self.places().filter(|_| *kind == ValueKind::Place)?;
+        if places.iter().any(|place| place.as_str() == value) {
+            return None;
+        }
+        let allowed = Allowed::instead_of(value, places);
+        Some(Fault::UnknownPlace { name: name.to_owned(), place: value.to_owned(), allowed })
     }
 
     /// What a task of this type is told, if the domain has it.
