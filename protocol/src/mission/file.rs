@@ -22,6 +22,8 @@
 //! - `acquires: { sample: r1 }`: once it has ended, `r1` has the sample; `releases: [sample]`: nobody of the mission has.
 //!   Tasks that touch one item must be in a definite order. The ledger knows from this what a lost robot carries.
 //! - `attempts: 3`: how often its skill is tried before the task has failed; 1 to 10, 2 if nothing is said.
+//! - where it takes a person (`approach_person`, `authenticate_person`, `deposit`), `parameters: { patience: "300" }`: how many
+//!   seconds it waits, at each attempt, for one who has left; 120 if nothing is said.
 //!
 //! A role may say `on_loss: restart`: if its holder is lost after others have acted on its work, and has no item in its
 //! hands, another begins it from the beginning. Without it such a mission fails.
