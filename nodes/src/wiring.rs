@@ -93,16 +93,17 @@ pub struct Equipment {
     pub library: Arc<SkillLibrary>,
 }
 
-/// What all nodes of the fleet agree on.
+/// What all nodes of the fleet agree on; reads the fleet's map, since whoever coordinates takes missions to its places alone.
 ///
 /// # Errors
-/// [`Problems`] of the ensemble.
+/// [`Problems`] of the ensemble, or of the map.
 pub fn fleet_settings(config: &FleetConfig) -> Result<FleetSettings, Problems> {
+    let places = floor::load(&config.map)?.topology.places;
     let ensemble = Ensemble::compile(config.ensemble()).map_err(|problem| Problem::of("", problem))?;
     Ok(FleetSettings {
         fleet: config.name.clone(),
         ensemble: Arc::new(ensemble),
-        domain: Arc::new(Domain::hospital()),
+        domain: Arc::new(Domain::hospital().with_places(places.into_keys())),
         limits: limits(config),
         choice: Arc::new(Exact),
         terms: LeaseTerms {

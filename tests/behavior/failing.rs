@@ -63,6 +63,7 @@ fn what_is_not_so_after_a_delivery_is_told() {
         ("within 20 s the mission is failed", "found: is completed"),
         ("for 20 s the mission is failed", "found: is completed"),
         ("for 20 s it is never so that the mission is completed", "found: it is so"),
+        (r#"the request was refused because "no such place""#, "found: no request was refused"),
         ("amber has done what it was told", "but: amber was told nothing by this scenario"),
         ("amber sees lab-arm", "but: amber has no such sensor"),
         ("amber measures 2 m ahead", "but: amber has no range sensor"),
@@ -143,6 +144,23 @@ fn one_seed_gives_one_run() {
     assert!(one.len() > 20, "{one:#?}");
     assert_eq!(one, again);
     assert_ne!(one, other);
+}
+
+#[test]
+fn a_request_that_was_refused_fails_a_scenario_that_does_not_reckon_with_it() {
+    let given = "Feature: Refused\n  Scenario: S\n    Given a robot amber at \"Dock\"\n    And a station post\n    \
+                 When a sample is requested from \"IC Rom 6\"\n    Then ";
+    let why = "sample-1 was refused: mission lab-samples has 1 problem";
+    for (then, passes, says) in [
+        (r#"the request was refused because "did you mean `IC Room 6`?""#, true, ""),
+        (r#"the request was refused because "no robot""#, false, "found: mission lab-samples has 1 problem"),
+        ("the mission is pending", false, why),
+        ("somebody coordinates", false, why),
+    ] {
+        let (outcome, told) = play("refused.feature", &format!("{given}{then}\n"), 1);
+        assert_eq!(outcome.passed == 1, passes, "{then}\n{told}");
+        assert!(told.contains(says), "{then}: {says:?} in\n{told}");
+    }
 }
 
 /// Else a scenario would show nothing, and nobody would see it.

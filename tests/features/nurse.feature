@@ -55,11 +55,33 @@ Feature: A nurse changes her mind
     And "sample of IC Room 6" is still with "nurse of IC Room 6"
     And it is not so that the mission is completed
 
-  Scenario: She walks away from the robot: the mission fails and says so
+  Scenario: She walks away from the robot for good: it waits a while, then the mission fails and says so
     Given the nurse in "IC Room 6" walks away once approached
     When a sample is requested from "IC Room 6"
     Then within 10 minutes the nurse in "IC Room 6" is away
-    And within 30 minutes the mission has failed because "amber has not approached a nurse"
+    And for 2 minutes the mission is running
+    And within 30 minutes the mission has failed because "amber: nurse of IC Room 6 has walked away; waited for 120 s"
+    And "sample of IC Room 6" is still with "nurse of IC Room 6"
+
+  Scenario Outline: She is called away from the robot and is back in time (once <moment>)
+    Given the nurse in "IC Room 6" walks away once <moment> for 100 s
+    When a sample is requested from "IC Room 6"
+    Then within 10 minutes the nurse in "IC Room 6" is away
+    And within 10 minutes the mission is completed
+    And the sample of "IC Room 6" was delivered to lab-arm
+    And every task of the mission was done once
+
+    Examples:
+      | moment        |
+      | approached    |
+      | authenticated |
+
+  Scenario: She walks away when the drawer is open for her: the mission fails and says so
+    Given the nurse in "IC Room 6" walks away once handing over
+    When a sample is requested from "IC Room 6"
+    Then within 10 minutes the nurse in "IC Room 6" is away
+    And for 100 s the mission is running
+    And within 30 minutes the mission needs rescue because "every nurse has walked away; waited for 120 s"
     And "sample of IC Room 6" is still with "nurse of IC Room 6"
 
   Scenario: Another nurse who walks away is of no concern

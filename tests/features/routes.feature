@@ -31,6 +31,15 @@ Feature: Corridors that are closed
     When a sample is requested from "IC Room 6"
     Then within 30 minutes the mission is completed
 
+  Scenario: A place that is on no map is refused at once, with what was probably meant
+    Given a robot amber at "Dock"
+    And an arm lab-arm at "Laboratory"
+    And a station post
+    When a sample is requested from "IC Rom 6"
+    Then the request was refused because "parameters/room: `room` is the place "
+    And the request was refused because "which is not on the fleet's map; allowed: "
+    And the request was refused because "did you mean `IC Room 6`?"
+
   Scenario: Another way is taken where there is one
     Given the map "maps/ring.yaml"
     And a robot amber at "West"

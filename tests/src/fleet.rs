@@ -11,6 +11,7 @@ use consort_actors::store::Store;
 use consort_protocol::event::Happening;
 use consort_protocol::ids::NodeId;
 use consort_protocol::keys::Keys;
+use consort_protocol::mission::Domain;
 use consort_sim::map;
 use consort_sim::world::{JournalEntry, Person, SharedWorld, World, WorldSetup};
 use consort_skills::descriptor::DescriptorRegistry;
@@ -119,7 +120,9 @@ impl Fleet {
         let network = VirtualNetwork::new(seed, LinkModel::LAN);
         let present = members.iter().filter(|member| !member.late).count();
         let skills: Vec<&str> = skills.iter().map(String::as_str).collect();
-        let settings = ward(&skills, present + stations.len());
+        let mut settings = ward(&skills, present + stations.len());
+        let places = world.with(|world| world.map().topology().places);
+        settings.domain = Arc::new(Domain::hospital().with_places(places.into_keys()));
         let client = network.bus(slug("client"));
         let mut fleet = Fleet {
             seed,

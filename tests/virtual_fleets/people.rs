@@ -8,7 +8,7 @@ use consort_protocol::keys::{ApiCall, Key};
 use consort_protocol::lease::{Ending, Epoch};
 use consort_protocol::ledger::{Branch, MissionState};
 use consort_protocol::message::{Report, ReportAnswer, Within};
-use consort_sim::world::Keeper;
+use consort_sim::world::{Deed, Keeper};
 use consort_skills::actions::BodyHost;
 use consort_tests::{Fleet, Member, slug, tell};
 use serde_json::{Value, json};
@@ -22,6 +22,35 @@ const SOON: Duration = Duration::from_secs(60);
 async fn submit(fleet: &mut Fleet, mission: Value) -> MissionId {
     let answer = fleet.answer(ApiCall::Submit, &json!({ "mission": mission, "request": "a" })).await;
     slug(answer["mission"].as_str().unwrap_or_else(|| panic!("{answer}")))
+}
+
+/// She leaves when the robot has met her, and stays away so long of the world's time; then it has the sample, or the mission is
+/// over.
+#[test]
+fn a_nurse_who_is_called_away_and_comes_back_costs_no_mission() {
+    let nurse = format!("nurse of {ROOM}").as_str().into();
+    for (task, away_s, comes_back) in
+        [("authenticate_nurse", 100.0, true), ("open_drawer_for_nurse", 100.0, true), ("authenticate_nurse", 0.0, false)]
+    {
+        tell([721, 722], async |seed| {
+            let mut fleet = Fleet::hospital(seed, vec![Member::carrier("amber", "IC Room 4")], &["post"], &[ROOM]).await;
+            let mission = fleet.submit("a", ROOM).await;
+            fleet.until("the meeting", SOON, |fleet| fleet.happened(began(task))).await;
+            fleet.world.with(|world| world.has_person_do(&nurse, Deed::WalksAway, None));
+            if comes_back {
+                // The world runs ten times as fast as the nodes.
+                let away = Duration::from_secs_f64(away_s / 10.0);
+                fleet.never("an end", away, |fleet| fleet.state_of(&mission).is_some_and(|state| state.is_end())).await;
+                fleet.world.with(|world| world.has_person_come_back(&nurse));
+                fleet.completes(&mission).await;
+                fleet.each_task_once(&mission);
+            } else {
+                let end = fleet.end_of(&mission).await;
+                let MissionState::Failed { cause } = &end else { panic!("seed {seed}: {task}: {end:?}") };
+                assert!(cause.contains("has walked away; waited for 120 s"), "seed {seed}: {cause}");
+            }
+        });
+    }
 }
 
 /// The parts of whoever meets a nurse in a room: the tasks' names end with `mark`.

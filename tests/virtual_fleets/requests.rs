@@ -65,7 +65,7 @@ fn an_answer_that_was_lost_with_its_coordinator_is_given_by_the_next() {
 fn a_request_that_cannot_be_understood_says_what_would_be_and_changes_nothing() {
     tell(SEEDS, async |seed| {
         let fleet = fleet(seed, ROOM).await;
-        let cases: [(ApiCall, &str, &[&str]); 8] = [
+        let cases: [(ApiCall, &str, &[&str]); 10] = [
             (ApiCall::Submit, "{", &["an example is", "lab-samples"]),
             (ApiCall::Submit, "", &["an example is"]),
             (ApiCall::Submit, r#"{"mision": "lab-samples"}"#, &["unknown field `mision`", "expected one of `mission`"]),
@@ -78,6 +78,20 @@ fn a_request_that_cannot_be_understood_says_what_would_be_and_changes_nothing() 
                 ],
             ),
             (ApiCall::Submit, r#"{"mission": "lab-samples", "parameters": {"romm": "IC Room 6"}}"#, &["romm", "room"]),
+            (
+                ApiCall::Submit,
+                r#"{"mission": "lab-samples", "parameters": {"room": "IC Rom 6"}}"#,
+                &[
+                    "parameters/room: `room` is the place \"IC Rom 6\", which is not on the fleet's map; allowed: ",
+                    "did you mean `IC Room 6`?",
+                ],
+            ),
+            (
+                ApiCall::Submit,
+                r#"{"mission": {"mission": "visit", "roles": {"r1": {"kind": "managed"}}, "root": {"task": "go",
+                    "type": "navigation", "roles": ["r1"], "parameters": {"to": "labratory"}}}}"#,
+                &["root: `to` is the place \"labratory\", which is not on the fleet's map", "did you mean `Laboratory`?"],
+            ),
             (ApiCall::Submit, r#"{"mission": "lab-samples", "request": "a b/c*"}"#, &["a b/c*"]),
             (ApiCall::Cancel, r#"{"mission": "lab-samples-9"}"#, &["no mission lab-samples-9"]),
             (ApiCall::Get, r#"{"mission": "lab-samples-9"}"#, &["no mission lab-samples-9"]),

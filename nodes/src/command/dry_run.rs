@@ -125,7 +125,7 @@ fn mission(
     given: &BTreeMap<String, String>,
 ) -> Result<(), Failure> {
     let workers = source::workers(&source::text(path)?, &path.display().to_string())?;
-    let (mission, division) = divide(template, given)?;
+    let (mission, division) = divide(template, equipment, given)?;
     let roles: BTreeSet<RoleId> = wanted(&args.roles, &mission, || mission.managed_roles().cloned().collect())?;
     let result = auction(&division, &roles, &workers, equipment, limits);
     if args.json {
@@ -163,7 +163,7 @@ fn scenarios(
     for scenario in source::scenarios(&source::text(path)?, &path.display().to_string())? {
         let mut given = given.clone();
         given.entry("room".to_owned()).or_insert_with(|| scenario.room.to_string());
-        let (mission, division) = divide(template, &given)?;
+        let (mission, division) = divide(template, equipment, &given)?;
         let r1 = || RoleId::new("r1").into_iter().collect();
         let roles: BTreeSet<RoleId> = wanted(&args.roles, &mission, r1)?;
         let result = auction(&division, &roles, &scenario.workers, equipment, limits);
@@ -179,9 +179,14 @@ fn scenarios(
     Ok(())
 }
 
-fn divide(template: &MissionTemplate, given: &BTreeMap<String, String>) -> Result<(Mission, Division), Failure> {
+fn divide(
+    template: &MissionTemplate,
+    equipment: &Equipment,
+    given: &BTreeMap<String, String>,
+) -> Result<(Mission, Division), Failure> {
     let usage = |problem: String| Failure::Usage(problem);
-    let mission = template.instantiate(given, &Domain::hospital()).map_err(|e| usage(e.to_string()))?;
+    let domain = Domain::hospital().with_places(equipment.places.keys().cloned());
+    let mission = template.instantiate(given, &domain).map_err(|e| usage(e.to_string()))?;
     let division = divide_and_check(&mission).map_err(|e| usage(e.to_string()))?;
     Ok((mission, division))
 }

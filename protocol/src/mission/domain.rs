@@ -1,18 +1,24 @@
 //! What kinds of task there are, and what each needs to be told.
 //!
-//! A mission is valid within a domain (thesis 3.5: its task types are among those that the system has skills for).
+//! A mission is valid within a domain (thesis 3.5: its task types are among those that the system has skills for). Where the
+//! fleet's map is known, the places that it names are among those on it.
 //! The domain says nothing of how a task is done or what it costs: that is the knowledge of skills.
 
+use super::problem::{Allowed, Fault};
 use crate::ids::{PlaceId, TaskType};
 use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
+use std::sync::Arc;
 
-/// The task types that missions may use.
+/// The task types that missions may use, and the places that they may name.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(transparent)]
 pub struct Domain {
     types: BTreeMap<TaskType, TaskSchema>,
+    /// Those of the fleet's map; none where no map is at hand, and then every name will do.
+    #[serde(skip)]
+    places: Option<Arc<BTreeSet<PlaceId>>>,
 }
 
 /// What a task of one type is told.
@@ -106,6 +112,27 @@ impl Domain {
         self
     }
 
+    /// The same, where these are all the places that there are.
+    #[must_use]
+    pub fn with_places(self, places: impl IntoIterator<Item = PlaceId>) -> Self {
+        Self { places: Some(Arc::new(places.into_iter().collect())), ..self }
+    }
+
+    /// The places of the fleet's map, if it is known.
+    pub fn places(&self) -> Option<&BTreeSet<PlaceId>> {
+        self.places.as_deref()
+    }
+
+    /// What is wrong with a value that should be of this kind and is of its form: a place that is on no map.
+    pub(super) fn misplaced(&self, name: &str, kind: &ValueKind, value: &str) -> Option<Fault> {
+        let places = self.places().filter(|_| *kind == ValueKind::Place)?;
+        if places.iter().any(|place| place.as_str() == value) {
+            return None;
+        }
+        let allowed = Allowed::instead_of(value, places);
+        Some(Fault::UnknownPlace { name: name.to_owned(), place: value.to_owned(), allowed })
+    }
+
     /// What a task of this type is told, if the domain has it.
     pub fn get(&self, task_type: &TaskType) -> Option<&TaskSchema> {
         self.types.get(task_type)
@@ -123,12 +150,12 @@ impl Domain {
         let task = TaskSchema::default;
         [
             ("navigation", task().required("to", Place)),
-            ("approach_person", task().optional("person_role", Role)),
-            ("authenticate_person", task().optional("person_role", Role)),
+            ("approach_person", task().optional("person_role", Role).optional("patience", Seconds)),
+            ("authenticate_person", task().optional("person_role", Role).optional("patience", Seconds)),
             ("approach_robot", task().required("robot_role", Role)),
             ("operate_drawer", task().required("action", position())),
             ("operate_door", task().required("action", position()).optional("at", Place)),
-            ("deposit", task().optional("into_role", Role).optional("item", Text)),
+            ("deposit", task().optional("into_role", Role).optional("item", Text).optional("patience", Seconds)),
             ("pick_up", task().required("from_role", Role).optional("item", Text)),
             ("carry", task().required("to", Place).optional("item", Text)),
             ("disinfect", task().optional("at", Place)),

@@ -22,6 +22,8 @@
 //! - `acquires: { sample: r1 }`: once it has ended, `r1` has the sample; `releases: [sample]`: nobody of the mission has.
 //!   Tasks that touch one item must be in a definite order. The ledger knows from this what a lost robot carries.
 //! - `attempts: 3`: how often its skill is tried before the task has failed; 1 to 10, 2 if nothing is said.
+//! - where it takes a person (`approach_person`, `authenticate_person`, `deposit`), `parameters: { patience: "300" }`: how many
+//!   seconds it waits, at each attempt, for one who has left; 120 if nothing is said.
 //!
 //! A role may say `on_loss: restart`: if its holder is lost after others have acted on its work, and has no item in its
 //! hands, another begins it from the beginning. Without it such a mission fails.
@@ -343,7 +345,7 @@ impl MissionTemplate {
         domain: &Domain,
     ) -> Result<(Mission, Option<Mission>), MissionErrors> {
         let mut building = Building { values: BTreeMap::new(), used: BTreeSet::new(), problems: Vec::new() };
-        building.take_values(&self.file.parameters, given);
+        building.take_values(&self.file.parameters, given, domain);
         let mut mission = building.mission(&self.name, &self.file.roles, &self.file.root, "root");
         let mut recovery = self.file.recovery.as_ref().map(|root| {
             building.values.extend(lost::NAMES);
@@ -352,6 +354,11 @@ impl MissionTemplate {
         building.find_unused(&self.file.parameters);
         let mut problems = building.problems;
         let unwritten = !problems.is_empty();
+        let place = |problem: &Problem| match &problem.fault {
+            Fault::UnknownPlace { place, .. } => Some(place.clone()),
+            _ => None,
+        };
+        let astray: BTreeSet<String> = problems.iter().filter_map(place).collect();
         let mut found = vec![];
         if let Some(recovery) = &mut recovery {
             part_roles(&mut mission, recovery);
@@ -359,9 +366,11 @@ impl MissionTemplate {
         }
         found.splice(0..0, mission.check(domain).err().into_iter().flat_map(|errors| errors.problems));
         // Where something could not be put in, what is missing for that reason is no problem of its own.
-        let own = |problem: &Problem| match problem.fault {
+        let own = |problem: &Problem| match &problem.fault {
             Fault::NoRole { .. } | Fault::IdleRole | Fault::MissingParameter { .. } => !unwritten,
             Fault::BadValue { .. } | Fault::EmptyMethod | Fault::NoManagedRole => !unwritten,
+            // Told once, of the request, and not of every task that goes there.
+            Fault::UnknownPlace { place, .. } => !astray.contains(place),
             _ => true,
         };
         problems.extend(found.into_iter().filter(own));
@@ -382,7 +391,7 @@ fn part_roles(mission: &mut Mission, recovery: &mut Mission) {
 
 /// What is wrong with a recovery branch.
 fn branch_problems(mission: &Mission, recovery: &Mission, domain: &Domain) -> Vec<Problem> {
-    let filled = Lost::for_instance().fill_mission(recovery.clone()).expect("all of it is known");
+    let filled = Lost::for_instance(domain).fill_mission(recovery.clone()).expect("all of it is known");
     let of_branch = |Problem { path, fault }: Problem| match path.strip_prefix("root") {
         Some(below) => Problem { path: format!("recovery{below}"), fault },
         None => Problem { path: format!("recovery: {path}"), fault },
@@ -412,7 +421,12 @@ impl<'a> Building<'a> {
         self.problems.push(Problem { path: path.to_owned(), fault });
     }
 
-    fn take_values(&mut self, declared: &'a BTreeMap<String, TemplateParameter>, given: &'a BTreeMap<String, String>) {
+    fn take_values(
+        &mut self,
+        declared: &'a BTreeMap<String, TemplateParameter>,
+        given: &'a BTreeMap<String, String>,
+        domain: &Domain,
+    ) {
         for (name, parameter) in declared {
             let path = format!("parameters/{name}");
             let kind = parameter.kind.value_kind();
@@ -426,6 +440,8 @@ impl<'a> Building<'a> {
                     if !kind.admits(value) {
                         let (name, value) = (name.clone(), value.chars().take(80).collect());
                         self.problem(&path, Fault::BadValue { name, value, kind: kind.to_string() });
+                    } else if let Some(fault) = domain.misplaced(name, &kind, value) {
+                        self.problem(&path, fault);
                     }
                     self.values.insert(name, value);
                 }

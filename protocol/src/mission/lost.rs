@@ -4,6 +4,7 @@
 //! for what is known when it is taken. A mark holds a control character, which no value that a request or a file gives for
 //! a parameter may hold, so nothing else is ever taken for one.
 
+use super::domain::Domain;
 use super::model::{Body, Mission, TaskSpec};
 use crate::ids::{ItemId, PlaceId, RobotId};
 use serde::{Deserialize, Serialize};
@@ -28,11 +29,12 @@ pub(super) const NAMES: [(&str, &str); 3] = [("lost.item", ITEM), ("lost.robot",
 
 impl Lost {
     /// Something to check a branch with before anything was lost.
-    pub(super) fn for_instance() -> Lost {
+    pub(super) fn for_instance(domain: &Domain) -> Lost {
+        let place = domain.places().and_then(|places| places.first().cloned());
         Lost {
             item: ItemId::new("item").expect("a slug"),
             robot: RobotId::new("robot").expect("a slug"),
-            place: Some(PlaceId::new("Place").expect("a label")),
+            place: Some(place.unwrap_or_else(|| PlaceId::new("Place").expect("a label"))),
         }
     }
 

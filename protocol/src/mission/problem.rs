@@ -250,6 +250,16 @@ pub enum Fault {
         /// What it should hold, in words.
         kind: String,
     },
+    /// A place that is on no map.
+    #[error("`{name}` is the place {place:?}, which is not on the fleet's map; {allowed}")]
+    UnknownPlace {
+        /// The parameter.
+        name: String,
+        /// The place as given.
+        place: String,
+        /// The map's places.
+        allowed: Allowed,
+    },
     /// A parameter that names a role which the mission does not have.
     #[error("parameter `{name}` names the role `{role}`, which the mission does not have; {allowed}")]
     ParameterRole {

@@ -304,6 +304,8 @@ fn task_faults(mission: &Mission, spec: &TaskSpec, domain: &Domain) -> Vec<Fault
         } else if !parameter.kind.admits(value) {
             let kind = parameter.kind.to_string();
             found.push(Fault::BadValue { name: name.clone(), value: value.clone(), kind });
+        } else {
+            found.extend(domain.misplaced(name, &parameter.kind, value));
         }
     }
     found

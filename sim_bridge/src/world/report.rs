@@ -50,6 +50,9 @@ impl World {
         let robot = *self.floor.robots.get(robot)?;
         let (beside_person, authenticated, beside_robot) = match *self.floor.get::<Beside>(robot) {
             Beside::Nobody => (None, false, None),
+            Beside::Person { person, .. } if !self.floor.is_present(&self.floor.get::<Who>(person).name) => {
+                (None, false, None)
+            }
             Beside::Person { person, authenticated } => {
                 (Some(self.floor.get::<Who>(person).name.clone()), authenticated, None)
             }

@@ -1,16 +1,13 @@
-//! `approach_person`: within reach of the person in parameter `person_role`, who must be at the robot's place. Tried
-//! three times, a second apart: people step aside.
+//! `approach_person`: within reach of the person in parameter `person_role`, who must be at the robot's place. One who is not
+//! there is waited for: for the seconds in parameter `patience`, or two minutes.
 
-use super::{GoalLeaf, Shipped, TaskContext};
+use super::{PatientLeaf, Shipped, TaskContext};
 use crate::actions::Goal;
-use crate::bt::{PortSpec, PortType, Registry, RegistryError};
+use crate::bt::{Registry, RegistryError};
 
 pub(super) const SKILL: Shipped =
     Shipped { task_type: "approach_person", xml: include_str!("../../trees/approach_person.xml"), leaves };
 
 fn leaves(registry: &mut Registry<TaskContext>) -> Result<(), RegistryError> {
-    let ports = [PortSpec::input("role", PortType::Role)];
-    GoalLeaf::register(registry, "ApproachPerson", ports, |_: &TaskContext, leaf| {
-        Ok(Goal::ApproachPerson { role: leaf.read("role")? })
-    })
+    PatientLeaf::register(registry, "ApproachPerson", |role| Goal::ApproachPerson { role })
 }

@@ -30,8 +30,15 @@ impl GoalLeaf {
     {
         registry.register(Manifest::new(id, NodeKind::Action, ports), move |context: &C| {
             let (make, context) = (make.clone(), context.clone());
-            Box::new(GoalLeaf { make: Arc::new(move |leaf| make(&context, leaf)), goal: None })
+            Box::new(GoalLeaf::new(move |leaf| make(&context, leaf)))
         })
+    }
+
+    /// One whose goal is made like this, as a part of another leaf.
+    pub(super) fn new(
+        make: impl Fn(&mut LeafContext<'_, '_>) -> Result<Goal, Cause> + Send + Sync + 'static,
+    ) -> GoalLeaf {
+        GoalLeaf { make: Arc::new(make), goal: None }
     }
 
     fn begin(&mut self, context: &mut LeafContext<'_, '_>) -> Result<Status, Cause> {

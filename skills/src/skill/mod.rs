@@ -1,7 +1,7 @@
 //! The skills that come with the library: trees in `trees/`, and here the leaves that they are made of, a skill a file.
 //!
 //! Each leaf that asks the body for something is a [`GoalLeaf`]: it differs from the others only in how its goal is
-//! made.
+//! made. Those that take a person to be there have the patience of a `PatientLeaf` beside it.
 
 mod approach_person;
 mod approach_robot;
@@ -13,12 +13,14 @@ mod goal_leaf;
 mod grasp;
 mod navigation;
 mod operate_drawer;
+mod patient_leaf;
 mod pick_up;
 mod roles;
 mod wait;
 
 pub(crate) use follow_path::points as waypoints;
 pub use goal_leaf::GoalLeaf;
+use patient_leaf::PatientLeaf;
 
 use crate::bt::{Registry, RegistryError};
 use crate::environment::Environment;

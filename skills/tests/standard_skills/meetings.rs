@@ -41,26 +41,73 @@ fn a_person_who_is_not_named_is_asked_for() {
 
 #[test]
 fn an_approach_is_tried_again_after_a_pause() {
-    let away = || Err(error(ErrorCode::OutOfReach, "nurse is not at A"));
-    let mut body = ScriptedBody::at("A").playing([away(), Ok(()), Ok(())]);
+    let mut body = ScriptedBody::at("A").playing([away("nurse is not at A"), Ok(()), Ok(())]);
     let task = task("approach_person", &[("person_role", "nurse")]);
     assert_eq!(run(&mut skill(&task), &mut body), SkillStatus::Succeeded);
     assert_eq!(body.sent(), ["approach person nurse", "wait 1.00 s", "approach person nurse"]);
 }
 
+fn away(message: &str) -> Result<(), ActionError> {
+    Err(error(ErrorCode::OutOfReach, message))
+}
+
 #[test]
-fn an_approach_fails_after_three_tries_with_the_last_reason() {
-    for (task_type, parameter, leaf) in [
-        ("approach_person", ("person_role", "nurse"), "ApproachPerson"),
-        ("approach_robot", ("robot_role", "lab_arm"), "ApproachRobot"),
-    ] {
-        let away = |message| Err(error(ErrorCode::OutOfReach, message));
-        let script = [away("not here"), Ok(()), away("not here"), Ok(()), away("gone home"), Ok(())];
-        let mut body = ScriptedBody::at("A").playing(script);
-        let ended = run(&mut skill(&task(task_type, &[parameter])), &mut body);
-        assert_eq!(ended, failed(&format!("{leaf}: out of reach: gone home")));
-        assert_eq!(body.sent().iter().filter(|goal| goal.starts_with("approach")).count(), 3);
+fn an_approach_to_a_robot_fails_after_three_tries_with_the_last_reason() {
+    let script = [away("not here"), Ok(()), away("not here"), Ok(()), away("gone home"), Ok(())];
+    let mut body = ScriptedBody::at("A").playing(script);
+    let ended = run(&mut skill(&task("approach_robot", &[("robot_role", "lab_arm")])), &mut body);
+    assert_eq!(ended, failed("ApproachRobot: out of reach: gone home"));
+    assert_eq!(body.sent().iter().filter(|goal| goal.starts_with("approach")).count(), 3);
+}
+
+/// The goals of a task about a person who is away for so many tries, and how it ends.
+fn waited(task: &TaskSpec, tries: usize) -> (SkillStatus, Vec<String>) {
+    let script = (0..tries).flat_map(|_| [away("not here"), Ok(())]);
+    let (mut body, mut skill) = (ScriptedBody::at("A").playing(script), skill(task));
+    for _ in 0..1000 {
+        match skill.tick(&mut body) {
+            SkillStatus::Running => body.end_goal(),
+            ended => return (ended, body.sent()),
+        }
     }
+    panic!("it still runs: {:?}", body.sent());
+}
+
+#[test]
+fn a_person_who_is_away_is_waited_for_so_long_and_no_longer() {
+    for (task_type, leaf, goal) in [
+        ("approach_person", "ApproachPerson", "approach person nurse"),
+        ("authenticate_person", "AuthenticatePerson", "authenticate nurse"),
+    ] {
+        let nurse = ("person_role", "nurse");
+        let usual = task(task_type, &[nurse]);
+        let (ended, sent) = waited(&usual, 120);
+        assert_eq!(ended, SkillStatus::Succeeded, "she is back after two minutes");
+        assert_eq!(sent.iter().filter(|sent| *sent == "wait 1.00 s").count(), 120);
+        assert_eq!(sent.iter().filter(|sent| *sent == goal).count(), 121);
+        let (ended, sent) = waited(&usual, 121);
+        assert_eq!(ended, failed(&format!("{leaf}: out of reach: not here; waited for 120 s")));
+        assert_eq!(sent.len(), 241);
+        let hurried = task(task_type, &[nurse, ("patience", "2.5")]);
+        assert_eq!(waited(&hurried, 2).0, SkillStatus::Succeeded);
+        assert_eq!(waited(&hurried, 3).0, failed(&format!("{leaf}: out of reach: not here; waited for 2 s")));
+        let busy = task(task_type, &[nurse, ("patience", "0")]);
+        assert_eq!(waited(&busy, 1), (failed(&format!("{leaf}: out of reach: not here")), vec![goal.to_owned()]));
+    }
+}
+
+#[test]
+fn whoever_waits_for_a_person_can_be_halted() {
+    let mut body = ScriptedBody::at("A").playing([away("not here")]);
+    let mut skill = skill(&task("approach_person", &[("person_role", "nurse")]));
+    assert_eq!(skill.tick(&mut body), SkillStatus::Running);
+    body.end_goal();
+    assert_eq!(skill.tick(&mut body), SkillStatus::Running);
+    assert_eq!(body.sent(), ["approach person nurse", "wait 1.00 s"]);
+    skill.halt(&mut body);
+    body.stand_still();
+    assert_eq!(run(&mut skill, &mut body), SkillStatus::Succeeded);
+    assert_eq!(body.sent(), ["approach person nurse", "wait 1.00 s", "approach person nurse"]);
 }
 
 #[test]

@@ -2,11 +2,12 @@
 
 use super::phrase::{Deed, Phrase, Wrong};
 use super::said::Said;
-use super::stage::Stage;
+use super::stage::{Refusal, Stage};
 use consort_protocol::keys::ApiCall;
 use consort_protocol::mission::{Format, MissionTemplate, shipped};
 use futures::FutureExt;
 use serde_json::{Map, Value, json};
+use std::cell::Cell;
 use std::path::Path;
 use std::time::Duration;
 
@@ -120,6 +121,9 @@ async fn ask(stage: &mut Stage, asked: Value, name: String) -> Result<(), Wrong>
     if stage.missions.iter().any(|(request, _)| *request == name) {
         return Err(Wrong::Nonsense(format!("{name} was asked for before: one request gets one mission")));
     }
+    if let Some(unheeded) = stage.refused.as_ref().and_then(Refusal::unheeded) {
+        return Err(Wrong::Nonsense(unheeded));
+    }
     let fleet = stage.nodes().await?;
     let deadline = fleet.elapsed() + ASKS_FOR;
     let mission = loop {
@@ -127,8 +131,10 @@ async fn ask(stage: &mut Stage, asked: Value, name: String) -> Result<(), Wrong>
         match answer.as_ref().and_then(|answer| answer["mission"].as_str()) {
             Some(mission) => break mission.to_owned(),
             None if answer.as_ref().is_some_and(|answer| answer.get("retry_after_ms").is_none()) => {
-                let answer = answer.map(|answer| answer.to_string()).unwrap_or_default();
-                return Err(Wrong::Nonsense(format!("the fleet answered {answer}")));
+                let why = answer.map(|answer| answer["error"].as_str().unwrap_or_default().to_owned());
+                let why = why.unwrap_or_default();
+                stage.refused = Some(Refusal { request: name, why, heeded: Cell::new(false) });
+                return Ok(());
             }
             None if fleet.elapsed() >= deadline => {
                 return Err(Wrong::Instead(format!("nobody acknowledged it within {ASKS_FOR:?}")));

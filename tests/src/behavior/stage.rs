@@ -11,6 +11,7 @@ use consort_protocol::ids::{MissionId, RobotId};
 use consort_protocol::units::WorldTime;
 use consort_sim::world::{JournalEntry, SharedWorld, World};
 use consort_skills::actions::{BodyHost, GoalId};
+use std::cell::Cell;
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 use std::time::Duration;
@@ -29,12 +30,29 @@ pub(super) struct Stage {
     plans: Vec<Plan>,
     /// Missions by their requests' names, in the order in which they were asked for.
     pub(super) missions: Vec<(String, MissionId)>,
+    /// The latest request that was refused.
+    pub(super) refused: Option<Refusal>,
     /// The latest goal that the scenario itself gave a body, by robot.
     pub(super) goals: BTreeMap<RobotId, (GoalId, f64)>,
     /// Who coordinated before the latest deed against a coordinator.
     pub(super) former: Option<String>,
     /// Nodes that the scenario ended.
     pub(super) dead: Vec<String>,
+}
+
+/// A request that was refused.
+pub(super) struct Refusal {
+    pub(super) request: String,
+    pub(super) why: String,
+    /// Whether the scenario has asked about it: one that it did not expect fails it.
+    pub(super) heeded: Cell<bool>,
+}
+
+impl Refusal {
+    /// What to say where nobody has reckoned with it.
+    pub(super) fn unheeded(&self) -> Option<String> {
+        (!self.heeded.get()).then(|| format!("{} was refused: {}", self.request, self.why))
+    }
 }
 
 /// What is played.
@@ -62,6 +80,7 @@ impl Stage {
             play: None,
             plans: vec![],
             missions: vec![],
+            refused: None,
             goals: BTreeMap::new(),
             former: None,
             dead: vec![],
@@ -273,6 +292,9 @@ impl Stage {
 
     /// What was arranged and did not come about.
     pub(super) fn left_over(&self) -> Option<String> {
+        if let Some(unheeded) = self.refused.as_ref().and_then(Refusal::unheeded) {
+            return Some(unheeded);
+        }
         let plan = self.plans.first()?;
         Some(format!("it was said what happens when {}, and that has not come about", plan.once.text))
     }
@@ -293,6 +315,9 @@ impl Stage {
         let mut asked = self.missions.iter().rev();
         let found = asked.find(|(request, _)| name.is_none_or(|name| name == request));
         let known: Vec<&str> = self.missions.iter().map(|(request, _)| request.as_str()).collect();
+        if let Some(unheeded) = self.refused.as_ref().and_then(Refusal::unheeded) {
+            return Err(Wrong::Nonsense(unheeded));
+        }
         found.map(|(_, mission)| mission.clone()).ok_or_else(|| {
             let known = if known.is_empty() { "none".to_owned() } else { known.join(", ") };
             Wrong::Nonsense(format!("{meant} was not asked for; asked for: {known}"))

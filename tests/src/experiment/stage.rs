@@ -67,7 +67,18 @@ impl Stage {
         }
         let template = shipped().get(&design.mission.name).cloned();
         let template = template.ok_or_else(|| whole(format!("no mission {} is shipped", design.mission.name)))?;
-        let domain = Domain::hospital();
+        let domain = Domain::hospital().with_places(map.topology().places.into_keys());
+        for scenario in &scenarios {
+            let of = |problem: String| format!("scenario {}: {problem}", scenario.code);
+            match scenario.parameters(&design.mission).map(|given| template.instantiate(&given, &domain)) {
+                Ok(Ok(_)) => {}
+                Ok(Err(errors)) => problems.extend(errors.problems.iter().map(|problem| of(problem.to_string()))),
+                Err(problem) => problems.push(of(problem.to_string())),
+            }
+        }
+        if !problems.is_empty() {
+            return Err(StageError(problems));
+        }
         let skills: std::collections::BTreeSet<TaskType> = domain.task_types().cloned().collect();
         let spec = EnsembleSpec::with_any_skill_of(crate::slug("robots"), skills);
         let ensemble = Ensemble::compile(spec).map_err(|problem| whole(problem.to_string()))?;

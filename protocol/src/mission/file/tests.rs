@@ -48,6 +48,38 @@ fn a_file_becomes_a_mission_with_its_parameters_filled_in() {
 }
 
 #[test]
+fn a_place_that_is_on_no_map_is_told_once_of_what_names_it() {
+    let places = ["Dock", "IC Room 5", "IC Room 6"].map(|name| crate::ids::PlaceId::new(name).unwrap());
+    let domain = Domain::hospital().with_places(places);
+    let said = |text: &str, values: &[(&str, &str)]| match MissionTemplate::parse(text, Format::of(None, text))
+        .unwrap()
+        .instantiate_both(&given(values), &domain)
+    {
+        Ok(_) => vec![],
+        Err(errors) => errors.problems.iter().map(ToString::to_string).collect(),
+    };
+    assert_eq!(said(FILE, &[("pause", "4")]), Vec::<String>::new());
+    let allowed = "which is not on the fleet's map; allowed: Dock, IC Room 5, IC Room 6";
+    assert_eq!(
+        said(FILE, &[("pause", "4"), ("room", "IC Room 66")]),
+        [format!("parameters/room: `room` is the place \"IC Room 66\", {allowed}; did you mean `IC Room 6`?")]
+    );
+    let fixed = FILE.replace("parameters: { to: \"${room}\" }", "parameters: { to: Attic }");
+    assert_eq!(
+        said(&fixed, &[("pause", "4"), ("room", "Dock")]),
+        [format!("root/go: `to` is the place \"Attic\", {allowed}")]
+    );
+    assert_eq!(problems(FILE, &[("pause", "4"), ("room", "Attic")]), Vec::<String>::new(), "no map is at hand");
+    // Where something was lost is known once it is.
+    for mission in super::super::shipped().values().filter(|mission| mission.file.recovery.is_some()) {
+        let everywhere = mission.parameters().values().filter_map(|parameter| parameter.default.clone());
+        let known = ["Laboratory", "Dock", "Kitchen", "Nurse Station"].map(str::to_owned).into_iter().chain(everywhere);
+        let domain = Domain::hospital().with_places(known.filter_map(|name| crate::ids::PlaceId::new(name).ok()));
+        mission.instantiate_both(&BTreeMap::new(), &domain).unwrap_or_else(|problems| panic!("{problems}"));
+    }
+}
+
+#[test]
 fn json_says_the_same_as_yaml() {
     let json = r#" {"mission": "m", "roles": {"r1": {"kind": "managed"}},
             "root": {"task": "go", "type": "navigation", "roles": ["r1"], "parameters": {"to": "Laboratory"}}}"#;

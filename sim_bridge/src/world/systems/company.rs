@@ -89,6 +89,9 @@ impl Floor {
             let message = format!("{}: {} is a {}, not a {role}", self.name(robot), who.name, who.role);
             return Err(refused(ErrorCode::NotAuthenticated, message));
         }
+        if !self.is_present(&who.name) {
+            return Err(refused(ErrorCode::OutOfReach, format!("{}: {} has walked away", self.name(robot), who.name)));
+        }
         Ok(Beside::Person { person, authenticated: true })
     }
 

@@ -4,7 +4,7 @@
 //! What she does then is said in news; [`people`](super::people) hears it and breaks off what she has under way.
 
 use crate::world::World;
-use crate::world::components::{Beside, Body, Who};
+use crate::world::components::{Body, Who};
 use crate::world::floor::Floor;
 use crate::world::journal::Happening;
 use crate::world::mood::{Deed, Moment, Mood};
@@ -14,7 +14,6 @@ use crate::world::setup::WorldSetup;
 use crate::world::system::{Kind, System, Wake, kinds};
 use consort_protocol::ids::RobotId;
 use consort_skills::actions::BodyEvent;
-use hecs::Entity;
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::SeedableRng;
@@ -59,7 +58,7 @@ impl System for Moods {
     }
 
     fn writes(&self) -> Vec<Kind> {
-        kinds![Beside, Minds]
+        kinds![Minds]
     }
 
     fn furnish(&self, floor: &mut Floor, setup: &WorldSetup) {
@@ -81,10 +80,7 @@ impl System for Moods {
         let intent = floor.own_mut::<Minds>().intents.remove(&number);
         match intent {
             Some(Intent::Does { person, does, robot, back_after_s }) => floor.do_it(&person, does, robot, back_after_s),
-            Some(Intent::ComesBack(person)) => {
-                floor.own_mut::<Minds>().away.remove(&person);
-                floor.note(Happening::CameBack { person });
-            }
+            Some(Intent::ComesBack(person)) => floor.come_back(&person),
             None => {}
         }
     }
@@ -114,6 +110,11 @@ impl World {
     /// who is not here does nothing.
     pub fn has_person_do(&mut self, person: &PersonName, does: Deed, robot: Option<&RobotId>) {
         self.have(&Moods, |floor| floor.do_it(person, does, robot.cloned(), None));
+    }
+
+    /// Has a person who is away be back at her place now. One who is not away stays where she is.
+    pub fn has_person_come_back(&mut self, person: &PersonName) {
+        self.have(&Moods, |floor| floor.come_back(person));
     }
 }
 
@@ -167,7 +168,6 @@ impl Floor {
                 if !self.own_mut::<Minds>().away.insert(person.clone()) {
                     return;
                 }
-                self.leave_robots(person);
                 self.note(Happening::WalkedAway { person: person.clone() });
                 if let Some(back) = back_after_s {
                     self.intend(back, Intent::ComesBack(person.clone()));
@@ -177,20 +177,13 @@ impl Floor {
         }
     }
 
-    fn role_of(&self, person: &PersonName) -> Option<consort_protocol::ids::RoleId> {
-        self.people.get(person).map(|person| self.get::<Who>(*person).role.clone())
+    fn come_back(&mut self, person: &PersonName) {
+        if self.own_mut::<Minds>().away.remove(person) {
+            self.note(Happening::CameBack { person: person.clone() });
+        }
     }
 
-    /// No robot is beside somebody who is not there.
-    fn leave_robots(&self, person: &PersonName) {
-        let Some(gone) = self.people.get(person).copied() else { return };
-        let robots: Vec<Entity> = self.robots.values().copied().collect();
-        for robot in robots {
-            if let Some(mut beside) = self.find_mut::<Beside>(robot)
-                && matches!(*beside, Beside::Person { person, .. } if person == gone)
-            {
-                *beside = Beside::Nobody;
-            }
-        }
+    fn role_of(&self, person: &PersonName) -> Option<consort_protocol::ids::RoleId> {
+        self.people.get(person).map(|person| self.get::<Who>(*person).role.clone())
     }
 }

@@ -3,6 +3,9 @@
 //! An ask waits until a robot that holds a role of the mission has approached someone who plays the asked role and
 //! stands there with an open drawer. Whom it approached is who hands over: of several nurses, the one where the robot
 //! is. She takes her time; if the robot leaves or shuts its drawer meanwhile, she keeps her sample and waits on.
+//!
+//! While all who play the role are away, an ask waits for one to come back: for the seconds that its task gives in `patience`,
+//! or two minutes. A robot that has stayed where it was is beside her again when she is back.
 
 use crate::world::components::{Beside, Body, DrawerOpen, HandsBusy, Label, Pace, Who};
 use crate::world::fittings::sample_kg;
@@ -17,7 +20,7 @@ use crate::world::system::{Kind, System, Wake, kinds};
 use crate::world::systems::moods::Minds;
 use crate::world::whereabouts::Whereabouts;
 use consort_protocol::ids::{RobotId, RoleId};
-use consort_skills::actions::{ActionError, BodyEvent, ErrorCode, GoalId, PersonAsk};
+use consort_skills::actions::{AWAY_S, ActionError, BodyEvent, ErrorCode, GoalId, PATIENCE, PersonAsk};
 use hecs::Entity;
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
@@ -29,6 +32,9 @@ const CAN: &[&str] = &["deposit"];
 
 /// The parameter of a task that names the role whose drawer is meant; without it any robot of the mission may come.
 const INTO_ROLE: &str = "into_role";
+
+/// What tells the end of patience from the end of handing over, in the number of a wake.
+const IN_VAIN: u64 = 1 << 63;
 
 /// Running number of an ask: earlier ones are served first.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
@@ -52,6 +58,10 @@ struct Ask {
     /// The robots whose drawers will do.
     into: BTreeSet<Entity>,
     under_way: Option<HandingOver>,
+    /// How long those who are away are waited for, in seconds.
+    patience_s: f64,
+    /// While all who could do it are away: when that ends.
+    given_up: Option<Ticket>,
 }
 
 #[derive(Clone, Copy)]
@@ -147,12 +157,19 @@ impl System for People {
     }
 
     fn wake(&self, floor: &mut Floor, Wake { number, .. }: Wake) {
-        floor.handed_over(AskNumber(number));
+        match number & IN_VAIN {
+            0 => floor.handed_over(AskNumber(number)),
+            _ => floor.give_up_waiting(AskNumber(number & !IN_VAIN)),
+        }
     }
 
     fn observe(&self, floor: &mut Floor, what: &Happening) {
         match what {
-            Happening::GoalEnded { .. } | Happening::CameBack { .. } => floor.serve_asks(),
+            Happening::GoalEnded { .. } => floor.serve_asks(),
+            Happening::CameBack { .. } => {
+                floor.mind_who_is_away();
+                floor.serve_asks();
+            }
             Happening::CalledOff { person, robot } => {
                 floor.hold_back(person, Some(robot));
                 floor.serve_asks();
@@ -166,7 +183,8 @@ impl System for People {
             }
             Happening::WalkedAway { person } => {
                 floor.hold_back(person, None);
-                floor.give_up_waiting();
+                floor.mind_who_is_away();
+                floor.serve_asks();
             }
             _ => {}
         }
@@ -194,7 +212,11 @@ impl Floor {
         }
         match self.who_will_do(ask) {
             Ok(into) => {
-                self.own_mut::<Asks>().open(Ask { id, role: ask.role.clone(), into, under_way: None });
+                let patience = ask.task.parameters.get(PATIENCE).and_then(|seconds| seconds.parse().ok());
+                let patience_s = patience.filter(|seconds| (0.0..=f64::MAX).contains(seconds)).unwrap_or(AWAY_S);
+                let role = ask.role.clone();
+                self.own_mut::<Asks>().open(Ask { id, role, into, under_way: None, patience_s, given_up: None });
+                self.mind_who_is_away();
                 self.serve_asks();
             }
             Err(error) => {
@@ -230,11 +252,6 @@ impl Floor {
         }
         if !CAN.contains(&ask.task.task_type.as_str()) {
             return unknown(format!("a {} cannot {}; can: {}", ask.role, ask.task.task_type, CAN.join(", ")));
-        }
-        let away = |person: &Entity| !self.is_present(&self.get::<Who>(*person).name);
-        let mut players = self.people.values().filter(|person| self.get::<Who>(**person).role == ask.role);
-        if players.all(away) {
-            return Err(refused(ErrorCode::OutOfReach, format!("every {} has walked away", ask.role)));
         }
         let waiting = self.own::<Asks>().open.len();
         if waiting >= self.limits.asks_max {
@@ -283,7 +300,8 @@ impl Floor {
     fn ready_at(&self, robot: Entity) -> Option<Entity> {
         match *self.get::<Beside>(robot) {
             Beside::Person { person, .. } if self.get::<DrawerOpen>(robot).0 => {
-                self.is_willing(&self.get::<Who>(person).name, &self.name(robot)).then_some(person)
+                let name = &self.get::<Who>(person).name;
+                (self.is_present(name) && self.is_willing(name, &self.name(robot))).then_some(person)
             }
             Beside::Person { .. } | Beside::Nobody | Beside::Robot { .. } => None,
         }
@@ -317,24 +335,40 @@ impl Floor {
         Some(id)
     }
 
-    /// Nobody waits for those who are gone: asks of a role that nobody plays here now end.
-    fn give_up_waiting(&mut self) {
-        let there = |person: &Entity| self.is_present(&self.get::<Who>(*person).name);
-        let roles: BTreeSet<RoleId> = self
-            .people
-            .values()
-            .filter(|person| there(person))
-            .map(|person| self.get::<Who>(*person).role.clone())
-            .collect();
-        let vain: Vec<(GoalId, RoleId)> = {
+    /// The roles that somebody plays who is there.
+    fn roles_present(&self) -> BTreeSet<RoleId> {
+        let who = self.people.values().map(|person| self.get::<Who>(*person));
+        who.filter(|who| self.is_present(&who.name)).map(|who| who.role.clone()).collect()
+    }
+
+    /// From now on an ask of a role that nobody here plays waits for so long and no longer; one of another has all the time.
+    fn mind_who_is_away(&mut self) {
+        let present = self.roles_present();
+        let turned: Vec<(AskNumber, f64, Option<Ticket>)> = {
             let asks = self.own::<Asks>();
-            let open = asks.open.values().filter(|ask| !roles.contains(&ask.role));
-            open.map(|ask| (ask.id, ask.role.clone())).collect()
+            let turned = asks.open.iter().filter(|(_, ask)| present.contains(&ask.role) == ask.given_up.is_some());
+            turned.map(|(number, ask)| (*number, ask.patience_s, ask.given_up)).collect()
         };
-        for (id, role) in vain {
-            self.end_ask(id, Err(refused(ErrorCode::OutOfReach, format!("every {role} has walked away"))));
+        for (number, patience_s, given_up) in turned {
+            let given_up = match given_up {
+                Some(ticket) => {
+                    self.queue.take_back(ticket);
+                    None
+                }
+                None => Some(self.arrange(self.now + patience_s, self.here(), number.0 | IN_VAIN)),
+            };
+            if let Some(ask) = self.own_mut::<Asks>().open.get_mut(&number) {
+                ask.given_up = given_up;
+            }
         }
-        self.serve_asks();
+    }
+
+    /// Nobody has come back in time.
+    fn give_up_waiting(&mut self, number: AskNumber) {
+        let ask = self.own::<Asks>().open.get(&number).map(|ask| (ask.id, ask.role.clone(), ask.patience_s));
+        let Some((id, role, patience_s)) = ask else { return };
+        let message = format!("every {role} has walked away; waited for {patience_s} s");
+        self.end_ask(id, Err(refused(ErrorCode::OutOfReach, message)));
     }
 
     fn put_in(&mut self, handing: HandingOver) -> Result<(), ActionError> {
@@ -354,6 +388,14 @@ impl Floor {
     }
 
     fn close(&mut self, id: GoalId, result: Option<Result<(), ActionError>>) {
+        let given_up = {
+            let mut asks = self.own_mut::<Asks>();
+            let number = asks.ids.get(&id).copied();
+            number.and_then(|number| asks.open.get_mut(&number)?.given_up.take())
+        };
+        if let Some(ticket) = given_up {
+            self.queue.take_back(ticket);
+        }
         let kept = self.limits.asks_max;
         self.own_mut::<Asks>().close(id, result, kept);
     }

@@ -86,28 +86,76 @@ fn she_declines() {
     assert_eq!(keeper(&world), Keeper::Person("Bea".into()));
 }
 
+fn leaves(at: Moment, back_after_s: Option<f64>) -> Mood {
+    Mood { back_after_s, ..Mood::certainly(at, Deed::WalksAway) }
+}
+
+fn gone(waited_s: f64) -> BodyEvent {
+    let message = format!("every nurse has walked away; waited for {waited_s} s");
+    BodyEvent::PersonEnded { ask: GoalId(7), result: Err(ActionError { code: ErrorCode::OutOfReach, message }) }
+}
+
 #[test]
-fn she_walks_away_and_nobody_waits_for_her() {
-    let leaves = |moment, after_s| Mood { after_s, ..Mood::certainly(moment, Deed::WalksAway) };
-    let gone = ActionError { code: ErrorCode::OutOfReach, message: "every nurse has walked away".to_owned() };
-    let mut world = ward(1, leaves(Moment::HandingOver, 1.0));
-    assert_eq!(meeting(&mut world), [(7.0, BodyEvent::PersonEnded { ask: GoalId(7), result: Err(gone.clone()) })]);
+fn she_walks_away_and_is_waited_for_so_long_and_no_longer() {
+    let mut world = ward(1, Mood { after_s: 1.0, ..leaves(Moment::HandingOver, None) });
+    assert_eq!(meeting(&mut world), []);
+    assert_eq!(until(&mut world, 300.0), [(127.0, gone(120.0))], "she left at 7 s");
     assert_eq!(keeper(&world), Keeper::Person("Bea".into()));
     assert_eq!(world.body(&robot("r1")).unwrap().beside_person, None);
     assert!(world.people()[0].away);
-    let mut world = ward(1, leaves(Moment::Waiting, 0.0));
+    // She is gone before anybody comes, and the task says how long it can wait.
+    let mut world = ward(1, leaves(Moment::Waiting, None));
     world.advance(at(0.0));
     let status = refusal(&mut world, "r1", 1, approach());
     assert_eq!(status, aborted(ErrorCode::OutOfReach, "r1: no nurse is at PC Room 2"));
+    let mut ask = deposit("r1");
+    ask.task.parameters.insert("patience".to_owned(), "30".to_owned());
+    let asked_at = world.now().as_secs();
+    world.ask_person(GoalId(7), ask);
+    assert_eq!(until(&mut world, 300.0), [(asked_at + 30.0, gone(30.0))]);
+}
+
+#[test]
+fn she_comes_back_to_a_robot_that_has_stayed() {
+    let mut world = ward(1, leaves(Moment::Authenticated, Some(30.0)));
+    let said = meeting(&mut world);
+    assert_eq!(said.len(), 1, "{said:?}");
+    assert_eq!(said[0].1, BodyEvent::PersonEnded { ask: GoalId(7), result: Ok(()) });
+    assert!(said[0].0 > 34.0, "she was back at 34 s: {said:?}");
+    assert_eq!(keeper(&world), Keeper::Drawer(robot("r1")));
+    assert_eq!(until(&mut world, 300.0), [], "nobody gives up afterwards");
+}
+
+#[test]
+fn she_comes_back_and_the_robot_has_gone() {
+    let mut world = ward(1, leaves(Moment::Authenticated, Some(30.0)));
+    for (id, goal) in (1..).zip([approach(), Goal::AuthenticatePerson { role: role("nurse") }]) {
+        does(&mut world, "r1", id, goal);
+    }
+    does(&mut world, "r1", 3, Goal::OperateDrawer { open: true });
     world.ask_person(GoalId(7), deposit("r1"));
-    let now = world.now();
-    assert_eq!(world.advance(now), [BodyEvent::PersonEnded { ask: GoalId(7), result: Err(gone) }]);
+    let there = world.map().place(&place("PC Corridor 2")).map(|place| place.pose);
+    let there = there.expect("on the map");
+    world.start(&robot("r1"), GoalId(4), Goal::NavigateToPose { pose: there, place: Some(place("PC Corridor 2")) });
+    let ended = until(&mut world, 200.0);
+    assert!(!ended.iter().any(|(_, event)| matches!(event, BodyEvent::PersonEnded { .. })), "she waits: {ended:?}");
+    assert_eq!(keeper(&world), Keeper::Person("Bea".into()));
+}
+
+#[test]
+fn she_steps_away_before_she_has_proved_who_she_is() {
+    let prove = || Goal::AuthenticatePerson { role: role("nurse") };
+    let mut world = ward(1, leaves(Moment::Approached, Some(10.0)));
+    does(&mut world, "r1", 1, approach());
+    let status = refusal(&mut world, "r1", 2, prove());
+    assert_eq!(status, aborted(ErrorCode::OutOfReach, "r1: Bea has walked away"));
+    until(&mut world, 13.0);
+    does(&mut world, "r1", 3, prove());
 }
 
 #[test]
 fn she_comes_back() {
-    let mood = Mood { back_after_s: Some(10.0), ..Mood::certainly(Moment::Waiting, Deed::WalksAway) };
-    let mut world = ward(1, mood);
+    let mut world = ward(1, leaves(Moment::Waiting, Some(10.0)));
     world.advance(at(9.0));
     let status = refusal(&mut world, "r1", 1, approach());
     assert_eq!(status, aborted(ErrorCode::OutOfReach, "r1: no nurse is at PC Room 2"));

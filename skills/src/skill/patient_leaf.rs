@@ -1,0 +1,78 @@
+//! A leaf for what takes somebody to be there: who is not is waited for.
+
+use super::{GoalLeaf, TaskContext};
+use crate::actions::{AWAY_S, ErrorCode, Goal};
+use crate::bt::{Cause, Leaf, LeafContext, Manifest, NodeKind, PortSpec, PortType, Registry, RegistryError, Status};
+use consort_protocol::ids::RoleId;
+use consort_protocol::units::Seconds;
+
+/// How long to stand and wait before it is tried again, in seconds. Raised: fewer goals, and who comes back is noticed later.
+const PAUSE_S: f64 = 1.0;
+
+/// Sends a goal about the person of port `role`. While she is out of reach it waits, at most for port `patience`, or else for
+/// [`AWAY_S`], and tries again; then it fails as the goal did. Any other failure is one at once.
+pub(super) struct PatientLeaf {
+    goal: GoalLeaf,
+    pause: Option<GoalLeaf>,
+    waited_s: f64,
+}
+
+impl PatientLeaf {
+    /// Adds a kind of action.
+    pub(super) fn register(
+        registry: &mut Registry<TaskContext>,
+        id: &str,
+        make: fn(RoleId) -> Goal,
+    ) -> Result<(), RegistryError> {
+        let ports =
+            [PortSpec::input("role", PortType::Role), PortSpec::input("patience", PortType::Seconds).optional()];
+        registry.register(Manifest::new(id, NodeKind::Action, ports), move |_: &TaskContext| {
+            Box::new(PatientLeaf { goal: asking(make), pause: None, waited_s: 0.0 })
+        })
+    }
+
+    fn wait_or_fail(&mut self, context: &mut LeafContext<'_, '_>, cause: Cause) -> Result<Status, Cause> {
+        let patience_s = context.read_optional::<Seconds>("patience")?.map_or(AWAY_S, Seconds::get);
+        if self.waited_s + PAUSE_S <= patience_s {
+            self.waited_s += PAUSE_S;
+            let time = Seconds::new(PAUSE_S).expect("a duration");
+            return self.pause.insert(GoalLeaf::new(move |_| Ok(Goal::Wait { time }))).tick(context);
+        }
+        let waited_s = std::mem::take(&mut self.waited_s);
+        let waited = if waited_s > 0.0 { format!("; waited for {waited_s} s") } else { String::new() };
+        Err(Cause { text: format!("{}{waited}", cause.text), error: cause.error })
+    }
+}
+
+fn asking(make: fn(RoleId) -> Goal) -> GoalLeaf {
+    GoalLeaf::new(move |leaf| Ok(make(leaf.read("role")?)))
+}
+
+impl Leaf for PatientLeaf {
+    fn tick(&mut self, context: &mut LeafContext<'_, '_>) -> Result<Status, Cause> {
+        if let Some(pause) = &mut self.pause {
+            if pause.tick(context)? == Status::Running {
+                return Ok(Status::Running);
+            }
+            self.pause = None;
+        }
+        match self.goal.tick(context) {
+            Ok(Status::Running) => Ok(Status::Running),
+            Err(cause) if cause.error.as_ref().is_some_and(|error| error.code == ErrorCode::OutOfReach) => {
+                self.wait_or_fail(context, cause)
+            }
+            ended => {
+                self.waited_s = 0.0;
+                ended
+            }
+        }
+    }
+
+    fn halt(&mut self, context: &mut LeafContext<'_, '_>) {
+        self.goal.halt(context);
+        if let Some(mut pause) = self.pause.take() {
+            pause.halt(context);
+        }
+        self.waited_s = 0.0;
+    }
+}
