@@ -1,10 +1,13 @@
 //! Why a robot does not get a role is said, to people and programs.
 
+use consort_actors::node::NodeSettings;
 use consort_protocol::auction::{AuctionRecord, RefusalReason, Unviable, Verdict};
 use consort_protocol::event::Happening;
 use consort_protocol::keys::ApiCall;
+use consort_protocol::mission::Domain;
 use consort_tests::{Fleet, Member, slug, tell};
 use serde_json::json;
+use std::sync::Arc;
 use std::time::Duration;
 
 const SEEDS: [u64; 2] = [111, 112];
@@ -90,10 +93,12 @@ fn every_reason_is_in_the_events_and_in_the_view() {
 }
 
 #[test]
-fn a_place_to_which_there_is_no_way_is_a_refusal_with_the_task_and_no_bid() {
+fn a_place_to_which_a_robot_knows_no_way_is_a_refusal_with_the_task_and_no_bid() {
     tell(SEEDS, async |seed| {
         let robots = vec![Member::carrier("amber", "IC Room 4")];
-        let mut fleet = Fleet::hospital(seed, robots, &["aba"], &[ROOM]).await;
+        // Whoever admits the mission knows of an attic, as with a newer map, or of no map at all; the robot does not.
+        let adjust = Box::new(|node: &mut NodeSettings| node.fleet.domain = Arc::new(Domain::hospital()));
+        let mut fleet = Fleet::adjusted_hospital(seed, robots, &["aba"], &[ROOM], adjust).await;
         fleet.coordinator().await;
         let asked = json!({ "mission": "lab-samples", "parameters": { "room": "Attic" } });
         fleet.answer(ApiCall::Submit, &asked).await;
