@@ -29,11 +29,14 @@ async fn submit(fleet: &mut Fleet, mission: Value) -> MissionId {
 #[test]
 fn a_nurse_who_is_called_away_and_comes_back_costs_no_mission() {
     let nurse = format!("nurse of {ROOM}").as_str().into();
-    for (task, away_s, comes_back) in
-        [("authenticate_nurse", 100.0, true), ("open_drawer_for_nurse", 100.0, true), ("authenticate_nurse", 0.0, false)]
-    {
+    for (task, away_s, comes_back) in [
+        ("authenticate_nurse", 100.0, true),
+        ("open_drawer_for_nurse", 100.0, true),
+        ("authenticate_nurse", 0.0, false),
+    ] {
         tell([721, 722], async |seed| {
-            let mut fleet = Fleet::hospital(seed, vec![Member::carrier("amber", "IC Room 4")], &["post"], &[ROOM]).await;
+            let mut fleet =
+                Fleet::hospital(seed, vec![Member::carrier("amber", "IC Room 4")], &["post"], &[ROOM]).await;
             let mission = fleet.submit("a", ROOM).await;
             fleet.until("the meeting", SOON, |fleet| fleet.happened(began(task))).await;
             fleet.world.with(|world| world.has_person_do(&nurse, Deed::WalksAway, None));

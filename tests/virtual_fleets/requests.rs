@@ -90,7 +90,10 @@ fn a_request_that_cannot_be_understood_says_what_would_be_and_changes_nothing() 
                 ApiCall::Submit,
                 r#"{"mission": {"mission": "visit", "roles": {"r1": {"kind": "managed"}}, "root": {"task": "go",
                     "type": "navigation", "roles": ["r1"], "parameters": {"to": "labratory"}}}}"#,
-                &["root: `to` is the place \"labratory\", which is not on the fleet's map", "did you mean `Laboratory`?"],
+                &[
+                    "root: `to` is the place \"labratory\", which is not on the fleet's map",
+                    "did you mean `Laboratory`?",
+                ],
             ),
             (ApiCall::Submit, r#"{"mission": "lab-samples", "request": "a b/c*"}"#, &["a b/c*"]),
             (ApiCall::Cancel, r#"{"mission": "lab-samples-9"}"#, &["no mission lab-samples-9"]),

@@ -43,13 +43,17 @@ pub(super) fn phrases() -> Vec<Phrase<Fact>> {
             let state = state_of(stage, &stage.mission(said.word(0))?)?;
             so(state.is_end(), || in_words(&state))
         }),
-        is("the request was refused because {text}", r#"the request was refused because "did you mean""#, |stage, said| {
-            let Some(refused) = &stage.refused else {
-                return Err(Wrong::Instead("no request was refused".to_owned()));
-            };
-            refused.heeded.set(true);
-            so(refused.why.contains(said.word(0)), || refused.why.clone())
-        }),
+        is(
+            "the request was refused because {text}",
+            r#"the request was refused because "did you mean""#,
+            |stage, said| {
+                let Some(refused) = &stage.refused else {
+                    return Err(Wrong::Instead("no request was refused".to_owned()));
+                };
+                refused.heeded.set(true);
+                so(refused.why.contains(said.word(0)), || refused.why.clone())
+            },
+        ),
         is("all missions are completed", "all missions are completed", |stage, _| {
             if stage.missions.is_empty() {
                 return Err(Wrong::nonsense("no mission was asked for"));
