@@ -3,7 +3,7 @@
 use crate::config::{DEFAULT_FLEET, FleetConfig, load};
 use crate::exit::Failure;
 use crate::output::{self, Waiting};
-use crate::running::{describe, runtime, start_log};
+use crate::running::{LogFormat, describe, runtime, start_log};
 use bytes::Bytes;
 use consort_actors::bus::zenoh_bus::Mode;
 use consort_actors::bus::{Bus, ZenohBus, ZenohSettings};
@@ -97,7 +97,7 @@ impl Client {
     /// # Errors
     /// [`Failure::Unreached`] if nothing answers, [`Failure::Usage`] for wrong flags.
     pub async fn open(flags: &ClientFlags) -> Result<Client, Failure> {
-        start_log(None, "off")?;
+        start_log(None, LogFormat::Human, "off")?;
         let fleet = fleet_name(&flags.fleet)?;
         let timeout = Duration::try_from_secs_f64(flags.timeout)
             .map_err(|_| Failure::Usage(format!("--timeout: {} is not a number of seconds", flags.timeout)))?;

@@ -129,6 +129,8 @@ pub enum Happening {
         mission: MissionId,
         /// Its state.
         state: MissionState,
+        /// When it was requested, in milliseconds of the wall clock of the coordinator of then.
+        submitted_at_ms: u64,
     },
     /// A role's steps have ended.
     Progress {
@@ -276,4 +278,93 @@ pub enum Happening {
         /// How often this has happened at this node since it started.
         count: u64,
     },
+}
+
+impl Happening {
+    /// What kind of happening it is: the field `event` of its JSON.
+    pub fn word(&self) -> &'static str {
+        match self {
+            Happening::Elected { .. } => "elected",
+            Happening::SteppedDown { .. } => "stepped_down",
+            Happening::Foreign { .. } => "foreign",
+            Happening::Voters { .. } => "voters",
+            Happening::Joined { .. } => "joined",
+            Happening::Left { .. } => "left",
+            Happening::Submitted { .. } => "submitted",
+            Happening::Called { .. } => "called",
+            Happening::Bid { .. } => "bid",
+            Happening::Closed { .. } => "closed",
+            Happening::Awarded { .. } => "awarded",
+            Happening::Released { .. } => "released",
+            Happening::Mission { .. } => "mission",
+            Happening::Progress { .. } => "progress",
+            Happening::Started { .. } => "started",
+            Happening::TaskBegan { .. } => "task_began",
+            Happening::TaskEnded { .. } => "task_ended",
+            Happening::TaskFailed { .. } => "task_failed",
+            Happening::Sent { .. } => "sent",
+            Happening::Heard { .. } => "heard",
+            Happening::Suspended { .. } => "suspended",
+            Happening::Resumed { .. } => "resumed",
+            Happening::Halted { .. } => "halted",
+            Happening::TaskRetried { .. } => "task_retried",
+            Happening::Alternative { .. } => "alternative",
+            Happening::GaveUp { .. } => "gave_up",
+            Happening::ChargeShort { .. } => "charge_short",
+            Happening::Outdated { .. } => "outdated",
+        }
+    }
+
+    /// The mission that it belongs to, if any.
+    pub fn mission(&self) -> Option<&MissionId> {
+        match self {
+            Happening::Submitted { mission, .. }
+            | Happening::Called { mission, .. }
+            | Happening::Bid { mission, .. }
+            | Happening::Closed { mission, .. }
+            | Happening::Awarded { mission, .. }
+            | Happening::Released { mission, .. }
+            | Happening::Mission { mission, .. }
+            | Happening::Progress { mission, .. }
+            | Happening::Started { mission, .. }
+            | Happening::TaskBegan { mission, .. }
+            | Happening::TaskEnded { mission, .. }
+            | Happening::TaskFailed { mission, .. }
+            | Happening::Sent { mission, .. }
+            | Happening::Heard { mission, .. }
+            | Happening::Suspended { mission, .. }
+            | Happening::Resumed { mission, .. }
+            | Happening::Halted { mission, .. }
+            | Happening::TaskRetried { mission, .. }
+            | Happening::Alternative { mission, .. }
+            | Happening::GaveUp { mission, .. }
+            | Happening::ChargeShort { mission, .. }
+            | Happening::Outdated { mission, .. } => Some(mission),
+            Happening::Elected { .. }
+            | Happening::SteppedDown { .. }
+            | Happening::Foreign { .. }
+            | Happening::Voters { .. }
+            | Happening::Joined { .. }
+            | Happening::Left { .. } => None,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_word_of_a_happening_is_that_of_its_json() {
+        let mission: MissionId = "lab-samples-1".parse().unwrap();
+        let (role, task): (RoleId, TaskId) = ("r1".parse().unwrap(), "go".parse().unwrap());
+        let happenings = [
+            Happening::SteppedDown { term: 1 },
+            Happening::TaskBegan { mission: mission.clone(), role: role.clone(), task },
+            Happening::ChargeShort { mission, role, cause: String::new() },
+        ];
+        for what in happenings {
+            assert_eq!(serde_json::to_value(&what).unwrap()["event"], what.word());
+        }
+    }
 }
