@@ -29,7 +29,9 @@ fn clients() -> &'static Result<PathBuf, String> {
         if !done.exists() {
             run(Command::new("python3").args(["-m", "venv", "--clear"]).arg(&folder))?;
             let mut pip = Command::new(folder.join("bin/pip"));
-            run(pip.args(["install", "--quiet", "--disable-pip-version-check", "--timeout", "20"]).args(PACKAGES))?;
+            run(pip
+                .args(["install", "--quiet", "--disable-pip-version-check", "--timeout", "20", "--retries", "1"])
+                .args(PACKAGES))?;
             fs::write(&done, "").map_err(|problem| problem.to_string())?;
         }
         Ok(folder.join("bin"))

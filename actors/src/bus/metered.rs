@@ -36,6 +36,28 @@ impl MeteredBus {
     pub fn new(bus: SharedBus, meter: Arc<dyn Meter>) -> MeteredBus {
         MeteredBus { bus, meter }
     }
+
+    fn count_question(&self, key_expr: &str, payload: &Bytes) {
+        self.meter.count(KeyKind::of(key_expr), Direction::Sent, payload.len());
+    }
+
+    fn counted_replies(&self, replies: Stream<Reply>) -> Stream<Reply> {
+        let meter = Arc::clone(&self.meter);
+        replies.passing(move |reply: Reply| {
+            let bytes = reply.payload.as_ref().map_or_else(String::len, Bytes::len);
+            meter.count(KeyKind::of(&reply.key), Direction::Received, bytes);
+            reply
+        })
+    }
+
+    fn counted_questions(&self, questions: Stream<Query>) -> Stream<Query> {
+        let meter = Arc::clone(&self.meter);
+        questions.passing(move |query: Query| {
+            meter.count(KeyKind::of(&query.key), Direction::Received, query.payload.len());
+            let replier = MeteredReplier { replier: query.replier, meter: Arc::clone(&meter) };
+            Query { replier: Box::new(replier), ..query }
+        })
+    }
 }
 
 #[async_trait]
@@ -55,24 +77,21 @@ impl Bus for MeteredBus {
     }
 
     async fn query(&self, key_expr: &str, payload: Bytes, limit: Duration) -> Result<Stream<Reply>, BusError> {
-        self.meter.count(KeyKind::of(key_expr), Direction::Sent, payload.len());
-        let meter = Arc::clone(&self.meter);
-        let count = move |reply: Reply| {
-            let bytes = reply.payload.as_ref().map_or_else(String::len, Bytes::len);
-            meter.count(KeyKind::of(&reply.key), Direction::Received, bytes);
-            reply
-        };
-        Ok(self.bus.query(key_expr, payload, limit).await?.passing(count))
+        self.count_question(key_expr, &payload);
+        Ok(self.counted_replies(self.bus.query(key_expr, payload, limit).await?))
+    }
+
+    async fn query_nearest(&self, key_expr: &str, payload: Bytes, limit: Duration) -> Result<Stream<Reply>, BusError> {
+        self.count_question(key_expr, &payload);
+        Ok(self.counted_replies(self.bus.query_nearest(key_expr, payload, limit).await?))
     }
 
     async fn serve(&self, key_expr: &str) -> Result<Stream<Query>, BusError> {
-        let meter = Arc::clone(&self.meter);
-        let count = move |query: Query| {
-            meter.count(KeyKind::of(&query.key), Direction::Received, query.payload.len());
-            let replier = MeteredReplier { replier: query.replier, meter: Arc::clone(&meter) };
-            Query { replier: Box::new(replier), ..query }
-        };
-        Ok(self.bus.serve(key_expr).await?.passing(count))
+        Ok(self.counted_questions(self.bus.serve(key_expr).await?))
+    }
+
+    async fn serve_complete(&self, key_expr: &str) -> Result<Stream<Query>, BusError> {
+        Ok(self.counted_questions(self.bus.serve_complete(key_expr).await?))
     }
 
     async fn announce(&self, key: &str) -> Result<Token, BusError> {
