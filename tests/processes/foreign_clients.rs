@@ -110,7 +110,18 @@ fn the_command_zenoh_shows_each_view_once() {
     let address = fleet.address("world");
     let get = |what: &str, value: Option<&str>| {
         let mut command = Command::new(&zenoh);
-        command.args(["--mode", "client", "--connect", &address, "get", "--decoder", "text", "-s"]);
+        command.args([
+            "--mode",
+            "client",
+            "--connect",
+            &address,
+            "get",
+            "--encoder",
+            "text",
+            "--decoder",
+            "text",
+            "-s",
+        ]);
         command.arg(format!("consort/command/{what}"));
         if let Some(value) = value {
             command.args(["--value", value]);

@@ -79,7 +79,7 @@ fn every_view_is_answered_once_and_says_how_things_stand() {
         let shown = &views["mission/lab-samples-1"];
         assert_eq!(shown["state"], "running", "seed {seed}");
         let roles: Vec<_> = shown["roles"].as_array().expect("a list").iter().collect();
-        let told = |role: &serde_json::Value| {
+        let told = |role: &Value| {
             let text = |field: &str| role[field].as_str().unwrap_or("-").to_owned();
             (text("role"), text("kind"), text("holder"))
         };
