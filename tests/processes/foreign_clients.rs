@@ -29,7 +29,9 @@ fn clients() -> &'static Result<PathBuf, String> {
         if !done.exists() {
             run(Command::new("python3").args(["-m", "venv", "--clear"]).arg(&folder))?;
             let mut pip = Command::new(folder.join("bin/pip"));
-            run(pip.args(["install", "--quiet", "--disable-pip-version-check", "--timeout", "20"]).args(PACKAGES))?;
+            run(pip
+                .args(["install", "--quiet", "--disable-pip-version-check", "--timeout", "20", "--retries", "1"])
+                .args(PACKAGES))?;
             fs::write(&done, "").map_err(|problem| problem.to_string())?;
         }
         Ok(folder.join("bin"))
@@ -108,7 +110,18 @@ fn the_command_zenoh_shows_each_view_once() {
     let address = fleet.address("world");
     let get = |what: &str, value: Option<&str>| {
         let mut command = Command::new(&zenoh);
-        command.args(["--mode", "client", "--connect", &address, "get", "--decoder", "text", "-s"]);
+        command.args([
+            "--mode",
+            "client",
+            "--connect",
+            &address,
+            "get",
+            "--encoder",
+            "text",
+            "--decoder",
+            "text",
+            "-s",
+        ]);
         command.arg(format!("consort/command/{what}"));
         if let Some(value) = value {
             command.args(["--value", value]);

@@ -25,7 +25,7 @@ pub trait Meter: Send + Sync + 'static {
     fn count(&self, kind: KeyKind, direction: Direction, bytes: usize);
 }
 
-/// A bus whose messages are counted.
+/// See the [module](self).
 pub struct MeteredBus {
     bus: SharedBus,
     meter: Arc<dyn Meter>,
@@ -37,22 +37,22 @@ impl MeteredBus {
         MeteredBus { bus, meter }
     }
 
-    fn asked(&self, key_expr: &str, payload: &Bytes) {
+    fn count_question(&self, key_expr: &str, payload: &Bytes) {
         self.meter.count(KeyKind::of(key_expr), Direction::Sent, payload.len());
     }
 
-    fn answers(&self, replies: Stream<Reply>) -> Stream<Reply> {
+    fn counted_replies(&self, replies: Stream<Reply>) -> Stream<Reply> {
         let meter = Arc::clone(&self.meter);
-        replies.passing(move |reply| {
+        replies.passing(move |reply: Reply| {
             let bytes = reply.payload.as_ref().map_or_else(String::len, Bytes::len);
             meter.count(KeyKind::of(&reply.key), Direction::Received, bytes);
             reply
         })
     }
 
-    fn questions(&self, queries: Stream<Query>) -> Stream<Query> {
+    fn counted_questions(&self, questions: Stream<Query>) -> Stream<Query> {
         let meter = Arc::clone(&self.meter);
-        queries.passing(move |query| {
+        questions.passing(move |query: Query| {
             meter.count(KeyKind::of(&query.key), Direction::Received, query.payload.len());
             let replier = MeteredReplier { replier: query.replier, meter: Arc::clone(&meter) };
             Query { replier: Box::new(replier), ..query }
@@ -77,21 +77,21 @@ impl Bus for MeteredBus {
     }
 
     async fn query(&self, key_expr: &str, payload: Bytes, limit: Duration) -> Result<Stream<Reply>, BusError> {
-        self.asked(key_expr, &payload);
-        Ok(self.answers(self.bus.query(key_expr, payload, limit).await?))
+        self.count_question(key_expr, &payload);
+        Ok(self.counted_replies(self.bus.query(key_expr, payload, limit).await?))
     }
 
     async fn query_nearest(&self, key_expr: &str, payload: Bytes, limit: Duration) -> Result<Stream<Reply>, BusError> {
-        self.asked(key_expr, &payload);
-        Ok(self.answers(self.bus.query_nearest(key_expr, payload, limit).await?))
+        self.count_question(key_expr, &payload);
+        Ok(self.counted_replies(self.bus.query_nearest(key_expr, payload, limit).await?))
     }
 
     async fn serve(&self, key_expr: &str) -> Result<Stream<Query>, BusError> {
-        Ok(self.questions(self.bus.serve(key_expr).await?))
+        Ok(self.counted_questions(self.bus.serve(key_expr).await?))
     }
 
     async fn serve_complete(&self, key_expr: &str) -> Result<Stream<Query>, BusError> {
-        Ok(self.questions(self.bus.serve_complete(key_expr).await?))
+        Ok(self.counted_questions(self.bus.serve_complete(key_expr).await?))
     }
 
     async fn announce(&self, key: &str) -> Result<Token, BusError> {

@@ -1,6 +1,6 @@
 use super::support::run;
 
-const COMMANDS: [&str; 16] = [
+const COMMANDS: [&str; 18] = [
     "robot",
     "station",
     "world",
@@ -9,6 +9,8 @@ const COMMANDS: [&str; 16] = [
     "cancel",
     "rescue",
     "fleet",
+    "explain",
+    "keys",
     "check",
     "dry-run",
     "recover",
