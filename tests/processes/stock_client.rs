@@ -66,7 +66,7 @@ fn a_stock_client_sees_everything_and_has_a_mission_done_across_the_death_of_the
     for view in views {
         assert!(client.view_by_default(view).is_object(), "{view}");
         // And for those who have all nodes asked: of several answers on one key Zenoh gives one.
-        assert_eq!(client.from_all_nodes(&format!("view/{view}")).len(), 1, "{view}");
+        assert_eq!(client.asked_of_all_nodes(&format!("view/{view}")).len(), 1, "{view}");
     }
     let whole: BTreeSet<String> = client.all("view/**", "").into_iter().map(|(key, _)| key).collect();
     let expected = views.iter().chain(&["robot/lab-arm"]).map(|view| format!("view/{view}"));

@@ -184,7 +184,7 @@ fn views_are_answered_in_a_moment_while_nobody_leads_and_say_so() {
     tell(SEEDS, async |seed| {
         let mut fleet = fleet(seed, ROOM).await;
         let mission = fleet.submit("a", ROOM).await;
-        fleet.until("the way", SOON, |fleet| fleet.happened(&began("navto_room"))).await;
+        fleet.until("the way", SOON, |fleet| fleet.happened(began("navto_room"))).await;
         let client = fleet.client.clone();
         let moment = Duration::from_millis(900);
         fleet.kill("aster").await;

@@ -47,7 +47,7 @@ impl Client {
     }
 
     /// What a client gets that has every node answer, and else leaves all settings as they are.
-    pub(crate) fn from_all_nodes(&self, key: &str) -> Vec<(String, Value)> {
+    pub(crate) fn asked_of_all_nodes(&self, key: &str) -> Vec<(String, Value)> {
         let asked = self.session.get(format!("consort/{}/{key}", self.fleet)).target(QueryTarget::All);
         self.hear(key, asked.wait().expect("a question can be asked"))
     }
