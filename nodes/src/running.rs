@@ -2,11 +2,16 @@
 
 use crate::command::flags::RunFlags;
 use crate::config::{BusConfig, FleetConfig, Problems};
+use crate::dashboard::Dashboard;
 use crate::exit::Failure;
+use crate::picture::FloorPlan;
 use crate::wiring::bus_settings;
+use crate::{floor, output};
 use consort_actors::bus::{Bus, Link, ZenohBus};
 use consort_actors::node::{NodeHandle, NodeSettings};
+use consort_protocol::ids::NodeId;
 use std::io::IsTerminal;
+use std::net::SocketAddr;
 use std::sync::Arc;
 use std::time::Duration;
 use tokio::runtime::{Builder, Runtime};
@@ -60,11 +65,12 @@ pub fn node(
     run: RunFlags,
     bus: &BusConfig,
     fleet: &FleetConfig,
+    dashboard: Option<SocketAddr>,
     settings: impl FnOnce() -> Result<NodeSettings, Problems>,
 ) -> Result<(), Failure> {
     start_log(run.log, LOG)?;
     let runtime = runtime()?;
-    let ended = runtime.block_on(until_told(run.until_stdin_closes, bus, fleet, settings));
+    let ended = runtime.block_on(until_told(run.until_stdin_closes, bus, fleet, dashboard, settings));
     // Whatever still runs, or hangs, ends with the process.
     runtime.shutdown_background();
     ended
@@ -74,6 +80,7 @@ async fn until_told(
     until_stdin_closes: bool,
     bus: &BusConfig,
     fleet: &FleetConfig,
+    dashboard: Option<SocketAddr>,
     settings: impl FnOnce() -> Result<NodeSettings, Problems>,
 ) -> Result<(), Failure> {
     // Before anything is started: a signal that comes early is not lost.
@@ -89,6 +96,10 @@ async fn until_told(
     let started = NodeHandle::start(settings, Arc::new(zenoh.clone())).await;
     let mut node = started.map_err(|problem| Failure::Unsuccessful(format!("{name} did not start: {problem}")))?;
     info!(node = %name, "started");
+    let _dashboard = match dashboard {
+        Some(address) => Some(serve_dashboard(address, zenoh.clone(), fleet, &name).await?),
+        None => None,
+    };
 
     let mut left = None;
     let ended = node.ended_or_left();
@@ -123,6 +134,20 @@ async fn until_told(
         Err(_) => warn!(node = %name, "stopped without having told everybody in {GOODBYE:?}"),
     }
     Ok(())
+}
+
+/// Serves the dashboard, and prints where.
+async fn serve_dashboard(
+    address: SocketAddr,
+    bus: ZenohBus,
+    fleet: &FleetConfig,
+    node: &NodeId,
+) -> Result<Dashboard, Failure> {
+    let plan = FloorPlan::new(&floor::load(&fleet.map)?);
+    let opened = Dashboard::open(address, Arc::new(bus), &fleet.name, node.as_str(), plan).await;
+    let dashboard = opened.map_err(Failure::Usage)?;
+    output::line(format_args!("dashboard: {}", dashboard.url()))?;
+    Ok(dashboard)
 }
 
 /// Waits until the standard input is closed, if that is of interest.

@@ -275,6 +275,11 @@ impl Keys {
         format!("{}/api/*", self.prefix)
     }
 
+    /// Key expression for the events of all nodes.
+    pub fn any_events(&self) -> String {
+        format!("{}/events/**", self.prefix)
+    }
+
     /// Key expression for all presence tokens.
     pub fn any_alive(&self) -> String {
         format!("{}/alive/**", self.prefix)

@@ -8,6 +8,7 @@ use consort_actors::node::NodeSettings;
 use consort_actors::timing::Timing;
 use consort_protocol::ids::FleetId;
 use consort_protocol::units::{BatteryShare, Seconds};
+use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 
 /// Reads `NAME=VALUE`.
@@ -87,6 +88,8 @@ pub(super) struct NodeFlags {
     #[command(flatten)]
     bus: BusFlags,
     #[command(flatten)]
+    page: PageFlags,
+    #[command(flatten)]
     fleet: FleetFlags,
     #[command(flatten)]
     run: RunFlags,
@@ -106,6 +109,7 @@ impl NodeFlags {
         let surroundings = file.surroundings();
         self.store.apply(surroundings.data_dir);
         self.bus.apply(surroundings.bus);
+        *surroundings.dashboard = self.page.dashboard.or(*surroundings.dashboard);
         let fleet = self.fleet.resolve(surroundings.fleet)?;
         *surroundings.fleet = FleetRef::from(fleet.clone());
         settled(&mut file)?;
@@ -114,10 +118,21 @@ impl NodeFlags {
         }
         let surroundings = file.surroundings();
         let (bus, data_dir) = (surroundings.bus.clone(), surroundings.data_dir.clone());
-        running::node(self.run, &bus, &fleet, || {
+        let dashboard = *surroundings.dashboard;
+        running::node(self.run, &bus, &fleet, dashboard, || {
             wire(&file, &fleet, Life::real(&file.node(), &fleet, data_dir.as_deref())?)
         })
     }
+}
+
+/// Where a node can be looked into.
+#[derive(Debug, clap::Args)]
+#[command(next_help_heading = "Looking in")]
+struct PageFlags {
+    /// Serve the dashboard at this address, as 127.0.0.1:8088; port 0 for any free one. The address is printed. Whoever can
+    /// reach it may submit and cancel missions
+    #[arg(long, env = "CONSORT_DASHBOARD", value_name = "HOST:PORT")]
+    dashboard: Option<SocketAddr>,
 }
 
 /// What a node remembers.
