@@ -4,7 +4,7 @@ use crate::asking::{AGAIN, Hindrance, once};
 use crate::config::{DEFAULT_FLEET, FleetConfig, load};
 use crate::exit::Failure;
 use crate::output::{self, Waiting};
-use crate::running::{describe, runtime, start_log};
+use crate::running::{LogFormat, describe, runtime, start_log};
 use consort_actors::bus::zenoh_bus::Mode;
 use consort_actors::bus::{Bus, ZenohBus, ZenohSettings};
 use consort_protocol::ids::{FleetId, NodeId};
@@ -94,7 +94,7 @@ impl Client {
     /// # Errors
     /// [`Failure::Unreached`] if nothing answers, [`Failure::Usage`] for wrong flags.
     pub async fn open(flags: &ClientFlags) -> Result<Client, Failure> {
-        start_log(None, "off")?;
+        start_log(None, LogFormat::Human, "off")?;
         let fleet = fleet_name(&flags.fleet)?;
         let timeout = Duration::try_from_secs_f64(flags.timeout)
             .map_err(|_| Failure::Usage(format!("--timeout: {} is not a number of seconds", flags.timeout)))?;

@@ -14,6 +14,7 @@ pub mod demo;
 pub mod dry_run;
 pub mod exit;
 pub mod floor;
+pub mod metrics;
 pub mod output;
 pub mod picture;
 pub mod plan;

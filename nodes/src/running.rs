@@ -4,16 +4,19 @@ use crate::command::flags::RunFlags;
 use crate::config::{BusConfig, FleetConfig, Problems};
 use crate::dashboard::Dashboard;
 use crate::exit::Failure;
+use crate::metrics::{Metrics, Watched, serve};
 use crate::picture::FloorPlan;
 use crate::wiring::bus_settings;
 use crate::{floor, output};
-use consort_actors::bus::{Bus, Link, ZenohBus};
+use consort_actors::bus::{Bus, Link, MeteredBus, SharedBus, ZenohBus};
+use consort_actors::clock::Clock;
 use consort_actors::node::{NodeHandle, NodeSettings};
 use consort_protocol::ids::NodeId;
 use std::io::IsTerminal;
 use std::net::SocketAddr;
 use std::sync::Arc;
 use std::time::Duration;
+use tokio::net::TcpListener;
 use tokio::runtime::{Builder, Runtime};
 use tokio::signal::unix::{SignalKind, signal};
 use tracing::{info, warn};
@@ -37,22 +40,34 @@ pub fn runtime() -> Result<Runtime, Failure> {
     runtime.map_err(|problem| Failure::Unsuccessful(format!("the runtime could not start: {problem}")))
 }
 
+/// How lines of the log are written.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, clap::ValueEnum)]
+pub enum LogFormat {
+    /// For people, in colour on a terminal.
+    #[default]
+    Human,
+    /// For programs: an object a line.
+    Json,
+}
+
 /// Sends the log to the standard error: by `filter`, else by the variable `RUST_LOG`, else `default`.
 ///
 /// # Errors
 /// [`Failure::Usage`] if the filter is none.
-pub fn start_log(filter: Option<String>, default: &str) -> Result<(), Failure> {
+pub fn start_log(filter: Option<String>, format: LogFormat, default: &str) -> Result<(), Failure> {
     let text = filter.or_else(|| std::env::var("RUST_LOG").ok()).unwrap_or_else(|| default.to_owned());
     let filter = EnvFilter::try_new(&text).map_err(|problem| {
         let allowed = "allowed is error, warn, info, debug or trace, also by module, as info,consort_actors=debug";
         Failure::Usage(format!("{text:?} is not a filter for the log: {problem}; {allowed}"))
     })?;
     // A second call, as tests may make, keeps the first log.
-    let _ = tracing_subscriber::fmt()
-        .with_env_filter(filter)
-        .with_ansi(std::io::stderr().is_terminal())
-        .with_writer(std::io::stderr)
-        .try_init();
+    // Where nobody reads the log any more a line of it is lost, and nothing else: to say so there too would end the node.
+    let log = tracing_subscriber::fmt().log_internal_errors(false);
+    let log = log.with_env_filter(filter).with_writer(std::io::stderr);
+    let _ = match format {
+        LogFormat::Human => log.with_ansi(std::io::stderr().is_terminal()).try_init(),
+        LogFormat::Json => log.json().flatten_event(true).try_init(),
+    };
     Ok(())
 }
 
@@ -68,16 +83,16 @@ pub fn node(
     dashboard: Option<SocketAddr>,
     settings: impl FnOnce() -> Result<NodeSettings, Problems>,
 ) -> Result<(), Failure> {
-    start_log(run.log, LOG)?;
+    start_log(run.log.clone(), run.log_format, LOG)?;
     let runtime = runtime()?;
-    let ended = runtime.block_on(until_told(run.until_stdin_closes, bus, fleet, dashboard, settings));
+    let ended = runtime.block_on(until_told(&run, bus, fleet, dashboard, settings));
     // Whatever still runs, or hangs, ends with the process.
     runtime.shutdown_background();
     ended
 }
 
 async fn until_told(
-    until_stdin_closes: bool,
+    run: &RunFlags,
     bus: &BusConfig,
     fleet: &FleetConfig,
     dashboard: Option<SocketAddr>,
@@ -86,27 +101,31 @@ async fn until_told(
     // Before anything is started: a signal that comes early is not lost.
     let mut terminate = signal(SignalKind::terminate()).map_err(|problem| no_signal(&problem))?;
     let mut interrupt = signal(SignalKind::interrupt()).map_err(|problem| no_signal(&problem))?;
-    let settings = settings()?;
+    let mut settings = settings()?;
+    let metrics = Metering::open(run.metrics, &mut settings).await?;
+    let clock = settings.clock;
     let zenoh = ZenohBus::open(bus_settings(bus, fleet)).await;
     let zenoh = zenoh.map_err(|problem| Failure::Usage(problem.to_string()))?;
     let name = settings.node.clone();
     info!(node = %name, fleet = %fleet.name, id = zenoh.id(), listening = zenoh.listening().await.join(", "), "open");
     let mut watch = tokio::task::JoinSet::new();
     watch.spawn(say_links(zenoh.clone(), bus.connect.clone()));
-    let started = NodeHandle::start(settings, Arc::new(zenoh.clone())).await;
+    let bus = metrics.metered(Arc::new(zenoh.clone()));
+    let started = NodeHandle::start(settings, bus).await;
     let mut node = started.map_err(|problem| Failure::Unsuccessful(format!("{name} did not start: {problem}")))?;
     info!(node = %name, "started");
     let _dashboard = match dashboard {
         Some(address) => Some(serve_dashboard(address, zenoh.clone(), fleet, &name).await?),
         None => None,
     };
+    metrics.serve(&node, clock, &mut watch);
 
     let mut left = None;
     let ended = node.ended_or_left();
     let signal = tokio::select! {
         _ = terminate.recv() => Ok("SIGTERM"),
         _ = interrupt.recv() => Ok("Ctrl-C"),
-        () = stdin_closed(until_stdin_closes) => Ok("end of input"),
+        () = stdin_closed(run.until_stdin_closes) => Ok("end of input"),
         ended = ended => match ended {
             Ok(farewell) => {
                 left = Some(farewell);
@@ -148,6 +167,44 @@ async fn serve_dashboard(
     let dashboard = opened.map_err(Failure::Usage)?;
     output::line(format_args!("dashboard: {}", dashboard.url()))?;
     Ok(dashboard)
+}
+
+/// The metrics of a node, if they are asked for.
+struct Metering(Option<(TcpListener, Arc<Metrics>)>);
+
+impl Metering {
+    /// Takes the address before anything is started, and has the node observed.
+    async fn open(at: Option<SocketAddr>, settings: &mut NodeSettings) -> Result<Metering, Failure> {
+        let Some(at) = at else { return Ok(Metering(None)) };
+        let listener = TcpListener::bind(at).await;
+        let listener =
+            listener.map_err(|problem| Failure::Usage(format!("metrics cannot be served at {at}: {problem}")))?;
+        let metrics = Metrics::new(&settings.fleet.fleet, &settings.node);
+        settings.observer = Some(metrics.clone());
+        Ok(Metering(Some((listener, metrics))))
+    }
+
+    fn metered(&self, bus: SharedBus) -> SharedBus {
+        match &self.0 {
+            Some((_, metrics)) => Arc::new(MeteredBus::new(bus, metrics.clone())),
+            None => bus,
+        }
+    }
+
+    fn serve(self, node: &NodeHandle, clock: Clock, tasks: &mut tokio::task::JoinSet<()>) {
+        let Some((listener, metrics)) = self.0 else { return };
+        let (replica, knowledge) = (node.replica.clone(), node.knowledge.clone());
+        metrics.watch(Watched { replica, knowledge, clock, since_ms: clock.wall_ms() });
+        match listener.local_addr() {
+            Ok(at) => info!("metrics at http://{at}/metrics"),
+            Err(problem) => warn!(%problem, "metrics are served, at an address that cannot be told"),
+        }
+        tasks.spawn(async move {
+            if let Err(problem) = serve(listener, metrics).await {
+                warn!(%problem, "metrics are no longer served");
+            }
+        });
+    }
 }
 
 /// Waits until the standard input is closed, if that is of interest.

@@ -277,3 +277,58 @@ pub enum Happening {
         count: u64,
     },
 }
+
+impl Happening {
+    /// What kind of happening it is: the field `event` of its JSON.
+    pub fn word(&self) -> &'static str {
+        match self {
+            Happening::Elected { .. } => "elected",
+            Happening::SteppedDown { .. } => "stepped_down",
+            Happening::Foreign { .. } => "foreign",
+            Happening::Voters { .. } => "voters",
+            Happening::Joined { .. } => "joined",
+            Happening::Left { .. } => "left",
+            Happening::Submitted { .. } => "submitted",
+            Happening::Called { .. } => "called",
+            Happening::Bid { .. } => "bid",
+            Happening::Closed { .. } => "closed",
+            Happening::Awarded { .. } => "awarded",
+            Happening::Released { .. } => "released",
+            Happening::Mission { .. } => "mission",
+            Happening::Progress { .. } => "progress",
+            Happening::Started { .. } => "started",
+            Happening::TaskBegan { .. } => "task_began",
+            Happening::TaskEnded { .. } => "task_ended",
+            Happening::TaskFailed { .. } => "task_failed",
+            Happening::Sent { .. } => "sent",
+            Happening::Heard { .. } => "heard",
+            Happening::Suspended { .. } => "suspended",
+            Happening::Resumed { .. } => "resumed",
+            Happening::Halted { .. } => "halted",
+            Happening::TaskRetried { .. } => "task_retried",
+            Happening::Alternative { .. } => "alternative",
+            Happening::GaveUp { .. } => "gave_up",
+            Happening::ChargeShort { .. } => "charge_short",
+            Happening::Outdated { .. } => "outdated",
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_word_of_a_happening_is_that_of_its_json() {
+        let mission: MissionId = "lab-samples-1".parse().unwrap();
+        let (role, task): (RoleId, TaskId) = ("r1".parse().unwrap(), "go".parse().unwrap());
+        let happenings = [
+            Happening::SteppedDown { term: 1 },
+            Happening::TaskBegan { mission: mission.clone(), role: role.clone(), task },
+            Happening::ChargeShort { mission, role, cause: String::new() },
+        ];
+        for what in happenings {
+            assert_eq!(serde_json::to_value(&what).unwrap()["event"], what.word());
+        }
+    }
+}

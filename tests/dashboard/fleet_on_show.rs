@@ -264,7 +264,7 @@ fn a_page_whose_node_is_cut_off_says_so_and_comes_back_with_it() {
 
     // All others are gone: the page shows what was, and says how old it is.
     demo.kill();
-    browser.until("a banner", "/^desk is cut off.* ago/.test(document.querySelector('#banner').innerText)");
+    browser.until("a banner", "/^desk is cut off.* ago/s.test(document.querySelector('#banner').innerText)");
     browser.until("grey", "document.body.classList.contains('stale')");
     assert_eq!(browser.value("document.querySelectorAll('#robots tbody tr').length"), 7);
     browser.until("ages that grow", "/\\b([6-9]|\\d\\d) s/.test(document.querySelector('#robots tbody').innerText)");

@@ -11,9 +11,11 @@
 //! - A token's disappearance is a hint that its node is gone, never a proof.
 
 mod keys;
+mod metered;
 pub mod virtual_bus;
 pub mod zenoh_bus;
 
+pub use metered::{Direction, Meter, MeteredBus};
 pub use virtual_bus::{LinkModel, Traffic, TrafficByKind, VirtualBus, VirtualNetwork};
 pub use zenoh_bus::{ZenohBus, ZenohSettings};
 
@@ -97,6 +99,8 @@ pub enum BusError {
 /// A stream of what arrives; dropping it ends the declaration behind it.
 pub struct Stream<T> {
     receiver: tokio::sync::mpsc::UnboundedReceiver<T>,
+    /// What each passes through before it is handed out.
+    pass: Option<Box<dyn Fn(T) -> T + Send + Sync>>,
     /// Whatever keeps the declaration alive.
     _guard: Box<dyn Send + Sync>,
 }
@@ -104,17 +108,32 @@ pub struct Stream<T> {
 impl<T> Stream<T> {
     /// A stream fed through `receiver`, whose declaration lives as long as `guard`.
     pub fn new(receiver: tokio::sync::mpsc::UnboundedReceiver<T>, guard: Box<dyn Send + Sync>) -> Self {
-        Stream { receiver, _guard: guard }
+        Stream { receiver, pass: None, _guard: guard }
+    }
+
+    /// This stream, each of whose items passes through `pass` when it is taken out. It stands in the place of a former one.
+    #[must_use]
+    pub fn passing(self, pass: impl Fn(T) -> T + Send + Sync + 'static) -> Self {
+        Stream { pass: Some(Box::new(pass)), ..self }
     }
 
     /// The next one; `None` once there will be no more.
     pub async fn recv(&mut self) -> Option<T> {
-        self.receiver.recv().await
+        let next = self.receiver.recv().await?;
+        Some(self.passed(next))
     }
 
     /// The next one if it is already here.
     pub fn try_recv(&mut self) -> Option<T> {
-        self.receiver.try_recv().ok()
+        let next = self.receiver.try_recv().ok()?;
+        Some(self.passed(next))
+    }
+
+    fn passed(&self, item: T) -> T {
+        match &self.pass {
+            Some(pass) => pass(item),
+            None => item,
+        }
     }
 }
 

@@ -2,6 +2,7 @@
 
 use crate::config::{BusConfig, ConfigFile, FleetConfig, FleetRef, NodeFile, Problems, load, to_toml};
 use crate::exit::Failure;
+use crate::running::LogFormat;
 use crate::wiring::Life;
 use crate::{output, running};
 use consort_actors::node::NodeSettings;
@@ -51,6 +52,12 @@ pub struct RunFlags {
     /// What to log on the standard error: error, warn, info, debug or trace, also by module (info,consort_actors=debug)
     #[arg(long, env = "CONSORT_LOG", value_name = "FILTER")]
     pub log: Option<String>,
+    /// How to write the log: for people, or an object a line for programs
+    #[arg(long, env = "CONSORT_LOG_FORMAT", value_enum, default_value_t, value_name = "FORMAT")]
+    pub log_format: LogFormat,
+    /// Serve metrics for Prometheus at this address, as 127.0.0.1:9464; the page is /metrics. Default: none
+    #[arg(long, env = "CONSORT_METRICS", value_name = "ADDRESS")]
+    pub metrics: Option<SocketAddr>,
     /// Print the effective configuration as TOML that can be read back, and do nothing else
     #[arg(long)]
     pub print_config: bool,

@@ -1,4 +1,6 @@
 use super::support::{Running, consort, free_address, run};
+use std::io::{BufRead, BufReader, Read, Write};
+use std::net::TcpStream;
 use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
@@ -56,4 +58,54 @@ fn a_station_alone_coordinates_takes_missions_and_stops_when_told() {
         std::thread::sleep(Duration::from_millis(20));
     };
     assert_eq!(status.code(), Some(0));
+}
+
+/// What a page answers, head and all.
+fn get(address: &str, page: &str) -> String {
+    let mut stream = TcpStream::connect(address).expect("somebody listens");
+    write!(stream, "GET {page} HTTP/1.1\r\nHost: {address}\r\nConnection: close\r\n\r\n").expect("it reads");
+    let mut answer = String::new();
+    stream.read_to_string(&mut answer).expect("it answers in text");
+    answer
+}
+
+#[test]
+fn a_node_serves_metrics_and_logs_in_json_to_whoever_reads_it() {
+    let address = free_address();
+    let mut station = consort(&["station", "--name", "s1", "--listen", &address, "--metrics", "127.0.0.1:0"])
+        .args(["--log-format", "json"])
+        .stderr(Stdio::piped())
+        .spawn()
+        .expect("the binary starts");
+    let log = BufReader::new(station.stderr.take().expect("piped"));
+    let _station = Running(station);
+    let lines = log.lines().map(|line| line.expect("text"));
+    let objects =
+        lines.map(|line| serde_json::from_str::<serde_json::Value>(&line).unwrap_or_else(|_| panic!("{line}")));
+    let at = objects.filter_map(|object| {
+        let message = object["message"].as_str()?;
+        Some(message.strip_prefix("metrics at http://")?.strip_suffix("/metrics")?.to_owned())
+    });
+    // From here on nobody reads the log any more, which is nothing to the node.
+    let at = { at }.next().expect("it says where");
+
+    let ran = run(&["submit", "lab-samples", "--connect", &address]);
+    assert_eq!(ran.code, Some(0), "{}", ran.err);
+    let answer = get(&at, "/metrics");
+    assert!(answer.starts_with("HTTP/1.1 200"), "{answer}");
+    assert!(answer.contains("content-type: application/openmetrics-text; version=1.0.0; charset=utf-8"), "{answer}");
+    for line in [
+        r#"consort_coordinates{fleet="ward",node="s1"} 1"#,
+        r#"consort_missions{fleet="ward",node="s1",state="pending"} 1"#,
+        r#"consort_missions_submitted_total{fleet="ward",node="s1"} 1"#,
+    ] {
+        assert!(answer.lines().any(|told| told.starts_with(line)), "{line} in {answer}");
+    }
+    assert!(answer.contains(r#"kind="people",direction="received"}"#), "the request was counted: {answer}");
+    assert!(get(&at, "/other").starts_with("HTTP/1.1 404"));
+
+    // The address is taken: a second node says so at once.
+    let ran = run(&["station", "--name", "s2", "--metrics", &at]);
+    assert_eq!(ran.code, Some(2), "{}", ran.err);
+    assert!(ran.err.contains(&format!("metrics cannot be served at {at}: ")), "{}", ran.err);
 }

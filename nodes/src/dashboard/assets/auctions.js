@@ -67,7 +67,7 @@ function offers(auction, role) {
     body.append(row);
   }
   const head = ['Robot', 'Answer', 'Time', 'Uses', 'Leaves'].map((text, index) => make('th', { scope: 'col', className: index > 2 ? 'number' : '' }, text));
-  return make('table', {}, make('caption', { className: 'unseen' }, `Answers for ${role}`), make('thead', {}, make('tr', {}, head)), body);
+  return make('table', { className: 'offers' }, make('caption', { className: 'unseen' }, `Answers for ${role}`), make('thead', {}, make('tr', {}, head)), body);
 }
 
 function parts(offer, role) {

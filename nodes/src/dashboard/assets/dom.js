@@ -101,6 +101,6 @@ export const state = (kind, text) => make('span', { className: `state ${kind}` }
 /** A bar with its number beside it. */
 export function meter(share, text, kind = '') {
   const bar = make('b');
-  bar.style.width = percent(Math.min(Math.max(share, 0), 1));
+  bar.style.width = `${Math.min(Math.max(share, 0), 1) * 100}%`;
   return make('span', { className: `meter ${kind}` }, make('i', { 'aria-hidden': 'true' }, bar), text);
 }

@@ -2,8 +2,11 @@
 
 import { byId, cells, clock, make, numberCell, redraw, since, span, state } from './dom.js';
 
+/** Columns of numbers. */
+const NUMBERS = ['Age', 'Without'];
+
 const table = (caption, heads, rows) =>
-  make('table', {}, make('caption', { className: 'unseen' }, caption), make('thead', {}, make('tr', {}, heads.map((head) => make('th', { scope: 'col' }, head)))), make('tbody', {}, rows));
+  make('table', {}, make('caption', { className: 'unseen' }, caption), make('thead', {}, make('tr', {}, heads.map((head) => make('th', { scope: 'col', className: NUMBERS.includes(head) ? 'number' : '' }, head)))), make('tbody', {}, rows));
 
 function row(head, ...others) {
   const element = make('tr');

@@ -15,7 +15,7 @@ export function update(picture, now, { mission: chosen, choose, cancel }) {
   const all = latestFirst(picture);
   byId('missions-none').hidden = all.length > 0;
   byId('missions').hidden = all.length === 0;
-  const current = all.find(([id]) => id === chosen) ?? all.find(([, mission]) => !mission.ended) ?? all[0];
+  const current = all.find(([id]) => id === chosen) ?? all.find(([, mission]) => mission.state === 'running') ?? all.find(([, mission]) => !mission.ended) ?? all[0];
   const items = all.slice(0, 100).map(([key, mission]) => ({
     key,
     state: mission.state,
@@ -90,9 +90,9 @@ function tree(mission, index) {
   const { id, body } = mission.tasks[index];
   if (body.Abstract) {
     const { order, children } = body.Abstract;
-    const how = order === 'unordered' ? 'in any order' : 'one after the other';
+    const how = order === 'unordered' ? ' in any order' : '';
     const mark = standing(children.map((child) => markOf(mission, child)));
-    return make('li', {}, sign(mark), words(id), make('span', { className: 'how' }, ` ${how}`), make('ul', {}, children.map((child) => tree(mission, child))));
+    return make('li', {}, sign(mark), words(id), make('span', { className: 'how' }, how), make('ul', {}, children.map((child) => tree(mission, child))));
   }
   const { type, roles = [], parameters = {} } = body.Elementary;
   const to = type === 'navigation' && parameters.to ? ` → ${parameters.to}` : '';

@@ -28,27 +28,29 @@ export function tick(line) {
   const { picture } = line;
   const connection = byId('connection');
   const reach = picture?.reach;
-  let [kind, word, trouble] = ['good', 'live', ''];
+  // The ages change each second; they are beside what is said aloud.
+  let [kind, word, trouble, old] = ['good', 'live', '', ''];
   if (line.state === 'connecting') [kind, word] = ['wait', 'connecting'];
   else if (line.state === 'broken') {
     [kind, word] = ['bad', 'interrupted'];
-    trouble = `The connection to this page's node is interrupted since ${age(Date.now() - line.since)}; trying again. What is shown is of before.`;
+    trouble = 'The connection to this page’s node is interrupted; it is tried again. What is shown is of before.';
+    old = `Interrupted for ${age(Date.now() - line.since)}.`;
   } else if (reach && reach.state !== 'whole') {
-    const heard = reach.heard_ms ? `the last word of a coordinator was heard ${age(line.now() - reach.heard_ms)} ago` : 'no coordinator was heard yet';
+    old = reach.heard_ms ? `A coordinator was last heard ${age(line.now() - reach.heard_ms)} ago.` : 'No coordinator was heard yet.';
     if (!reach.heard_ms && line.now() - picture.since_ms < 10000) [kind, word] = ['wait', 'waiting for the fleet'];
     else if (reach.state === 'alone') {
       [kind, word] = ['bad', 'cut off'];
-      trouble = `${picture.node} is cut off: it is linked to no other node, and ${heard}. What is shown is of before.`;
+      trouble = `${picture.node} is cut off: it is linked to no other node. What is shown is of before.`;
     } else {
       [kind, word] = ['bad', 'no coordinator'];
-      trouble = `Nobody coordinates as far as ${picture.node} hears: ${heard}. What is shown may be of before.`;
+      trouble = `Nobody coordinates, as far as ${picture.node} hears. What is shown may be of before.`;
     }
   }
   connection.className = `state ${kind}`;
   say(connection, word);
-  const banner = byId('banner');
-  banner.hidden = !trouble;
-  say(banner, trouble);
+  byId('banner').hidden = !trouble;
+  say(byId('banner-what'), trouble);
+  say(byId('banner-age'), trouble ? old : '');
   document.body.classList.toggle('stale', Boolean(trouble));
 }
 
@@ -56,7 +58,7 @@ function figures(kpis) {
   if (!kpis) return;
   const tiles = [
     ['Missions under way', String(kpis.under_way), `${kpis.missions} in all`],
-    ['Success', kpis.success === undefined ? '–' : percent(kpis.success), `${kpis.completed} completed, ${kpis.failed} failed, ${kpis.canceled} canceled`],
+    ['Success', kpis.success === undefined ? '–' : percent(kpis.success), `${kpis.completed} completed, ${kpis.failed} failed`],
     ['Time to conclude', span(kpis.conclude_ms), 'median, request to end'],
     ['Time to award', kpis.award_ms === undefined ? '–' : `${kpis.award_ms.toFixed(kpis.award_ms < 100 ? 1 : 0)} ms`, 'median, request to award'],
     ['Utilisation', kpis.utilisation === undefined ? '–' : percent(kpis.utilisation), `${kpis.busy} of ${kpis.in_service} robots at work`],

@@ -74,7 +74,7 @@ export async function cancel(id, button) {
 function fill() {
   const choice = byId('order-mission');
   if (choice.options.length === 0) {
-    choice.append(...shipped.map(({ mission, title }) => make('option', { value: mission }, `${mission}: ${title}`)));
+    choice.append(...shipped.map(({ mission, title }) => make('option', { value: mission, title }, mission)));
     choice.value = shipped.some((one) => one.mission === 'lab-samples') ? 'lab-samples' : choice.value;
   }
   parameters();

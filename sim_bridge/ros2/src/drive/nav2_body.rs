@@ -10,7 +10,8 @@ use consort_protocol::ids::{PlaceId, RobotId};
 use consort_protocol::pose::Pose;
 use consort_protocol::units::{BatteryShare, Metres, Seconds, WorldTime};
 use consort_skills::actions::{
-    ActionError, BodyEvent, BodyHost, ErrorCode, Feedback, Goal, GoalId, GoalStatus, PersonAsk, Telemetry, Waypoint,
+    ActionError, BodyEvent, BodyHost, ErrorCode, Feedback, Goal, GoalId, GoalStatus, PersonAsk, Progress, Telemetry,
+    Waypoint,
 };
 use std::collections::{BTreeMap, VecDeque};
 use tokio::sync::mpsc::{UnboundedReceiver, UnboundedSender};
@@ -54,6 +55,17 @@ pub enum Heard {
     Refused(u64, String),
     /// It has ended.
     Ended(u64, End),
+}
+
+/// How far a goal has come in terms of its own, with so many waypoints after the one that is driven to.
+fn reached(goal: &Goal, afterwards: usize) -> Progress {
+    match goal {
+        Goal::FollowWaypoints { waypoints } => {
+            let current = waypoints.len().saturating_sub(afterwards + 1);
+            Progress::Waypoint(u32::try_from(current).unwrap_or(u32::MAX))
+        }
+        _ => Progress::Unsaid,
+    }
 }
 
 /// See the [module](self).
@@ -140,7 +152,7 @@ impl Nav2Body {
         let drive = self.drives;
         self.ask(Ask::Drive(drive, to.pose));
         let distance_remaining = self.pose.distance(to.pose);
-        let feedback = Feedback { distance_remaining, time_remaining: Seconds::ZERO };
+        let feedback = Feedback::left(distance_remaining, Seconds::ZERO);
         Doing::Driving { drive, to, afterwards, feedback, stopping: false }
     }
 
@@ -198,7 +210,7 @@ impl Nav2Body {
                 self.is_at(pose, None);
                 let distance_remaining = Metres::new(distance_m).unwrap_or(Metres::ZERO);
                 let time_remaining = Seconds::new(remaining_s).unwrap_or(Seconds::ZERO);
-                let feedback = Feedback { distance_remaining, time_remaining };
+                let feedback = Feedback::left(distance_remaining, time_remaining);
                 self.current =
                     Some(Current { id, goal, doing: Doing::Driving { drive, to, afterwards, feedback, stopping } });
             }
@@ -339,11 +351,13 @@ impl BodyHost for Nav2Body {
         }
         if let Some(current) = self.current.as_ref().filter(|current| current.id == id) {
             return Some(GoalStatus::Executing(match &current.doing {
-                Doing::Driving { feedback, .. } => *feedback,
-                Doing::Waiting(until) => Feedback {
-                    distance_remaining: Metres::ZERO,
-                    time_remaining: Seconds::new(until - self.now.as_secs()).unwrap_or(Seconds::ZERO),
-                },
+                Doing::Driving { feedback, afterwards, .. } => {
+                    Feedback { progress: reached(&current.goal, afterwards.len()), ..*feedback }
+                }
+                Doing::Waiting(until) => {
+                    let left = Seconds::new(until - self.now.as_secs()).unwrap_or(Seconds::ZERO);
+                    Feedback::left(Metres::ZERO, left)
+                }
             }));
         }
         self.ended.iter().find(|(ended, ..)| *ended == id).map(|(.., status)| status.clone())
@@ -467,8 +481,7 @@ mod tests {
         assert_eq!(story.asked(), [Ask::Drive(1, Pose::new(10.0, 0.0, 0.0))]);
         let progress = Heard::Progress { drive: 1, pose: Pose::new(4.0, 0.1, 0.2), distance_m: 6.0, remaining_s: 12.0 };
         assert_eq!(story.hear(Some(progress)), []);
-        let feedback =
-            Feedback { distance_remaining: Metres::new(6.0).unwrap(), time_remaining: Seconds::new(12.0).unwrap() };
+        let feedback = Feedback::left(Metres::new(6.0).unwrap(), Seconds::new(12.0).unwrap());
         assert_eq!(story.body.status(&ada(), GoalId(7)), Some(GoalStatus::Executing(feedback)));
         assert_eq!((story.telemetry().pose, story.telemetry().place), (Pose::new(4.0, 0.1, 0.2), place("A")));
         assert_eq!(story.hear(Some(Heard::Ended(1, End::Succeeded))), [(7, GoalStatus::Succeeded)]);
@@ -485,6 +498,8 @@ mod tests {
         assert_eq!(story.hear(Some(Heard::Ended(1, End::Succeeded))), []);
         assert_eq!(story.asked(), [Ask::Drive(1, Pose::new(10.0, 0.0, 0.0)), Ask::Drive(2, Pose::new(20.0, 0.0, 0.0))]);
         assert_eq!(story.hear(Some(Heard::Ended(1, outcome(208)))), [], "of a drive that is over");
+        let Some(GoalStatus::Executing(feedback)) = story.body.status(&ada(), GoalId(1)) else { panic!("it drives") };
+        assert_eq!(feedback.progress, Progress::Waypoint(1));
         assert_eq!(story.hear(Some(Heard::Ended(2, End::Succeeded))), [(1, GoalStatus::Succeeded)]);
     }
 

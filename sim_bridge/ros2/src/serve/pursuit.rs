@@ -329,8 +329,7 @@ mod tests {
     }
 
     fn executing(metres: f64, seconds: f64) -> GoalStatus {
-        let distance_remaining = Metres::new(metres).unwrap();
-        GoalStatus::Executing(Feedback { distance_remaining, time_remaining: Seconds::new(seconds).unwrap() })
+        GoalStatus::Executing(Feedback::left(Metres::new(metres).unwrap(), Seconds::new(seconds).unwrap()))
     }
 
     fn aborted(code: ErrorCode) -> GoalStatus {

@@ -1,0 +1,187 @@
+//! What a node counts and measures of itself and of the fleet as it knows it, for Prometheus.
+//!
+//! Every metric begins with `consort_` and has the labels `fleet` and `node`: who measured it. What a node *does* is
+//! counted by that node alone, so sums over nodes are right; what it *knows* of the fleet (missions, robots) every node
+//! tells, so take the one that coordinates (`… and on (node) consort_coordinates == 1`), or the maximum.
+//!
+//! | name | what |
+//! |---|---|
+//! | `consort_events_total{event}` | happenings that the node told on the event stream, by kind |
+//! | `consort_elections_total` | times that the node was elected coordinator |
+//! | `consort_missions_submitted_total` | missions that it acknowledged as coordinator |
+//! | `consort_missions_ended_total{state}` | missions that ended while it coordinated |
+//! | `consort_auctions_total{result}` | auctions that it closed: `awarded` or `no_award` |
+//! | `consort_bids_total{verdict}` | answers in them: `viable`, `unviable`, `refused` |
+//! | `consort_award_seconds` | histogram: from the commit of a request to the commit of its award |
+//! | `consort_tasks_total{result}` | tasks of its robot: `done`, `failed`, `retried`, `alternative` |
+//! | `consort_ledger_commands_total` | commands of the ledger that its copy took in |
+//! | `consort_bus_messages_total{kind,direction}` | messages that it sent and received itself |
+//! | `consort_bus_bytes_total{kind,direction}` | their payloads |
+//! | `consort_coordinates` | whether it coordinates: 0 or 1 |
+//! | `consort_term` | its term |
+//! | `consort_voters`, `consort_observers` | who keeps the ledger, by its knowledge |
+//! | `consort_quorum_age_seconds` | of a coordinator: how long ago a majority answered |
+//! | `consort_ledger_index` | the last entry of the ledger that its copy took in |
+//! | `consort_missions{state}` | missions in its copy of the ledger, ended ones included while they are kept |
+//! | `consort_nodes{status}` | nodes of the fleet as it judges them |
+//! | `consort_robot_battery_ratio{robot}` | charge left, 1 is full |
+//! | `consort_robot_age_seconds{robot}` | how old its knowledge of the robot is |
+//! | `consort_robot_state{robot,state}` | 1 for what the robot is: `free`, `holding`, `suspended`, `out_of_service` |
+//! | `consort_gossip_malformed_total` | messages of gossip that could not be read |
+//! | `consort_gossip_returns_total` | times that others wrongly judged the node down |
+//! | `consort_started_at_seconds` | when the node began, in seconds since 1970 |
+
+mod counts;
+mod levels;
+mod serve;
+
+pub use levels::Watched;
+pub use serve::serve;
+
+use consort_actors::bus::{Direction, Meter};
+use consort_actors::observe::Observer;
+use consort_protocol::event::Event;
+use consort_protocol::ids::{FleetId, NodeId};
+use consort_protocol::keys::KeyKind;
+use consort_protocol::lease::Epoch;
+use consort_protocol::ledger::Command;
+use counts::Counts;
+use levels::Levels;
+use prometheus_client::encoding::text::encode;
+use prometheus_client::registry::Registry;
+use std::borrow::Cow;
+use std::sync::Arc;
+
+/// The metrics of one node.
+pub struct Metrics {
+    registry: Registry,
+    counts: Counts,
+    levels: Levels,
+}
+
+impl Metrics {
+    /// Nothing counted yet.
+    pub fn new(fleet: &FleetId, node: &NodeId) -> Arc<Metrics> {
+        let by = |name: &'static str, value: String| (Cow::Borrowed(name), Cow::Owned(value));
+        let labels = [by("fleet", fleet.to_string()), by("node", node.to_string())];
+        let mut registry = Registry::with_prefix_and_labels("consort", labels.into_iter());
+        let counts = Counts::new(&mut registry);
+        let levels = Levels::default();
+        registry.register_collector(Box::new(levels.clone()));
+        Arc::new(Metrics { registry, counts, levels })
+    }
+
+    /// From now on, what this node knows is measured too.
+    pub fn watch(&self, watched: Watched) {
+        self.levels.watch(watched);
+    }
+
+    /// All of it as it stands, as OpenMetrics text.
+    pub fn text(&self) -> String {
+        let mut text = String::new();
+        encode(&mut text, &self.registry).expect("a text takes in whatever is written");
+        text
+    }
+}
+
+impl Observer for Metrics {
+    fn told(&self, event: &Event) {
+        self.counts.told(&event.what);
+    }
+
+    fn applied(&self, _: &NodeId, _: Epoch, commands: &[Command]) {
+        self.counts.applied(commands.len());
+    }
+}
+
+impl Meter for Metrics {
+    fn count(&self, kind: KeyKind, direction: Direction, bytes: usize) {
+        self.counts.message(kind, direction, bytes);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use consort_protocol::event::Happening;
+    use consort_protocol::ledger::MissionState;
+
+    fn told(metrics: &Metrics, what: Happening) {
+        metrics.told(&Event { node: "ada".parse().unwrap(), sequence: 1, at_ms: 0, what });
+    }
+
+    fn metrics() -> Arc<Metrics> {
+        Metrics::new(&"ward".parse().unwrap(), &"ada".parse().unwrap())
+    }
+
+    fn line<'a>(text: &'a str, start: &str) -> &'a str {
+        let lines: Vec<&str> = text.lines().filter(|line| line.starts_with(start)).collect();
+        match lines.as_slice() {
+            [line] => line,
+            _ => panic!("{start}: {lines:?} in\n{text}"),
+        }
+    }
+
+    #[test]
+    fn what_is_told_is_counted_by_kind_with_fleet_and_node() {
+        let metrics = metrics();
+        told(&metrics, Happening::Elected { term: 2, voters: vec![] });
+        let mission = || "lab-samples-1".parse().unwrap();
+        told(&metrics, Happening::Mission { mission: mission(), state: MissionState::Running });
+        told(&metrics, Happening::Mission { mission: mission(), state: MissionState::Completed });
+        told(
+            &metrics,
+            Happening::TaskEnded { mission: mission(), role: "r1".parse().unwrap(), task: "t".parse().unwrap() },
+        );
+        let holders = std::collections::BTreeMap::new();
+        let epoch = Epoch { term: 1, index: 3 };
+        told(&metrics, Happening::Awarded { mission: mission(), holders, epoch, after_ms: Some(7.0) });
+        let text = metrics.text();
+        let labels = r#"fleet="ward",node="ada""#;
+        assert_eq!(line(&text, "consort_elections_total"), format!("consort_elections_total{{{labels}}} 1"));
+        let ended = format!(r#"consort_missions_ended_total{{{labels},state="completed"}} 1"#);
+        assert!(text.contains(&ended), "{text}");
+        assert!(!text.contains(r#"state="running""#), "running is no end: {text}");
+        assert!(text.contains(&format!(r#"consort_tasks_total{{{labels},result="done"}} 1"#)), "{text}");
+        assert!(text.contains(&format!(r#"consort_events_total{{{labels},event="mission"}} 2"#)), "{text}");
+        assert_eq!(line(&text, "consort_award_seconds_sum"), format!("consort_award_seconds_sum{{{labels}}} 0.007"));
+        assert!(text.ends_with("# EOF\n"), "{text}");
+    }
+
+    #[test]
+    fn messages_are_counted_by_kind_and_direction_with_their_bytes() {
+        let metrics = metrics();
+        metrics.count(KeyKind::Gossip, Direction::Sent, 40);
+        metrics.count(KeyKind::Gossip, Direction::Sent, 2);
+        metrics.count(KeyKind::Gossip, Direction::Received, 5);
+        let text = metrics.text();
+        let of = |name: &str, direction: &str| {
+            format!(r#"consort_bus_{name}_total{{fleet="ward",node="ada",kind="gossip",direction="{direction}"}} "#)
+        };
+        for expected in [of("messages", "sent") + "2", of("bytes", "sent") + "42", of("bytes", "received") + "5"] {
+            assert!(text.contains(&expected), "{expected} in {text}");
+        }
+    }
+
+    #[tokio::test]
+    async fn every_metric_is_documented_with_its_name_and_every_name_is_a_metric() {
+        let metrics = metrics();
+        metrics.levels.watch(Watched::nothing());
+        metrics.count(KeyKind::Gossip, Direction::Sent, 1);
+        told(&metrics, Happening::SteppedDown { term: 1 });
+        let text = metrics.text();
+        let told = text.lines().filter_map(|line| line.strip_prefix("# TYPE "));
+        let told: std::collections::BTreeSet<String> = told
+            .map(|line| match line.rsplit_once(' ') {
+                Some((name, "counter")) => format!("{name}_total"),
+                Some((name, _)) => name.to_owned(),
+                None => panic!("{line}"),
+            })
+            .collect();
+        let rows = include_str!("mod.rs").lines().filter(|line| line.starts_with("//! | `"));
+        let cells = rows.map(|row| row.split('|').nth(1).unwrap_or_default());
+        let names = cells.flat_map(|cell| cell.split('`').skip(1).step_by(2));
+        let documented = names.map(|name| name.split('{').next().unwrap_or_default().to_owned()).collect();
+        assert_eq!(told, documented);
+    }
+}
