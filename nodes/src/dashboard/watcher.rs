@@ -95,8 +95,7 @@ async fn look_at_views(bus: SharedBus, keys: Keys, board: Arc<Board>) {
             look(Key::ViewWorld),
         );
         let wanted = board.with(|picture, _| picture.missions_to_ask_for());
-        // The latest first: of many, those are looked at.
-        let wanted = wanted.iter().rev().filter_map(|id| MissionId::new(id.clone()).ok()).take(MISSIONS);
+        let wanted = wanted.iter().filter_map(|id| MissionId::new(id.clone()).ok()).take(MISSIONS);
         for mission in wanted {
             look(Key::ViewMission(mission)).await;
         }

@@ -8,10 +8,13 @@ use serde_json::Value;
 use std::collections::BTreeMap;
 
 impl Picture {
-    /// The missions whose own views would tell something new: those under way, and those of which the plan is not known.
+    /// The missions whose own views would tell something new: first those under way, then those of which the plan is not
+    /// known; the latest first.
     pub fn missions_to_ask_for(&self) -> Vec<String> {
         let lacking = |mission: &MissionShown| !mission.ended || mission.tasks.is_none();
-        self.missions.iter().filter(|(_, mission)| lacking(mission)).map(|(id, _)| id.clone()).collect()
+        let mut wanted: Vec<_> = self.missions.iter().filter(|(_, mission)| lacking(mission)).collect();
+        wanted.sort_by_key(|(_, mission)| (mission.ended, std::cmp::Reverse(mission.number)));
+        wanted.into_iter().map(|(id, _)| id.clone()).collect()
     }
 
     pub(super) fn take_missions(&mut self, view: &Value, now_ms: u64) {

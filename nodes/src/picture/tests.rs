@@ -215,6 +215,7 @@ fn a_picture_is_bounded_however_much_happens() {
         picture.take_event(&event("ada", number, NOW + number, of("task_began")), NOW);
         picture.take_beacon(&beacon("ada", number, 0), NOW + number);
     }
+    assert_eq!(picture.missions()["m-0"].bars.len(), bounds::BARS);
     let ended: Vec<Value> = (0..2 * bounds::ENDED_MISSIONS)
         .map(|number| json!({ "mission": format!("m-{number}"), "detail": "completed" }))
         .collect();
@@ -224,7 +225,6 @@ fn a_picture_is_bounded_however_much_happens() {
     assert_eq!(picture.takeovers().len(), bounds::TAKEOVERS);
     assert_eq!(picture.missions().len(), bounds::ENDED_MISSIONS);
     assert!(picture.missions().contains_key("m-599"));
-    assert!(picture.missions().values().all(|mission| mission.bars.len() <= bounds::BARS));
 }
 
 #[test]

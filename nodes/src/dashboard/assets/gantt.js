@@ -32,7 +32,7 @@ export function chart(id, mission, now) {
   for (let tick = 0; tick <= last - first; tick += step) {
     const at = x(first + tick);
     svg.append(shape('line', { x1: at, x2: at, y1: TOP - 4, y2: height }));
-    svg.append(shape('text', { x: at + 3, y: 10, class: 'axis' }, `+${tick >= 1000 || tick === 0 ? `${tick / 1000} s` : `${tick} ms`}`));
+    if (at < WIDTH - 45) svg.append(shape('text', { x: at + 3, y: 10, class: 'axis' }, `+${tick >= 1000 || tick === 0 ? `${tick / 1000} s` : `${tick} ms`}`));
   }
   roles.forEach((role, index) => {
     const y = TOP + index * ROW;

@@ -83,7 +83,8 @@ export function update(picture, patch) {
     }
     known.robot = robot;
     if (to.some((value, index) => value !== known.to[index])) {
-      const time = Math.min(Math.max((robot.body_ms ?? 0) - (known.body ?? 0), 120), GLIDE);
+      // A little longer than from the last report to this one, so that it does not stop before the next.
+      const time = Math.min(Math.max(((robot.body_ms ?? 0) - (known.body ?? 0)) * 1.25, 150), GLIDE);
       Object.assign(known, { from: where(known, now), to, at: now, time, body: robot.body_ms });
     } else known.body = robot.body_ms;
   }

@@ -4,7 +4,7 @@ import { byId, cells, make, meter, numberCell, percent, rows, say, since, state,
 
 export function update(picture, chosen, onChoose) {
   const robots = Object.entries(picture.robots ?? {});
-  const count = (word) => robots.filter(([, robot]) => robot.availability === word).length;
+  const count = (word) => robots.filter(([, robot]) => robot.alive && robot.availability === word).length;
   say(byId('robots-count'), `${robots.length}: ${count('holding') + count('suspended')} at work, ${count('free')} free`);
   const items = robots.map(([key, robot]) => ({
     key,
