@@ -1,6 +1,7 @@
 //! A browser without a window, and what a person does with one.
 
 use crate::support::{Folder, until};
+use fantoccini::actions::{InputSource, KeyAction, KeyActions};
 use fantoccini::wd::WebDriverCompatibleCommand;
 use fantoccini::{Client, ClientBuilder};
 use hyper_util::client::legacy::connect::HttpConnector;
@@ -13,6 +14,12 @@ use tokio::runtime::Runtime;
 
 /// How long the page may take to show something.
 pub(crate) const SOON: Duration = Duration::from_secs(30);
+
+/// The control key, as WebDriver has it.
+const CONTROL: char = '\u{e009}';
+
+/// Ends the holding of a key.
+const RELEASE: char = '\u{e000}';
 
 /// Chromium, driven by chromedriver.
 pub(crate) struct Browser {
@@ -124,10 +131,17 @@ impl Browser {
         }
     }
 
-    /// Presses keys, as a person at the keyboard does: on whatever has the focus.
+    /// Presses keys, as a person at the keyboard does: on whatever has the focus. Control is held until [`RELEASE`].
     pub(crate) fn press(&self, keys: &str) {
-        let sent = self.runtime.block_on(async { self.client.active_element().await?.send_keys(keys).await });
-        sent.expect("keys can be pressed");
+        let mut actions = KeyActions::new("keyboard".to_owned());
+        for value in keys.chars() {
+            actions = match value {
+                CONTROL => actions.then(KeyAction::Down { value }),
+                RELEASE => actions.then(KeyAction::Up { value: CONTROL }),
+                _ => actions.then(KeyAction::Down { value }).then(KeyAction::Up { value }),
+            };
+        }
+        self.runtime.block_on(self.client.perform_actions(actions)).expect("keys can be pressed");
     }
 
     pub(crate) fn click(&self, selector: &str) {
