@@ -35,7 +35,7 @@ use tokio::task::JoinSet;
 /// A dashboard that is being served. Dropping it ends it.
 pub struct Dashboard {
     address: SocketAddr,
-    _tasks: JoinSet<()>,
+    tasks: JoinSet<()>,
 }
 
 impl Dashboard {
@@ -55,7 +55,7 @@ impl Dashboard {
         let board = Arc::new(Board::new(picture, clock));
         let desk = desk::Desk::new(Arc::clone(&bus), Keys::new(fleet), node);
         let mut dashboard = Dashboard::serve(address, Arc::clone(&board), Some(desk)).await?;
-        watcher::watch(&mut dashboard._tasks, bus, Keys::new(fleet), board);
+        watcher::watch(&mut dashboard.tasks, bus, Keys::new(fleet), board);
         Ok(dashboard)
     }
 
@@ -81,7 +81,7 @@ impl Dashboard {
             }
         });
         tasks.spawn(async move { board.draw_for_ever().await });
-        Ok(Dashboard { address, _tasks: tasks })
+        Ok(Dashboard { address, tasks })
     }
 
     /// Where it is.

@@ -37,7 +37,11 @@ impl Picture {
                 shown.awarded_ms.get_or_insert(at);
                 shown.award_after_ms = shown.award_after_ms.or(*after_ms);
             }
-            Happening::Mission { mission, state } => self.mission(mission).take_state(state, at),
+            Happening::Mission { mission, state, submitted_at_ms } => {
+                let shown = self.mission(mission);
+                shown.submitted_ms = *submitted_at_ms;
+                shown.take_state(state, at);
+            }
             Happening::Progress { mission, done, steps } => {
                 let shown = self.mission(mission);
                 (shown.done, shown.steps) = (shown.done.max(*done as u64), *steps as u64);
@@ -97,8 +101,6 @@ impl Picture {
     }
 
     fn enter(&mut self, event: &Event) {
-        let value = serde_json::to_value(event).unwrap_or_default();
-        let own = |key: &str| value.get(key).and_then(serde_json::Value::as_str).map(str::to_owned);
         let (word, text, alarm) = words(event);
         let robot = match &event.what {
             Happening::Bid { bid, .. } => Some(bid.robot.to_string()),
@@ -108,10 +110,10 @@ impl Picture {
         let logged = Logged {
             at_ms: event.at_ms,
             node: event.node.to_string(),
-            kind: own("event").unwrap_or_default(),
+            kind: event.what.word().to_owned(),
             word: word.to_owned(),
             text,
-            mission: own("mission"),
+            mission: event.what.mission().map(ToString::to_string),
             robot,
             alarm,
         };
@@ -209,7 +211,7 @@ fn words(event: &Event) -> (&'static str, String, bool) {
             calm("award", format!("{mission}: {} (epoch {epoch}){after}", given.join(", ")))
         }
         Happening::Released { mission, role, cause } => alarm("released", format!("{role} of {mission}: {cause}")),
-        Happening::Mission { mission, state } => {
+        Happening::Mission { mission, state, .. } => {
             let word = state.word().replace('_', " ");
             let told = (state.is_end() && state.word() != "completed", format!("{mission} is {word}"));
             ("mission", told.1, told.0)

@@ -146,7 +146,11 @@ fn tasks_become_bars_and_a_mission_ends_when_it_was_seen_to_end() {
     tell(&mut picture, NOW + 50, of("task_ended", "go"));
     tell(&mut picture, NOW + 60, of("task_began", "open"));
     tell(&mut picture, NOW + 90, of("task_ended", "unheard"));
-    tell(&mut picture, NOW + 100, json!({ "event": "mission", "mission": "m-1", "state": "completed" }));
+    tell(
+        &mut picture,
+        NOW + 100,
+        json!({ "event": "mission", "mission": "m-1", "state": "completed", "submitted_at_ms": NOW }),
+    );
     let shown = &picture.missions()["m-1"];
     let bars: Vec<_> = shown.bars.iter().map(|bar| (bar.task.as_str(), bar.state.as_str(), bar.to_ms)).collect();
     assert_eq!(
