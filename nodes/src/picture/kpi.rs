@@ -98,7 +98,7 @@ impl Picture {
             busy,
             in_service,
             takeovers: changes().count(),
-            takeover_ms: changes().last().and_then(|takeover| takeover.gap_ms),
+            takeover_ms: changes().next_back().and_then(|takeover| takeover.gap_ms),
         }
     }
 }
