@@ -1,10 +1,10 @@
 //! A client of a fleet: asks whoever coordinates, and says what it waits for.
 
+use crate::asking::{AGAIN, Hindrance, Whom, once};
 use crate::config::{DEFAULT_FLEET, FleetConfig, load};
 use crate::exit::Failure;
 use crate::output::{self, Waiting};
 use crate::running::{LogFormat, describe, runtime, start_log};
-use bytes::Bytes;
 use consort_actors::bus::zenoh_bus::Mode;
 use consort_actors::bus::{Bus, ZenohBus, ZenohSettings};
 use consort_protocol::ids::{FleetId, NodeId};
@@ -16,9 +16,6 @@ use tokio::time::{Instant, sleep};
 
 /// How long one question may take. The coordinator itself gives up on the ledger after 2 s.
 const ONE_QUERY: Duration = Duration::from_secs(3);
-
-/// How long to wait before asking again.
-const AGAIN: Duration = Duration::from_millis(250);
 
 /// How to reach a fleet.
 #[derive(Debug, Clone, clap::Args)]
@@ -154,7 +151,7 @@ impl Client {
     /// # Errors
     /// [`Failure::Unsuccessful`] with what it refused; [`Failure::Unreached`] if the node does not answer.
     pub async fn ask_node(&mut self, key: &Key, node: &NodeId, limit: Duration) -> Result<Value, Failure> {
-        match self.once(&self.keys.write(key), "", limit, Whom::All).await {
+        match once(&self.bus, &self.keys.write(key), "", limit, Whom::All).await {
             Ok(value) => Ok(value),
             Err(Hindrance::Refused(problem)) => Err(Failure::Unsuccessful(problem)),
             Err(Hindrance::MayPass(problem, _)) => Err(Failure::Unreached(format!("{node}: {problem}"))),
@@ -182,7 +179,8 @@ impl Client {
         let mut waited = false;
         loop {
             let left = until.saturating_duration_since(Instant::now());
-            let hindrance = match self.once(&key, &payload, ONE_QUERY.min(left.max(AGAIN)), whom).await {
+            let limit = ONE_QUERY.min(left.max(AGAIN));
+            let hindrance = match once(&self.bus, &key, &payload, limit, whom).await {
                 Ok(value) => {
                     if waited {
                         self.waiting.clear();
@@ -210,68 +208,6 @@ impl Client {
             sleep(after).await;
         }
     }
-
-    async fn once(&self, key: &str, payload: &str, limit: Duration, whom: Whom) -> Result<Value, Hindrance> {
-        let payload = Bytes::from(payload.to_owned());
-        let asked = match whom {
-            Whom::Nearest => self.bus.query_nearest(key, payload, limit).await,
-            Whom::All => self.bus.query(key, payload, limit).await,
-        };
-        let mut replies = asked.map_err(|problem| Hindrance::MayPass(problem.to_string(), AGAIN))?;
-        let mut hindrance = Hindrance::Silence;
-        // Whoever has just lost the coordination may answer too; the one who can act settles it, if it does soon.
-        let mut until = Instant::now() + limit;
-        while let Ok(Some(reply)) = tokio::time::timeout_at(until, replies.recv()).await {
-            let answer = match reply.payload {
-                Ok(bytes) => serde_json::from_slice::<Value>(&bytes).map_err(|e| format!("not JSON: {e}")),
-                Err(refusal) => Err(refusal),
-            };
-            match answer {
-                Ok(value) => match value.get("error").and_then(Value::as_str) {
-                    None => return Ok(value),
-                    Some(problem) => match value.get("retry_after_ms").and_then(Value::as_u64) {
-                        Some(after) => {
-                            let advice = format!(": retry after {after} ms");
-                            let problem = problem.strip_suffix(&advice).unwrap_or(problem).to_owned();
-                            hindrance = Hindrance::MayPass(problem, Duration::from_millis(after));
-                        }
-                        None => return Err(Hindrance::Refused(problem.to_owned())),
-                    },
-                },
-                Err(problem) => hindrance = Hindrance::MayPass(problem, AGAIN),
-            }
-            until = until.min(Instant::now() + AGAIN);
-        }
-        Err(hindrance)
-    }
-}
-
-/// Who is asked.
-#[derive(Clone, Copy)]
-enum Whom {
-    /// The nearest node that can answer.
-    Nearest,
-    /// All, of whom the one answers whom it concerns.
-    All,
-}
-
-impl Whom {
-    fn word(self) -> &'static str {
-        match self {
-            Whom::Nearest => "node",
-            Whom::All => "coordinator",
-        }
-    }
-}
-
-/// Why there is no answer.
-enum Hindrance {
-    /// The request is wrong; asking again would not help.
-    Refused(String),
-    /// It may work after that time.
-    MayPass(String, Duration),
-    /// Nobody answered.
-    Silence,
 }
 
 fn fleet_name(text: &str) -> Result<FleetId, Failure> {

@@ -3,17 +3,20 @@
 //! [`config`] reads files, [`wiring`] makes nodes of them, each command in [`command`] runs or asks nodes. What missions,
 //! auctions and worlds are is decided elsewhere; nothing here computes a plan or a price.
 
+mod asking;
 pub mod check;
 pub mod cli;
 pub mod client;
 pub mod command;
 pub mod config;
+pub mod dashboard;
 pub mod demo;
 pub mod dry_run;
 pub mod exit;
 pub mod floor;
 pub mod metrics;
 pub mod output;
+pub mod picture;
 pub mod plan;
 pub mod rendering;
 pub mod running;

@@ -2,14 +2,18 @@
 
 use crate::command::flags::RunFlags;
 use crate::config::{BusConfig, FleetConfig, Problems};
+use crate::dashboard::Dashboard;
 use crate::exit::Failure;
 use crate::metrics::{Metrics, Watched, serve};
+use crate::picture::FloorPlan;
 use crate::telemetry::Telemetry;
 use crate::wiring::bus_settings;
+use crate::{floor, output};
 use consort_actors::bus::{Bus, Link, MeteredBus, SharedBus, ZenohBus};
 use consort_actors::clock::Clock;
 use consort_actors::node::{NodeHandle, NodeSettings};
 use consort_actors::observe::SharedObserver;
+use consort_protocol::ids::NodeId;
 use std::io::IsTerminal;
 use std::net::SocketAddr;
 use std::sync::Arc;
@@ -78,11 +82,12 @@ pub fn node(
     run: RunFlags,
     bus: &BusConfig,
     fleet: &FleetConfig,
+    dashboard: Option<SocketAddr>,
     settings: impl FnOnce() -> Result<NodeSettings, Problems>,
 ) -> Result<(), Failure> {
     start_log(run.log.clone(), run.log_format, LOG)?;
     let runtime = runtime()?;
-    let ended = runtime.block_on(until_told(&run, bus, fleet, settings));
+    let ended = runtime.block_on(until_told(&run, bus, fleet, dashboard, settings));
     // Whatever still runs, or hangs, ends with the process.
     runtime.shutdown_background();
     ended
@@ -92,6 +97,7 @@ async fn until_told(
     run: &RunFlags,
     bus: &BusConfig,
     fleet: &FleetConfig,
+    dashboard: Option<SocketAddr>,
     settings: impl FnOnce() -> Result<NodeSettings, Problems>,
 ) -> Result<(), Failure> {
     // Before anything is started: a signal that comes early is not lost.
@@ -113,6 +119,10 @@ async fn until_told(
     let started = NodeHandle::start(settings, bus).await;
     let mut node = started.map_err(|problem| Failure::Unsuccessful(format!("{name} did not start: {problem}")))?;
     info!(node = %name, "started");
+    let _dashboard = match dashboard {
+        Some(address) => Some(serve_dashboard(address, zenoh.clone(), fleet, &name).await?),
+        None => None,
+    };
     metrics.serve(&node, clock, &mut watch);
     telemetry.belongs(node.allegiance.clone());
 
@@ -150,6 +160,20 @@ async fn until_told(
         Err(_) => warn!(node = %name, "stopped without having told everybody in {GOODBYE:?}"),
     }
     Ok(())
+}
+
+/// Serves the dashboard, and prints where.
+async fn serve_dashboard(
+    address: SocketAddr,
+    bus: ZenohBus,
+    fleet: &FleetConfig,
+    node: &NodeId,
+) -> Result<Dashboard, Failure> {
+    let plan = FloorPlan::new(&floor::load(&fleet.map)?);
+    let opened = Dashboard::open(address, Arc::new(bus), &fleet.name, node.as_str(), plan).await;
+    let dashboard = opened.map_err(Failure::Usage)?;
+    output::line(format_args!("dashboard: {}", dashboard.url()))?;
+    Ok(dashboard)
 }
 
 /// The metrics of a node, if they are asked for.

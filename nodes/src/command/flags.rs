@@ -99,6 +99,8 @@ pub(super) struct NodeFlags {
     #[command(flatten)]
     bus: BusFlags,
     #[command(flatten)]
+    page: PageFlags,
+    #[command(flatten)]
     fleet: FleetFlags,
     #[command(flatten)]
     run: RunFlags,
@@ -118,6 +120,7 @@ impl NodeFlags {
         let surroundings = file.surroundings();
         self.store.apply(surroundings.data_dir);
         self.bus.apply(surroundings.bus);
+        *surroundings.dashboard = self.page.dashboard.or(*surroundings.dashboard);
         let fleet = self.fleet.resolve(surroundings.fleet)?;
         *surroundings.fleet = FleetRef::from(fleet.clone());
         settled(&mut file)?;
@@ -126,10 +129,21 @@ impl NodeFlags {
         }
         let surroundings = file.surroundings();
         let (bus, data_dir) = (surroundings.bus.clone(), surroundings.data_dir.clone());
-        running::node(self.run, &bus, &fleet, || {
+        let dashboard = *surroundings.dashboard;
+        running::node(self.run, &bus, &fleet, dashboard, || {
             wire(&file, &fleet, Life::real(&file.node(), &fleet, data_dir.as_deref())?)
         })
     }
+}
+
+/// Where a node can be looked into.
+#[derive(Debug, clap::Args)]
+#[command(next_help_heading = "Looking in")]
+struct PageFlags {
+    /// Serve the dashboard at this address, as 127.0.0.1:8088; port 0 for any free one. The address is printed. Whoever can
+    /// reach it may submit and cancel missions
+    #[arg(long, env = "CONSORT_DASHBOARD", value_name = "HOST:PORT")]
+    dashboard: Option<SocketAddr>,
 }
 
 /// What a node remembers.

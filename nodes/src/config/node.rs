@@ -3,6 +3,7 @@
 use super::read::settle_path;
 use super::{BusConfig, ConfigFile, FleetRef};
 use consort_protocol::ids::NodeId;
+use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 
 /// The file of one node.
@@ -18,6 +19,8 @@ pub trait NodeFile: ConfigFile {
 pub struct Surroundings<'a> {
     /// Where it keeps what it has promised.
     pub data_dir: &'a mut Option<PathBuf>,
+    /// Where it serves the dashboard, if it does.
+    pub dashboard: &'a mut Option<SocketAddr>,
     /// The fleet that it belongs to.
     pub fleet: &'a mut FleetRef,
     /// Where it is on the network.

@@ -8,6 +8,7 @@ use consort_protocol::mission::Domain;
 use consort_protocol::units::{BatteryShare, MetresPerSecond, SharePerSecond};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeSet;
+use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 
 /// A robot file. `name`, `place` and `skills` must be there.
@@ -44,6 +45,10 @@ pub struct RobotConfig {
     /// The directory in which the node keeps what it has promised. Default: none, and it forgets all when it ends.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub data_dir: Option<PathBuf>,
+    /// Address at which the node serves the dashboard, as `127.0.0.1:8088`; port 0 is any free one. Default: none, and it
+    /// serves none.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub dashboard: Option<SocketAddr>,
     /// The fleet: the path of its file, or a table with the same keys. Default: a fleet of all defaults.
     #[serde(default)]
     pub fleet: FleetRef,
@@ -80,6 +85,7 @@ impl RobotConfig {
             mains_powered: false,
             may_vote: true,
             data_dir: None,
+            dashboard: None,
             fleet: FleetRef::default(),
             bus: BusConfig::default(),
         }
@@ -114,6 +120,11 @@ impl NodeFile for RobotConfig {
     }
 
     fn surroundings(&mut self) -> Surroundings<'_> {
-        Surroundings { data_dir: &mut self.data_dir, fleet: &mut self.fleet, bus: &mut self.bus }
+        Surroundings {
+            data_dir: &mut self.data_dir,
+            dashboard: &mut self.dashboard,
+            fleet: &mut self.fleet,
+            bus: &mut self.bus,
+        }
     }
 }

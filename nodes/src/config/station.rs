@@ -4,6 +4,7 @@ use super::node::problems_around;
 use super::{BusConfig, ConfigFile, FleetRef, NodeFile, Surroundings, yes};
 use consort_protocol::ids::NodeId;
 use serde::{Deserialize, Serialize};
+use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 
 /// A station file. Only `name` must be there.
@@ -24,6 +25,10 @@ pub struct StationConfig {
     /// The directory in which the node keeps what it has promised. Default: none, and it forgets all when it ends.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub data_dir: Option<PathBuf>,
+    /// Address at which the node serves the dashboard, as `127.0.0.1:8088`; port 0 is any free one. Default: none, and it
+    /// serves none.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub dashboard: Option<SocketAddr>,
     /// The fleet: the path of its file, or a table with the same keys. Default: a fleet of all defaults.
     #[serde(default)]
     pub fleet: FleetRef,
@@ -41,6 +46,7 @@ impl StationConfig {
             mains_powered: true,
             may_vote: true,
             data_dir: None,
+            dashboard: None,
             fleet: FleetRef::default(),
             bus: BusConfig::default(),
         }
@@ -65,6 +71,11 @@ impl NodeFile for StationConfig {
     }
 
     fn surroundings(&mut self) -> Surroundings<'_> {
-        Surroundings { data_dir: &mut self.data_dir, fleet: &mut self.fleet, bus: &mut self.bus }
+        Surroundings {
+            data_dir: &mut self.data_dir,
+            dashboard: &mut self.dashboard,
+            fleet: &mut self.fleet,
+            bus: &mut self.bus,
+        }
     }
 }

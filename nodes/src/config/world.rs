@@ -9,6 +9,7 @@ use consort_sim::world::{
     DoorSetup, Durations, Gusts, Object, Obstacle, Person, RobotBody, WorldLimits, default_step_s, system_names,
 };
 use serde::{Deserialize, Serialize};
+use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 
 /// A world file. Every key has a default; a world without robots is a dull one.
@@ -30,6 +31,10 @@ pub struct WorldConfig {
     /// The directory in which the node keeps what it has promised, if it may vote. Default: none.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub data_dir: Option<PathBuf>,
+    /// Address at which the node serves the dashboard, as `127.0.0.1:8088`; port 0 is any free one. Default: none, and it
+    /// serves none.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub dashboard: Option<SocketAddr>,
     /// The fleet: the path of its file, or a table with the same keys. Default: a fleet of all defaults.
     pub fleet: FleetRef,
     /// Where it is on the network.
@@ -66,6 +71,7 @@ impl Default for WorldConfig {
             speed: 1.0,
             may_vote: false,
             data_dir: None,
+            dashboard: None,
             fleet: FleetRef::default(),
             bus: BusConfig::default(),
             durations: Durations::default(),
@@ -112,6 +118,11 @@ impl NodeFile for WorldConfig {
     }
 
     fn surroundings(&mut self) -> Surroundings<'_> {
-        Surroundings { data_dir: &mut self.data_dir, fleet: &mut self.fleet, bus: &mut self.bus }
+        Surroundings {
+            data_dir: &mut self.data_dir,
+            dashboard: &mut self.dashboard,
+            fleet: &mut self.fleet,
+            bus: &mut self.bus,
+        }
     }
 }

@@ -3,6 +3,7 @@
 use super::cast::Cast;
 use super::narrator::Narrator;
 use super::stage::Stage;
+use crate::dashboard::Dashboard;
 use crate::exit::Failure;
 use crate::source;
 use bytes::Bytes;
@@ -48,6 +49,8 @@ pub(super) struct Director<S> {
     takeover: Option<(Duration, NodeId, Duration)>,
     restarted: bool,
     missions: BTreeMap<MissionId, Fate>,
+    /// What is served for people to look in, as long as the demo is played.
+    dashboard: Option<Dashboard>,
 }
 
 /// How a mission fares.
@@ -79,7 +82,13 @@ pub(super) fn mission(text: &str) -> Result<Value, Failure> {
 }
 
 impl<S: Stage> Director<S> {
-    pub(super) fn new(plan: Plan, cast: Cast, stage: S, narrator: Narrator) -> Director<S> {
+    pub(super) fn new(
+        plan: Plan,
+        cast: Cast,
+        stage: S,
+        narrator: Narrator,
+        dashboard: Option<Dashboard>,
+    ) -> Director<S> {
         let keys = Keys::new(&cast.fleet.name);
         Director {
             plan,
@@ -92,6 +101,7 @@ impl<S: Stage> Director<S> {
             takeover: None,
             restarted: false,
             missions: BTreeMap::new(),
+            dashboard,
         }
     }
 
@@ -116,6 +126,10 @@ impl<S: Stage> Director<S> {
         let mut events =
             bus.subscribe(&self.keys.any_events()).await.map_err(|problem| Failure::Unreached(problem.to_string()))?;
         self.narrator.open(&self.stage.introduction())?;
+        if let Some(dashboard) = &self.dashboard {
+            let (at, url) = (self.stage.elapsed(), dashboard.url());
+            self.narrator.act(at, "dashboard", &url, json!({ "event": "demo_dashboard", "url": url }))?;
+        }
         self.await_coordinator(&mut events).await?;
         self.submit_all(&mut events).await?;
         self.watch(&mut events).await?;

@@ -21,11 +21,14 @@ pub use cast::{Cast, Request};
 pub use processes::Processes;
 pub use stage::Stage;
 
+use crate::dashboard::Dashboard;
 use crate::exit::Failure;
-use crate::output;
+use crate::picture::FloorPlan;
 use crate::rendering::{self, RenderFlags};
+use crate::{floor, output};
 use director::{Director, Plan};
 use narrator::Narrator;
+use std::net::SocketAddr;
 use virtual_stage::VirtualStage;
 
 /// Play the main job: a fleet delivers lab samples and survives the death of its coordinator
@@ -71,6 +74,9 @@ pub struct Args {
     /// First of the ports on which the processes listen [default: free ones]
     #[arg(long, value_name = "PORT", conflicts_with = "virtual_time")]
     port: Option<u16>,
+    /// Where to serve the dashboard [default: any free port on loopback]
+    #[arg(long, value_name = "HOST:PORT", conflicts_with = "virtual_time")]
+    dashboard: Option<SocketAddr>,
     /// Mission to submit: a shipped one's name, or a file
     #[arg(long, default_value = "lab-samples", value_name = "NAME|FILE")]
     mission: String,
@@ -109,7 +115,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
         runtime.block_on(async {
             let stage = VirtualStage::set(&cast, args.seed, &args.render).await?;
             let world = stage.world();
-            let played = Director::new(plan, cast, stage, narrator).play().await;
+            let played = Director::new(plan, cast, stage, narrator, None).play().await;
             played.and(rendering::end(&world, |file| output::note(format_args!("{file}"))))
         })
     } else {
@@ -120,7 +126,11 @@ pub fn run(args: Args) -> Result<(), Failure> {
             let program =
                 program.map_err(|problem| Failure::Unsuccessful(format!("this program's own file: {problem}")))?;
             let stage = Processes::set(&cast, &program, args.port).await?;
-            Director::new(plan, cast, stage, narrator).play().await
+            let floor = FloorPlan::new(&floor::load(&cast.fleet.map)?);
+            let address = args.dashboard.unwrap_or(SocketAddr::from(([127, 0, 0, 1], 0)));
+            let opened = Dashboard::open(address, stage.bus(), &cast.fleet.name, "demo", floor).await;
+            let dashboard = opened.map_err(Failure::Usage)?;
+            Director::new(plan, cast, stage, narrator, Some(dashboard)).play().await
         })
     }
 }

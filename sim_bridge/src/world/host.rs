@@ -158,6 +158,7 @@ impl BodyHost for World {
     }
 
     fn report(&self) -> serde_json::Value {
-        serde_json::json!({ "time_s": self.floor.now, "samples": self.samples(), "people": self.people() })
+        let (samples, people, doors) = (self.samples(), self.people(), self.doors());
+        serde_json::json!({ "time_s": self.floor.now, "samples": samples, "people": people, "doors": doors })
     }
 }

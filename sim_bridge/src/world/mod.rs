@@ -56,7 +56,7 @@ pub use journal::{Happening, JournalEntry};
 pub use mood::{Deed, Moment, Mood};
 pub use names::{PersonName, SampleId};
 pub(crate) use reach::verb;
-pub use report::{BodyReport, PersonReport};
+pub use report::{BodyReport, DoorReport, PersonReport};
 pub use samples::{Keeper, SampleReport};
 pub use sensing::{Reading, Seen, Sighting};
 pub use setup::{

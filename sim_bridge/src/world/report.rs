@@ -39,6 +39,15 @@ pub struct PersonReport {
     pub samples: Vec<SampleId>,
 }
 
+/// An automatic door as it is now.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct DoorReport {
+    /// Its name on the map.
+    pub name: String,
+    /// How its leaf is: `closed`, `opening`, `open` or `closing`.
+    pub state: String,
+}
+
 impl World {
     /// What a robot was set up with, its discharge rate among it; `None` for one that is not here.
     pub fn setup_of(&self, robot: &RobotId) -> Option<RobotBody> {
@@ -81,5 +90,11 @@ impl World {
             }
         };
         self.floor.people.values().map(report).collect()
+    }
+
+    /// All automatic doors, in the order of their names.
+    pub fn doors(&self) -> Vec<DoorReport> {
+        let states = self.floor.door_states().into_iter();
+        states.map(|(name, state)| DoorReport { name, state: state.to_owned() }).collect()
     }
 }

@@ -129,6 +129,20 @@ impl Floor {
         if self.has::<DoorsByName>() { self.own::<DoorsByName>().0.get(name).copied() } else { None }
     }
 
+    /// Each door and how its leaf is: `closed`, `opening`, `open` or `closing`.
+    pub(crate) fn door_states(&self) -> Vec<(String, &'static str)> {
+        if !self.has::<DoorsByName>() {
+            return vec![];
+        }
+        let word = |door: &Entity| match self.get::<Doorway>(*door).leaf {
+            Leaf::Closed => "closed",
+            Leaf::Opening => "opening",
+            Leaf::Open => "open",
+            Leaf::Closing => "closing",
+        };
+        self.own::<DoorsByName>().0.iter().map(|(name, door)| (name.clone(), word(door))).collect()
+    }
+
     fn at_door(&self, robot: &RobotId, door: &str) -> Option<(Entity, Entity)> {
         Some((*self.robots.get(robot)?, self.doorway(door)?))
     }

@@ -62,7 +62,11 @@ fn a_robot_waits_until_the_door_stands_open_and_it_closes_behind_it() {
     assert_eq!((pose.x, pose.y, pose.yaw), (4.5, 0.0, 0.0), "half a metre before the door");
     let feedback = Feedback::left(Metres::new(5.5).unwrap(), Seconds::new(11.0).unwrap());
     assert_eq!(world.status(&robot("r1"), GoalId(1)), Some(GoalStatus::Executing(feedback)));
+    let shown = |world: &World| world.report()["doors"].clone();
+    let doors = |narrow: &str| serde_json::json!([{ "name": "Narrow", "state": narrow }, { "name": "Wide", "state": "closed" }]);
+    assert_eq!(shown(&world), doors("opening"));
     assert_eq!(arrivals(&mut world, 60.0), [(23.0, "r1".to_owned())]);
+    assert_eq!(shown(&world), doors("closed"));
     let lines = [(9.0, "r1 waits"), (12.0, "open"), (12.0, "r1 enters"), (14.0, "r1 leaves"), (19.0, "closed")];
     assert_eq!(noted(&mut world, doors_only), told(&lines));
 }

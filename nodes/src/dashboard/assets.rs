@@ -1,0 +1,45 @@
+//! The page's files, which are part of the program.
+
+use axum::http::header;
+use axum::response::{IntoResponse, Response};
+
+/// A file.
+pub(super) struct Asset {
+    /// Where it is asked for.
+    pub(super) path: &'static str,
+    kind: &'static str,
+    text: &'static str,
+}
+
+impl IntoResponse for &'static Asset {
+    fn into_response(self) -> Response {
+        ([(header::CONTENT_TYPE, self.kind)], self.text).into_response()
+    }
+}
+
+macro_rules! assets {
+    ($($path:literal $kind:literal $file:literal),* $(,)?) => {
+        /// All of them.
+        pub(super) static ALL: &[Asset] = &[$(Asset { path: $path, kind: $kind, text: include_str!($file) }),*];
+    };
+}
+
+assets! {
+    "/" "text/html; charset=utf-8" "assets/index.html",
+    "/console.css" "text/css; charset=utf-8" "assets/console.css",
+    "/icon.svg" "image/svg+xml" "assets/icon.svg",
+    "/app.js" "text/javascript; charset=utf-8" "assets/app.js",
+    "/line.js" "text/javascript; charset=utf-8" "assets/line.js",
+    "/dom.js" "text/javascript; charset=utf-8" "assets/dom.js",
+    "/theme.js" "text/javascript; charset=utf-8" "assets/theme.js",
+    "/status.js" "text/javascript; charset=utf-8" "assets/status.js",
+    "/tabs.js" "text/javascript; charset=utf-8" "assets/tabs.js",
+    "/map.js" "text/javascript; charset=utf-8" "assets/map.js",
+    "/robots.js" "text/javascript; charset=utf-8" "assets/robots.js",
+    "/missions.js" "text/javascript; charset=utf-8" "assets/missions.js",
+    "/gantt.js" "text/javascript; charset=utf-8" "assets/gantt.js",
+    "/auctions.js" "text/javascript; charset=utf-8" "assets/auctions.js",
+    "/fleet.js" "text/javascript; charset=utf-8" "assets/fleet.js",
+    "/log.js" "text/javascript; charset=utf-8" "assets/log.js",
+    "/submit.js" "text/javascript; charset=utf-8" "assets/submit.js",
+}

@@ -1,0 +1,157 @@
+// Missions: the list, and one of them with its tree, roles, steps and chart.
+
+import { byId, cells, clock, make, meter, numberCell, redraw, rows, since, span, state, words } from './dom.js';
+import { chart } from './gantt.js';
+
+const KINDS = { completed: 'good', running: 'work', pending: 'wait', failed: 'bad', canceled: 'warn', needs_rescue: 'bad' };
+const MARKS = { done: ['✓', 'done'], running: ['▸', 'under way'], failed: ['✕', 'failed'], open: ['·', 'to do'] };
+
+export const badge = (mission) => state(KINDS[mission.state] ?? 'wait', words(mission.state));
+
+const latestFirst = (picture) => Object.entries(picture.missions ?? {}).sort(([, a], [, b]) => b.number - a.number);
+
+/** Shows the list, and the chosen mission; by itself the latest that is under way is chosen. */
+export function update(picture, now, { mission: chosen, choose, cancel }) {
+  const all = latestFirst(picture);
+  byId('missions-none').hidden = all.length > 0;
+  byId('missions').hidden = all.length === 0;
+  const current = all.find(([id]) => id === chosen) ?? all.find(([, mission]) => mission.state === 'running') ?? all.find(([, mission]) => !mission.ended) ?? all[0];
+  const items = all.slice(0, 100).map(([key, mission]) => ({
+    key,
+    state: mission.state,
+    done: mission.done,
+    steps: mission.steps,
+    holders: mission.holders,
+    ended: mission.ended && mission.ended_ms ? mission.ended_ms - mission.submitted_ms : undefined,
+    over: mission.ended,
+    submitted: mission.submitted_ms,
+    chosen: key === current?.[0],
+  }));
+  rows(byId('missions').tBodies[0], items, (row, item) => {
+    const button = make('button', { className: 'rowbutton', type: 'button' }, item.key);
+    button.setAttribute('aria-pressed', String(item.chosen));
+    button.onclick = () => choose(item.key);
+    const share = item.steps ? item.done / item.steps : 0;
+    const time = item.over ? span(item.ended) : since(item.submitted);
+    cells(row, button, make('td', {}, badge(item)), meter(share, `${item.done ?? 0}/${item.steps ?? 0}`, item.state === 'completed' ? 'good' : ''), holders(item.holders), numberCell(time));
+    if (item.chosen) row.setAttribute('aria-current', 'true');
+    else row.removeAttribute('aria-current');
+  });
+  history(all.filter(([, mission]) => mission.ended));
+  const article = byId('mission');
+  article.hidden = !current;
+  if (current) detail(article, ...current, now, cancel);
+}
+
+const holders = (holders) => Object.entries(holders ?? {}).map(([role, robot]) => `${robot} (${role})`).join(', ') || '–';
+
+function detail(article, id, mission, now, cancel) {
+  const shown = JSON.stringify([id, mission]);
+  const figure = article.querySelector('.gantt');
+  if (article.shown === shown && figure) {
+    if (!mission.ended) figure.replaceWith(chart(id, mission, now));
+    return;
+  }
+  article.shown = shown;
+  const head = make('header', {}, make('h3', {}, id), badge(mission));
+  if (!mission.ended) {
+    const button = make('button', { type: 'button', className: 'danger' }, 'Cancel mission');
+    button.dataset.key = 'cancel';
+    button.onclick = () => cancel(id, button);
+    head.append(button);
+  }
+  const notes = make('dl', { className: 'notes' });
+  const note = (name, value) => value && notes.append(make('div', {}, make('dt', {}, name), make('dd', {}, value)));
+  for (const [name, value] of Object.entries(mission.parameters ?? {})) note(name, value);
+  if (mission.priority) note('priority', String(mission.priority));
+  note('submitted', clock(mission.submitted_ms));
+  if (mission.award_after_ms !== undefined) note('award after', `${mission.award_after_ms.toFixed(1)} ms`);
+  if (mission.deadline_ms) note('deadline', clock(mission.deadline_ms));
+  if (mission.branch === 'recovery') note('branch', 'recovery');
+  const problem = mission.cause ?? mission.why_pending;
+  const cause = problem && make('p', { className: `cause ${mission.state === 'failed' || mission.state === 'needs_rescue' ? 'bad' : ''}` }, problem);
+  const bars = mission.bars ?? [];
+  redraw(
+    article,
+    head,
+    notes,
+    cause,
+    make('h3', {}, 'Chart'),
+    chart(id, mission, now),
+    bars.length === 0 ? make('p', { className: 'muted' }, 'Nothing of it was begun while this page’s node was listening.') : null,
+    make('h3', {}, 'Tasks'),
+    mission.tasks ? make('ul', { className: 'tree' }, tree(mission, 0)) : make('p', { className: 'muted' }, 'Its tasks are not known here yet.'),
+    make('h3', {}, 'Roles'),
+    roles(mission),
+  );
+}
+
+function tree(mission, index) {
+  const { id, body } = mission.tasks[index];
+  if (body.Abstract) {
+    const { order, children } = body.Abstract;
+    const how = order === 'unordered' ? ' in any order' : '';
+    const mark = standing(children.map((child) => markOf(mission, child)));
+    return make('li', {}, sign(mission, mark), words(id), make('span', { className: 'how' }, how), make('ul', {}, children.map((child) => tree(mission, child))));
+  }
+  const { type, roles = [], parameters = {} } = body.Elementary;
+  const to = type === 'navigation' && parameters.to ? ` → ${parameters.to}` : '';
+  const who = roles.map((role) => make('span', { className: 'role' }, mission.holders?.[role] ? `${role}: ${mission.holders[role]}` : role));
+  return make('li', {}, sign(mission, markOf(mission, index)), words(id), make('span', { className: 'how' }, to), who);
+}
+
+function sign(mission, found) {
+  // Nothing is under way of what has ended.
+  const mark = mission.ended && found === 'running' ? 'open' : found;
+  const [glyph, text] = MARKS[mark];
+  return make('span', { className: `mark ${mark}`, role: 'img', 'aria-label': text, title: text }, glyph);
+}
+
+function markOf(mission, index) {
+  const { id, body } = mission.tasks[index];
+  if (body.Abstract) return standing(body.Abstract.children.map((child) => markOf(mission, child)));
+  const bar = (mission.bars ?? []).findLast((one) => one.task === id);
+  const steps = Object.values(mission.roles ?? {}).flatMap((role) => (role.steps ?? []).filter((step) => step.label === id));
+  if (mission.state === 'completed' || (steps.length > 0 && steps.every((step) => step.done)) || bar?.state === 'done') return 'done';
+  if (bar?.state === 'running') return 'running';
+  return bar?.state === 'failed' ? 'failed' : 'open';
+}
+
+function standing(marks) {
+  if (marks.includes('failed')) return 'failed';
+  if (marks.every((mark) => mark === 'done')) return 'done';
+  return marks.some((mark) => mark !== 'open') ? 'running' : 'open';
+}
+
+function roles(mission) {
+  const table = make('table', {}, make('caption', { className: 'unseen' }, 'Roles of the mission, who has them, and their steps'));
+  const head = ['Role', 'Holder', 'Steps'].map((text) => make('th', { scope: 'col' }, text));
+  const body = make('tbody');
+  for (const [name, role] of Object.entries(mission.roles ?? {})) {
+    const steps = role.steps ?? [];
+    const done = steps.filter((step) => step.done).length;
+    const list = make('ol', {}, steps.map((step) => make('li', {}, `${step.done ? '✓ ' : ''}${words(step.label)}`)));
+    const fold = make('details', {}, make('summary', {}, `${done} of ${steps.length}`), list);
+    fold.dataset.key = `steps-${name}`;
+    fold.firstChild.dataset.key = `summary-${name}`;
+    const row = make('tr');
+    const by = role.kind === 'unmanaged' ? 'a person' : role.holder ?? 'nobody yet';
+    cells(row, name, make('td', {}, by, make('span', { className: 'sub' }, [words(role.phase), role.epoch && `epoch ${role.epoch}`].filter(Boolean).join(', '))), fold);
+    body.append(row);
+  }
+  table.append(make('thead', {}, make('tr', {}, head)), body);
+  return table;
+}
+
+function history(ended) {
+  byId('history-none').hidden = ended.length > 0;
+  byId('history').hidden = ended.length === 0;
+  const items = ended.map(([key, { state, cause, award_after_ms, ended_ms, submitted_ms, holders }]) => ({ key, state, cause, award_after_ms, ended_ms, submitted_ms, holders }));
+  rows(byId('history').tBodies[0], items, (row, item) => {
+    const outcome = make('td', { className: 'wrap' }, badge(item), item.cause ? make('span', { className: 'sub' }, item.cause) : null);
+    const award = item.award_after_ms === undefined ? '–' : `${item.award_after_ms.toFixed(1)} ms`;
+    const took = item.ended_ms ? span(item.ended_ms - item.submitted_ms) : '–';
+    cells(row, item.key, outcome, numberCell(award), numberCell(took), holders(item.holders), item.ended_ms ? clock(item.ended_ms) : 'not seen');
+  });
+}
+

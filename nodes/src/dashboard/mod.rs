@@ -1,0 +1,96 @@
+//! The dashboard: a page that any node serves, with the fleet as that node knows it.
+//!
+//! ```text
+//!  bus ──▶ Watcher ──▶ Board (a Picture) ──▶ frames, five a second ──▶ /ws: first the whole, then what has changed
+//!                        │                                             /api/picture, /api/events, /api/history.csv
+//!  bus ◀── Desk ◀────────┴──────────────────────────────────────────── POST /api/missions: submit, cancel
+//! ```
+//!
+//! A frame replaces the one before it, whether or not everybody has seen that: a slow client misses frames, and then gets
+//! a whole picture. Nothing is queued for anybody.
+//!
+//! It listens where it is told to. What is bound to loopback answers only to loopback's names, so that no page of another
+//! site can read it by giving its own name this address; and requests that change something are taken from the page alone.
+
+mod assets;
+mod board;
+mod csv;
+mod desk;
+mod guard;
+mod routes;
+mod watcher;
+
+pub use board::{Board, FRAME};
+
+use crate::picture::{FloorPlan, Picture};
+use consort_actors::bus::SharedBus;
+use consort_actors::clock::Clock;
+use consort_protocol::ids::FleetId;
+use consort_protocol::keys::Keys;
+use std::net::SocketAddr;
+use std::sync::Arc;
+use tokio::net::TcpListener;
+use tokio::task::JoinSet;
+
+/// A dashboard that is being served. Dropping it ends it.
+pub struct Dashboard {
+    address: SocketAddr,
+    tasks: JoinSet<()>,
+}
+
+impl Dashboard {
+    /// Serves a fleet, as it is seen over `bus` at `node`, at this address; port 0 is any free one.
+    ///
+    /// # Errors
+    /// In words, with the address, if it cannot be had.
+    pub async fn open(
+        address: SocketAddr,
+        bus: SharedBus,
+        fleet: &FleetId,
+        node: &str,
+        plan: FloorPlan,
+    ) -> Result<Dashboard, String> {
+        let clock = Clock::real();
+        let picture = Picture::new(fleet.to_string(), node, plan, clock.wall_ms());
+        let board = Arc::new(Board::new(picture, clock));
+        let desk = desk::Desk::new(Arc::clone(&bus), Keys::new(fleet), node);
+        let mut dashboard = Dashboard::serve(address, Arc::clone(&board), Some(desk)).await?;
+        watcher::watch(&mut dashboard.tasks, bus, Keys::new(fleet), board);
+        Ok(dashboard)
+    }
+
+    /// Serves a board that somebody else fills, and on which nothing can be asked for.
+    ///
+    /// # Errors
+    /// As [`open`](Self::open).
+    pub async fn show(address: SocketAddr, board: Arc<Board>) -> Result<Dashboard, String> {
+        Dashboard::serve(address, board, None).await
+    }
+
+    async fn serve(address: SocketAddr, board: Arc<Board>, desk: Option<desk::Desk>) -> Result<Dashboard, String> {
+        let refused = |problem: std::io::Error| {
+            format!("--dashboard {address}: this address cannot be had: {problem}; with port 0 a free one is found")
+        };
+        let listener = TcpListener::bind(address).await.map_err(refused)?;
+        let address = listener.local_addr().map_err(refused)?;
+        let router = routes::router(Arc::clone(&board), desk, address);
+        let mut tasks = JoinSet::new();
+        tasks.spawn(async move {
+            if let Err(problem) = axum::serve(listener, router).await {
+                tracing::warn!(%problem, "the dashboard ended");
+            }
+        });
+        tasks.spawn(async move { board.draw_for_ever().await });
+        Ok(Dashboard { address, tasks })
+    }
+
+    /// Where it is.
+    pub fn address(&self) -> SocketAddr {
+        self.address
+    }
+
+    /// Where it is, for a browser.
+    pub fn url(&self) -> String {
+        format!("http://{}/", self.address)
+    }
+}

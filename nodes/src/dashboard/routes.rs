@@ -1,0 +1,182 @@
+//! What can be asked of the dashboard's server.
+
+use super::board::{Board, Frame};
+use super::desk::{Desk, Problem};
+use super::{assets, csv, guard};
+use axum::Router;
+use axum::body::Bytes;
+use axum::extract::ws::{Message, WebSocket};
+use axum::extract::{DefaultBodyLimit, Path, Query, State, WebSocketUpgrade};
+use axum::http::{HeaderMap, StatusCode, header};
+use axum::response::{IntoResponse, Response};
+use axum::routing::{get, post};
+use consort_protocol::ids::MissionId;
+use consort_protocol::mission::{FILE_BYTES_MAX, shipped};
+use serde::Deserialize;
+use serde_json::{Value, json};
+use std::net::SocketAddr;
+use std::sync::Arc;
+use std::time::Duration;
+use tokio::sync::watch;
+
+/// How long a client may take to take a message in. One that takes longer is gone, or as good as gone.
+const SLOW: Duration = Duration::from_secs(20);
+
+/// Largest message of a client's over the WebSocket, in bytes: it has nothing to say.
+const SAID_MAX: usize = 1024;
+
+/// Events given at once.
+const EVENTS: usize = 500;
+
+#[derive(Clone)]
+struct Shared {
+    board: Arc<Board>,
+    desk: Option<Arc<Desk>>,
+}
+
+/// The server's routes.
+pub(super) fn router(board: Arc<Board>, desk: Option<Desk>, address: SocketAddr) -> Router {
+    let pages = assets::ALL
+        .iter()
+        .fold(Router::new(), |router, asset| router.route(asset.path, get(move || async move { asset })));
+    pages
+        .route("/ws", get(follow))
+        .route("/api/picture", get(picture))
+        .route("/api/events", get(events))
+        .route("/api/shipped", get(shipped_missions))
+        .route("/api/history.csv", get(history))
+        .route("/api/missions", post(submit))
+        .route("/api/missions/{id}/cancel", post(cancel))
+        .route("/healthz", get(health))
+        .layer(DefaultBodyLimit::max(FILE_BYTES_MAX))
+        .layer(axum::middleware::from_fn_with_state(address, guard::guard))
+        .with_state(Shared { board, desk: desk.map(Arc::new) })
+}
+
+async fn follow(State(shared): State<Shared>, upgrade: WebSocketUpgrade) -> Response {
+    let frames = shared.board.frames();
+    upgrade.max_message_size(SAID_MAX).on_upgrade(move |socket| send_frames(socket, frames))
+}
+
+/// Sends the whole, then what changes. Whoever is slow misses frames, and gets the whole again.
+async fn send_frames(mut socket: WebSocket, mut frames: watch::Receiver<Arc<Frame>>) {
+    let mut seen = None;
+    loop {
+        tokio::select! {
+            changed = frames.changed() => {
+                if changed.is_err() {
+                    return;
+                }
+                let frame = frames.borrow_and_update().clone();
+                let text = frame.text_for(seen);
+                seen = Some(frame.number);
+                let Some(text) = text else { continue };
+                let sent = tokio::time::timeout(SLOW, socket.send(Message::Text(text.into()))).await;
+                if !matches!(sent, Ok(Ok(()))) {
+                    return;
+                }
+            }
+            said = socket.recv() => {
+                if !matches!(said, Some(Ok(_))) {
+                    return;
+                }
+            }
+        }
+    }
+}
+
+async fn picture(State(shared): State<Shared>) -> Response {
+    answer(StatusCode::OK, &shared.board.whole())
+}
+
+/// Which events are wanted: those after a number, of a kind, mission or robot, with a text in them.
+#[derive(Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Wanted {
+    after: Option<u64>,
+    kind: Option<String>,
+    mission: Option<String>,
+    robot: Option<String>,
+    text: Option<String>,
+    limit: Option<usize>,
+}
+
+async fn events(State(shared): State<Shared>, Query(wanted): Query<Wanted>) -> Response {
+    let text = wanted.text.as_deref().unwrap_or("").to_lowercase();
+    let is = |wanted: &Option<String>, is: Option<&str>| wanted.as_deref().is_none_or(|wanted| is == Some(wanted));
+    let found = shared.board.with(|picture, _| {
+        let later = picture.log().range(wanted.after.map_or(0, |after| after.saturating_add(1))..);
+        let fitting = later.filter(|(_, event)| {
+            is(&wanted.kind, Some(&event.kind))
+                && is(&wanted.mission, event.mission.as_deref())
+                && is(&wanted.robot, event.robot.as_deref())
+                && event.text.to_lowercase().contains(&text)
+        });
+        let found = fitting.take(wanted.limit.unwrap_or(EVENTS).min(EVENTS));
+        found.map(|(number, event)| json!({ "number": number, "event": event })).collect::<Vec<_>>()
+    });
+    answer(StatusCode::OK, &json!({ "events": found }))
+}
+
+async fn shipped_missions() -> Response {
+    let missions = shipped().values().map(|template| {
+        json!({ "mission": template.name(), "title": template.title(), "parameters": template.parameters() })
+    });
+    answer(StatusCode::OK, &json!({ "missions": missions.collect::<Vec<_>>() }))
+}
+
+async fn history(State(shared): State<Shared>) -> Response {
+    let table = shared.board.with(|picture, _| csv::history(picture));
+    let head = [
+        (header::CONTENT_TYPE, "text/csv; charset=utf-8"),
+        (header::CONTENT_DISPOSITION, "attachment; filename=\"missions.csv\""),
+    ];
+    (head, table).into_response()
+}
+
+async fn submit(State(shared): State<Shared>, headers: HeaderMap, body: Bytes) -> Response {
+    let kind = headers.get(header::CONTENT_TYPE).and_then(|kind| kind.to_str().ok()).unwrap_or("");
+    if kind.split(';').next().map(str::trim) != Some("application/json") {
+        return problem(StatusCode::UNSUPPORTED_MEDIA_TYPE, "a request is application/json");
+    }
+    let Some(desk) = &shared.desk else { return no_desk() };
+    let request: Value = match serde_json::from_slice(&body) {
+        Ok(request) => request,
+        Err(mistake) => return problem(StatusCode::BAD_REQUEST, &format!("the request is not JSON: {mistake}")),
+    };
+    let now_ms = shared.board.with(|_, now_ms| now_ms);
+    settled(desk.submit(request, now_ms).await)
+}
+
+async fn cancel(State(shared): State<Shared>, Path(id): Path<String>) -> Response {
+    let Some(desk) = &shared.desk else { return no_desk() };
+    match MissionId::new(id) {
+        Ok(mission) => settled(desk.cancel(&mission).await),
+        Err(mistake) => problem(StatusCode::BAD_REQUEST, &mistake.to_string()),
+    }
+}
+
+async fn health(State(shared): State<Shared>) -> Response {
+    let reach = shared.board.with(|picture, _| picture.reach().clone());
+    answer(StatusCode::OK, &json!({ "serving": true, "reach": reach }))
+}
+
+fn settled(answered: Result<Value, Problem>) -> Response {
+    match answered {
+        Ok(value) => answer(StatusCode::OK, &value),
+        Err(Problem::Refused(what)) => problem(StatusCode::BAD_REQUEST, &what),
+        Err(Problem::Unreached(what)) => problem(StatusCode::SERVICE_UNAVAILABLE, &what),
+    }
+}
+
+fn no_desk() -> Response {
+    problem(StatusCode::SERVICE_UNAVAILABLE, "what is shown here is not a fleet that could be asked for anything")
+}
+
+fn problem(status: StatusCode, what: &str) -> Response {
+    answer(status, &json!({ "error": what }))
+}
+
+fn answer(status: StatusCode, value: &Value) -> Response {
+    (status, [(header::CONTENT_TYPE, "application/json")], value.to_string()).into_response()
+}

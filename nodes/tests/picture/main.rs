@@ -1,0 +1,253 @@
+//! A picture made of what a fleet says.
+
+use consort_nodes::floor;
+use consort_nodes::picture::{FloorPlan, Picture, ReachState, SILENT_AFTER_MS, bounds, delta};
+use consort_protocol::event::Event;
+use consort_protocol::ids::NodeId;
+use consort_protocol::keys::Key;
+use consort_protocol::message::Beacon;
+use consort_protocol::mission::{Domain, shipped};
+use consort_skills::actions::Telemetry;
+use serde_json::{Value, json};
+use std::collections::BTreeMap;
+
+const NOW: u64 = 1_000_000;
+
+fn picture() -> Picture {
+    Picture::new("ward", "station-1", FloorPlan::new(&floor::load("hospital").unwrap()), NOW)
+}
+
+fn event(node: &str, sequence: u64, at_ms: u64, what: Value) -> Event {
+    let mut event = json!({ "node": node, "sequence": sequence, "at_ms": at_ms });
+    event.as_object_mut().unwrap().extend(what.as_object().unwrap().clone());
+    serde_json::from_value(event).unwrap()
+}
+
+fn beacon(node: &str, term: u64, since_ms: u64) -> Beacon {
+    let node = NodeId::new(node).unwrap();
+    Beacon { node: node.clone(), term, voters: [node].into(), since_ms, cluster: None }
+}
+
+fn worker(availability: Value) -> Value {
+    json!({
+        "skills": ["navigation"], "place": "Dock", "pose": { "x_m": 6.0, "y_m": 2.5, "yaw_rad": 1.5 }, "battery": 0.8,
+        "discharge": 0.001, "useful_charge": 0.08, "speed": 0.7, "availability": availability, "estimator": "e",
+    })
+}
+
+fn fleet(nodes: Value) -> Value {
+    json!({ "nodes": nodes, "ensembles": [{ "name": "logistics", "nodes": [
+        { "node": "ada", "member": true, "reason": "", "age_ms": 5 },
+        { "node": "bob", "member": false, "reason": "lacks navigation", "age_ms": null },
+    ] }] })
+}
+
+fn telemetry(x: f64, y: f64) -> Telemetry {
+    serde_json::from_value(json!({
+        "time": 1.0, "pose": { "x_m": x, "y_m": y, "yaw_rad": 0.0 }, "place": "Dock", "battery": 0.75, "able": true, "closed": [],
+    }))
+    .unwrap()
+}
+
+#[test]
+fn a_robot_is_where_its_body_says_and_goes_where_its_task_leads() {
+    let mut picture = picture();
+    let holding = json!({ "holding": { "mission": "m-1", "role": "r1", "suspended": false } });
+    let ada = json!({ "node": "ada", "alive": true, "status": "alive", "age_ms": 300, "robot": worker(holding) });
+    picture.take_view(&Key::ViewFleet, &fleet(json!([ada])), NOW);
+    let mission = shipped()["lab-samples"].instantiate(&BTreeMap::new(), &Domain::hospital()).unwrap();
+    let view =
+        json!({ "mission": "m-1", "detail": "running", "tasks": mission.tasks, "roles": [], "done": 0, "steps": 11 });
+    picture.take_view(&Key::ViewMission("m-1".parse().unwrap()), &view, NOW);
+    picture.take_event(
+        &event("ada", 1, NOW, json!({ "event": "task_began", "mission": "m-1", "role": "r1", "task": "navto_room" })),
+        NOW,
+    );
+    picture.take_body("ada", &telemetry(6.0, 4.0), NOW + 10);
+
+    let ada = &picture.robots()["ada"];
+    assert_eq!((ada.x, ada.y, ada.battery), (6.0, 4.0, 0.75));
+    assert_eq!((ada.availability.as_str(), ada.task.as_deref()), ("holding", Some("navto_room")));
+    assert_eq!(ada.heard_ms, NOW - 300);
+    assert_eq!(ada.destination.as_deref(), Some("IC Room 6"));
+    let room = &picture.value()["map"]["places"]["IC Room 6"];
+    assert_eq!(json!(ada.route.last()), json!([room["x"], room["y"]]));
+    assert!(ada.route.len() > 2, "along the corridor: {:?}", ada.route);
+
+    // What its node knows of it is older than what its body said.
+    picture.take_view(
+        &Key::ViewFleet,
+        &fleet(json!([{ "node": "ada", "alive": true, "age_ms": 500, "robot": worker(json!("free")) }])),
+        NOW + 20,
+    );
+    let ada = &picture.robots()["ada"];
+    assert_eq!((ada.y, ada.availability.as_str()), (4.0, "free"));
+    assert_eq!((&ada.destination, ada.route.len()), (&None, 0));
+    let logistics = &picture.ensembles()["logistics"];
+    assert_eq!(logistics.members, ["ada"]);
+    assert_eq!(logistics.others["bob"], "lacks navigation");
+
+    picture.take_view(&Key::ViewFleet, &fleet(json!([{ "node": "cyd", "alive": true }])), NOW + 30);
+    assert!(picture.robots().is_empty(), "who is no longer known is no longer shown");
+}
+
+#[test]
+fn a_takeover_is_noted_with_who_came_before_and_how_long_nobody_was_there() {
+    let mut picture = picture();
+    picture.take_beacon(&beacon("ada", 1, 500), NOW);
+    picture.take_beacon(&beacon("ada", 1, 750), NOW + 250);
+    assert_eq!(picture.kpis().takeovers, 0, "the first is nobody's successor");
+    picture.take_event(
+        &event("bob", 1, NOW + 600, json!({ "event": "elected", "term": 2, "voters": ["bob"] })),
+        NOW + 600,
+    );
+    picture.take_beacon(&beacon("bob", 2, 100), NOW + 700);
+    let bob = picture.coordinator().unwrap();
+    assert_eq!((bob.node.as_str(), bob.term, bob.voters.as_slice()), ("bob", 2, &["bob".to_owned()][..]));
+    let takeover = &picture.takeovers()[1];
+    assert_eq!((takeover.from.as_deref(), takeover.gap_ms, picture.takeovers().len()), (Some("ada"), Some(350), 2));
+    // A coordinator that does not know that it no longer is.
+    picture.take_beacon(&beacon("ada", 1, 9_000), NOW + 800);
+    assert_eq!(picture.coordinator().unwrap().node, "bob");
+    assert_eq!(picture.kpis().takeovers, 1);
+    assert_eq!(picture.kpis().takeover_ms, Some(350));
+}
+
+#[test]
+fn a_fleet_that_is_no_longer_heard_is_said_to_be_lost_and_since_when() {
+    let mut picture = picture();
+    picture.take_links(2, NOW);
+    assert_eq!(picture.reach().state, ReachState::Silent, "nobody was heard yet");
+    picture.take_beacon(&beacon("ada", 1, 0), NOW + 100);
+    picture.take_links(2, NOW + 200);
+    assert_eq!(picture.reach().state, ReachState::Whole);
+    picture.take_links(2, NOW + 100 + SILENT_AFTER_MS);
+    assert_eq!(picture.reach().state, ReachState::Whole);
+    let late = NOW + 101 + SILENT_AFTER_MS;
+    picture.take_links(2, late);
+    assert_eq!((picture.reach().state, picture.reach().since_ms), (ReachState::Silent, late));
+    picture.take_links(0, late + 5);
+    assert_eq!((picture.reach().state, picture.reach().heard_ms), (ReachState::Alone, Some(NOW + 100)));
+    // Another fleet's life may have begun anew: whoever is heard after a silence is the coordinator.
+    picture.take_beacon(&beacon("bob", 1, 0), late + 10);
+    picture.take_links(1, late + 11);
+    assert_eq!(picture.reach().state, ReachState::Whole);
+}
+
+#[test]
+fn tasks_become_bars_and_a_mission_ends_when_it_was_seen_to_end() {
+    let mut picture = picture();
+    let of = |what: &str, task: &str| json!({ "event": what, "mission": "m-1", "role": "r1", "task": task });
+    let tell = |picture: &mut Picture, at: u64, what: Value| picture.take_event(&event("ada", 1, at, what), at);
+    tell(&mut picture, NOW, json!({ "event": "submitted", "mission": "m-1", "parameters": { "room": "IC Room 6" } }));
+    let awarded = json!({ "event": "awarded", "mission": "m-1", "holders": { "r1": "ada" }, "epoch": { "term": 1, "index": 3 }, "after_ms": 6.5 });
+    tell(&mut picture, NOW + 7, awarded);
+    tell(&mut picture, NOW + 10, of("task_began", "go"));
+    tell(&mut picture, NOW + 50, of("task_ended", "go"));
+    tell(&mut picture, NOW + 60, of("task_began", "open"));
+    tell(&mut picture, NOW + 90, of("task_ended", "unheard"));
+    tell(
+        &mut picture,
+        NOW + 100,
+        json!({ "event": "mission", "mission": "m-1", "state": "completed", "submitted_at_ms": NOW }),
+    );
+    let shown = &picture.missions()["m-1"];
+    let bars: Vec<_> = shown.bars.iter().map(|bar| (bar.task.as_str(), bar.state.as_str(), bar.to_ms)).collect();
+    assert_eq!(
+        bars,
+        [("go", "done", Some(NOW + 50)), ("open", "broken off", Some(NOW + 100)), ("unheard", "done", Some(NOW + 90)),]
+    );
+    assert_eq!((shown.state.as_str(), shown.ended, shown.ended_ms), ("completed", true, Some(NOW + 100)));
+    let kpis = picture.kpis();
+    assert_eq!((kpis.success, kpis.conclude_ms, kpis.award_ms), (Some(1.0), Some(100), Some(6.5)));
+
+    // A list that was made before does not bring it back to life; one that was over when it was first seen ended who knows when.
+    let list = json!({ "missions": [
+        { "mission": "m-1", "detail": "running", "done": 1, "steps": 3 },
+        { "mission": "m-2", "detail": { "failed": { "cause": "no robots" } }, "submitted_at_ms": 5 },
+    ] });
+    picture.take_view(&Key::ViewMissions, &list, NOW + 200);
+    assert_eq!(picture.missions()["m-1"].state, "completed");
+    let failed = &picture.missions()["m-2"];
+    assert_eq!((failed.cause.as_deref(), failed.ended_ms), (Some("no robots"), None));
+    assert_eq!(picture.kpis().success, Some(0.5));
+}
+
+#[test]
+fn an_auction_has_every_answer_with_its_parts_and_the_winner() {
+    let mut picture = picture();
+    let tell = |picture: &mut Picture, what: Value| picture.take_event(&event("ada", 1, NOW, what), NOW);
+    tell(&mut picture, json!({ "event": "called", "mission": "m-1", "roles": ["r1"], "round": 1, "asked": 2 }));
+    let bid = json!({ "robot": "bob", "role": "r1", "time": 99.5, "energy": 0.06, "remaining": 0.84, "useful_charge": 0.08,
+        "from": "Dock", "age_ms": 3, "parts": [{ "step": 0, "label": "navto_room", "skill": "navigation", "time": 60.0, "energy": 0.04 }] });
+    tell(&mut picture, json!({ "event": "bid", "mission": "m-1", "bid": bid }));
+    let auction = json!({ "mission": "m-1", "term": 1, "round": 1 });
+    let record = json!({ "auction": auction, "at_ms": NOW, "omitted": 0, "chosen": { "r1": "bob" }, "failure": null, "entries": [
+        { "role": "r1", "robot": "bob", "verdict": { "viable": { "time": 99.5, "energy": 0.06, "remaining": 0.84 } } },
+        { "role": "r1", "robot": "cyd", "verdict": { "refused": { "reason": { "missing_skills": { "skills": ["navigation"] } } } } },
+    ] });
+    tell(&mut picture, json!({ "event": "closed", "mission": "m-1", "record": record }));
+    // The same record comes with the views, without parts: nothing is lost.
+    picture.take_view(&Key::ViewAuctions, &json!({ "auctions": [record] }), NOW);
+    let (name, shown) = picture.auctions().first_key_value().unwrap();
+    assert_eq!((name.as_str(), shown.offers.len()), ("m-1#1.1", 2));
+    let (bob, cyd) = (&shown.offers[0], &shown.offers[1]);
+    assert!(bob.chosen && !cyd.chosen);
+    assert_eq!((bob.time_s, bob.from.as_deref()), (Some(99.5), Some("Dock")));
+    assert_eq!(bob.parts.as_ref().unwrap()[0]["label"], "navto_room");
+    assert_eq!((cyd.verdict.as_str(), cyd.why.as_deref()), ("refused", Some("lacks navigation")));
+}
+
+#[test]
+fn robots_at_work_count_for_the_time_in_which_they_were() {
+    let mut picture = picture();
+    let node = |name: &str, availability: Value| json!({ "node": name, "alive": true, "robot": worker(availability) });
+    let holding = json!({ "holding": { "mission": "m-1", "role": "r1", "suspended": false } });
+    let out = json!({ "out_of_service": { "problem": "no charge" } });
+    let nodes = json!([node("ada", holding), node("bob", json!("free")), node("cyd", out)]);
+    picture.take_view(&Key::ViewFleet, &fleet(nodes), NOW);
+    picture.take_links(1, NOW);
+    picture.take_links(1, NOW + 1000);
+    let kpis = picture.kpis();
+    assert_eq!((kpis.busy, kpis.in_service, kpis.utilisation), (1, 2, Some(0.5)));
+}
+
+#[test]
+fn a_picture_is_bounded_however_much_happens() {
+    let mut picture = picture();
+    for number in 0..3 * bounds::EVENTS as u64 {
+        let of = |what: &str| json!({ "event": what, "mission": "m-0", "role": "r1", "task": "go" });
+        picture.take_event(&event("ada", number, NOW + number, of("task_began")), NOW);
+        picture.take_beacon(&beacon("ada", number, 0), NOW + number);
+    }
+    assert_eq!(picture.missions()["m-0"].bars.len(), bounds::BARS);
+    let ended: Vec<Value> = (0..2 * bounds::ENDED_MISSIONS)
+        .map(|number| json!({ "mission": format!("m-{number}"), "detail": "completed" }))
+        .collect();
+    picture.take_view(&Key::ViewMissions, &json!({ "missions": ended }), NOW);
+    assert_eq!(picture.log().len(), bounds::EVENTS);
+    assert_eq!(*picture.log().last_key_value().unwrap().0, 3 * bounds::EVENTS as u64);
+    assert_eq!(picture.takeovers().len(), bounds::TAKEOVERS);
+    assert_eq!(picture.missions().len(), bounds::ENDED_MISSIONS);
+    assert!(picture.missions().contains_key("m-599"));
+}
+
+#[test]
+fn what_makes_no_sense_changes_nothing_and_nothing_new_makes_no_change() {
+    let mut picture = picture();
+    let before = picture.value();
+    for view in [json!(null), json!([]), json!({ "nodes": 7, "missions": "x", "auctions": [{}], "people": [1] })] {
+        for key in [Key::ViewFleet, Key::ViewCoordinator, Key::ViewMissions, Key::ViewAuctions, Key::ViewWorld] {
+            picture.take_view(&key, &view, NOW);
+        }
+    }
+    let mut after = picture.value();
+    after["views"] = json!({});
+    assert_eq!(delta::between(&before, &after), None);
+
+    picture.take_body("ada", &telemetry(1.0, 1.0), NOW);
+    let before = picture.value();
+    picture.take_body("ada", &telemetry(1.5, 1.0), NOW + 200);
+    let patch = delta::between(&before, &picture.value()).unwrap();
+    assert_eq!(patch, json!({ "robots": { "ada": { "x": 1.5, "body_ms": NOW + 200 } } }));
+}
