@@ -21,3 +21,14 @@ pub trait Observer: Send + Sync + 'static {
 
 /// An observer that several nodes share.
 pub type SharedObserver = Arc<dyn Observer>;
+
+/// Each in turn.
+impl Observer for Vec<SharedObserver> {
+    fn told(&self, event: &Event) {
+        self.iter().for_each(|observer| observer.told(event));
+    }
+
+    fn applied(&self, node: &NodeId, at: Epoch, commands: &[Command]) {
+        self.iter().for_each(|observer| observer.applied(node, at, commands));
+    }
+}

@@ -18,4 +18,5 @@ pub mod plan;
 pub mod rendering;
 pub mod running;
 pub mod source;
+pub mod telemetry;
 pub mod wiring;

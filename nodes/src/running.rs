@@ -4,10 +4,12 @@ use crate::command::flags::RunFlags;
 use crate::config::{BusConfig, FleetConfig, Problems};
 use crate::exit::Failure;
 use crate::metrics::{Metrics, Watched, serve};
+use crate::telemetry::Telemetry;
 use crate::wiring::bus_settings;
 use consort_actors::bus::{Bus, Link, MeteredBus, SharedBus, ZenohBus};
 use consort_actors::clock::Clock;
 use consort_actors::node::{NodeHandle, NodeSettings};
+use consort_actors::observe::SharedObserver;
 use std::io::IsTerminal;
 use std::net::SocketAddr;
 use std::sync::Arc;
@@ -62,7 +64,7 @@ pub fn start_log(filter: Option<String>, format: LogFormat, default: &str) -> Re
     let log = log.with_env_filter(filter).with_writer(std::io::stderr);
     let _ = match format {
         LogFormat::Human => log.with_ansi(std::io::stderr().is_terminal()).try_init(),
-        LogFormat::Json => log.json().flatten_event(true).try_init(),
+        LogFormat::Json => log.json().flatten_event(true).with_span_list(false).try_init(),
     };
     Ok(())
 }
@@ -96,7 +98,10 @@ async fn until_told(
     let mut terminate = signal(SignalKind::terminate()).map_err(|problem| no_signal(&problem))?;
     let mut interrupt = signal(SignalKind::interrupt()).map_err(|problem| no_signal(&problem))?;
     let mut settings = settings()?;
-    let metrics = Metering::open(run.metrics, &mut settings).await?;
+    let metrics = Metering::open(run.metrics, &settings).await?;
+    let (telemetry, mut observers) = Telemetry::open(run.otlp.as_deref(), &settings).map_err(Failure::Usage)?;
+    observers.extend(metrics.observer());
+    settings.observer = Some(Arc::new(observers));
     let clock = settings.clock;
     let zenoh = ZenohBus::open(bus_settings(bus, fleet)).await;
     let zenoh = zenoh.map_err(|problem| Failure::Usage(problem.to_string()))?;
@@ -109,6 +114,7 @@ async fn until_told(
     let mut node = started.map_err(|problem| Failure::Unsuccessful(format!("{name} did not start: {problem}")))?;
     info!(node = %name, "started");
     metrics.serve(&node, clock, &mut watch);
+    telemetry.belongs(node.allegiance.clone());
 
     let mut left = None;
     let ended = node.ended_or_left();
@@ -135,6 +141,7 @@ async fn until_told(
                 node.end().await;
             }
         }
+        telemetry.end().await;
         zenoh.close().await
     };
     match tokio::time::timeout(GOODBYE, goodbye).await {
@@ -149,15 +156,18 @@ async fn until_told(
 struct Metering(Option<(TcpListener, Arc<Metrics>)>);
 
 impl Metering {
-    /// Takes the address before anything is started, and has the node observed.
-    async fn open(at: Option<SocketAddr>, settings: &mut NodeSettings) -> Result<Metering, Failure> {
+    /// Takes the address before anything is started.
+    async fn open(at: Option<SocketAddr>, settings: &NodeSettings) -> Result<Metering, Failure> {
         let Some(at) = at else { return Ok(Metering(None)) };
         let listener = TcpListener::bind(at).await;
         let listener =
             listener.map_err(|problem| Failure::Usage(format!("metrics cannot be served at {at}: {problem}")))?;
         let metrics = Metrics::new(&settings.fleet.fleet, &settings.node);
-        settings.observer = Some(metrics.clone());
         Ok(Metering(Some((listener, metrics))))
+    }
+
+    fn observer(&self) -> Option<SharedObserver> {
+        self.0.as_ref().map(|(_, metrics)| -> SharedObserver { metrics.clone() })
     }
 
     fn metered(&self, bus: SharedBus) -> SharedBus {

@@ -130,6 +130,8 @@ pub enum Happening {
         mission: MissionId,
         /// Its state.
         state: MissionState,
+        /// When it was requested, in milliseconds of the wall clock of the coordinator of then.
+        submitted_at_ms: u64,
     },
     /// A role's steps have ended.
     Progress {
@@ -311,6 +313,40 @@ impl Happening {
             Happening::GaveUp { .. } => "gave_up",
             Happening::ChargeShort { .. } => "charge_short",
             Happening::Outdated { .. } => "outdated",
+        }
+    }
+
+    /// The mission that it belongs to, if any.
+    pub fn mission(&self) -> Option<&MissionId> {
+        match self {
+            Happening::Submitted { mission, .. }
+            | Happening::Called { mission, .. }
+            | Happening::Bid { mission, .. }
+            | Happening::Closed { mission, .. }
+            | Happening::Awarded { mission, .. }
+            | Happening::Released { mission, .. }
+            | Happening::Mission { mission, .. }
+            | Happening::Progress { mission, .. }
+            | Happening::Started { mission, .. }
+            | Happening::TaskBegan { mission, .. }
+            | Happening::TaskEnded { mission, .. }
+            | Happening::TaskFailed { mission, .. }
+            | Happening::Sent { mission, .. }
+            | Happening::Heard { mission, .. }
+            | Happening::Suspended { mission, .. }
+            | Happening::Resumed { mission, .. }
+            | Happening::Halted { mission, .. }
+            | Happening::TaskRetried { mission, .. }
+            | Happening::Alternative { mission, .. }
+            | Happening::GaveUp { mission, .. }
+            | Happening::ChargeShort { mission, .. }
+            | Happening::Outdated { mission, .. } => Some(mission),
+            Happening::Elected { .. }
+            | Happening::SteppedDown { .. }
+            | Happening::Foreign { .. }
+            | Happening::Voters { .. }
+            | Happening::Joined { .. }
+            | Happening::Left { .. } => None,
         }
     }
 }

@@ -25,7 +25,7 @@ pub trait Meter: Send + Sync + 'static {
     fn count(&self, kind: KeyKind, direction: Direction, bytes: usize);
 }
 
-/// See the [module](self).
+/// A bus whose messages are counted.
 pub struct MeteredBus {
     bus: SharedBus,
     meter: Arc<dyn Meter>,

@@ -63,7 +63,9 @@ impl Reign {
                     settings.events.tell(Happening::Released { mission, role, cause });
                 }
                 if known.is_none_or(|known| known.state != seen.state) {
-                    settings.events.tell(Happening::Mission { mission: mission.clone(), state: seen.state.clone() });
+                    let (mission, state) = (mission.clone(), seen.state.clone());
+                    let submitted_at_ms = entry.submission.at_ms;
+                    settings.events.tell(Happening::Mission { mission, state, submitted_at_ms });
                 }
                 let former = known.into_iter().flat_map(|known| &known.holdings);
                 for (role, held) in former.filter(|(role, held)| seen.holdings.get(*role) != Some(held)) {

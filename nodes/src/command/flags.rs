@@ -58,6 +58,10 @@ pub struct RunFlags {
     /// Serve metrics for Prometheus at this address, as 127.0.0.1:9464; the page is /metrics. Default: none
     #[arg(long, env = "CONSORT_METRICS", value_name = "ADDRESS")]
     pub metrics: Option<SocketAddr>,
+    /// Send spans of missions to this OpenTelemetry collector, by OTLP over HTTP, as http://127.0.0.1:4318; needs a program
+    /// that was built with the feature `otlp`
+    #[arg(long, env = "CONSORT_OTLP", value_name = "URL")]
+    pub otlp: Option<String>,
     /// Print the effective configuration as TOML that can be read back, and do nothing else
     #[arg(long)]
     pub print_config: bool,

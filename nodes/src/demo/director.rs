@@ -227,7 +227,7 @@ impl<S: Stage> Director<S> {
                     fate.award_ms = fate.award_ms.or(*after_ms);
                 }
             }
-            Happening::Mission { mission, state } if state.is_end() => {
+            Happening::Mission { mission, state, .. } if state.is_end() => {
                 if let Some(fate) = self.missions.get_mut(mission) {
                     fate.end.get_or_insert((at, state.clone()));
                 }

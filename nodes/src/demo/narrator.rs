@@ -94,7 +94,7 @@ impl Narrator {
             Happening::Released { mission, role, cause } => {
                 self.tell(at, "released", format!("{mission}: {role}: {cause}"))
             }
-            Happening::Mission { mission, state } => self.state(at, mission, state),
+            Happening::Mission { mission, state, .. } => self.state(at, mission, state),
             Happening::Progress { mission, done, steps } => self.progress(at, mission, *done, *steps),
             Happening::Started { mission, role, epoch } => {
                 self.tell(at, "begins", format!("{node} as {role} of {mission} (epoch {epoch})"))

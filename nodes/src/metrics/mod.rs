@@ -127,8 +127,9 @@ mod tests {
         let metrics = metrics();
         told(&metrics, Happening::Elected { term: 2, voters: vec![] });
         let mission = || "lab-samples-1".parse().unwrap();
-        told(&metrics, Happening::Mission { mission: mission(), state: MissionState::Running });
-        told(&metrics, Happening::Mission { mission: mission(), state: MissionState::Completed });
+        for state in [MissionState::Running, MissionState::Completed] {
+            told(&metrics, Happening::Mission { mission: mission(), state, submitted_at_ms: 0 });
+        }
         told(
             &metrics,
             Happening::TaskEnded { mission: mission(), role: "r1".parse().unwrap(), task: "t".parse().unwrap() },

@@ -135,3 +135,66 @@ fn a_node_serves_metrics_and_logs_in_json_to_whoever_reads_it() {
     assert_eq!(ran.code, Some(2), "{}", ran.err);
     assert!(ran.err.contains(&format!("metrics cannot be served at {at}: ")), "{}", ran.err);
 }
+
+#[cfg(not(feature = "otlp"))]
+#[test]
+fn a_program_that_was_built_without_opentelemetry_says_how_it_is_built_with_it() {
+    let ran = run(&["station", "--name", "s1", "--otlp", "http://127.0.0.1:4318"]);
+    assert_eq!(ran.code, Some(2), "{}", ran.err);
+    assert!(ran.err.contains("s1 was built without OpenTelemetry: build it with --features otlp"), "{}", ran.err);
+}
+
+/// One request that a collector got.
+#[cfg(feature = "otlp")]
+fn taken(listener: &std::net::TcpListener) -> (String, Vec<u8>) {
+    let (stream, _) = listener.accept().expect("the node connects");
+    let mut reader = BufReader::new(stream);
+    let (mut head, mut length) = (String::new(), 0);
+    loop {
+        let mut line = String::new();
+        assert_ne!(reader.read_line(&mut line).expect("a head"), 0, "it hung up: {head}");
+        if let Some(text) = line.to_ascii_lowercase().strip_prefix("content-length:") {
+            length = text.trim().parse().expect("a number");
+        }
+        if line.trim().is_empty() {
+            break;
+        }
+        head += &line;
+    }
+    let mut body = vec![0; length];
+    reader.read_exact(&mut body).expect("as long as it says");
+    let answer =
+        "HTTP/1.1 200 OK\r\nContent-Type: application/x-protobuf\r\nContent-Length: 0\r\nConnection: close\r\n\r\n";
+    reader.get_mut().write_all(answer.as_bytes()).expect("it listens");
+    (head, body)
+}
+
+#[cfg(feature = "otlp")]
+#[test]
+fn the_spans_of_a_mission_reach_a_collector() {
+    let collector = std::net::TcpListener::bind("127.0.0.1:0").expect("a port");
+    let at = format!("http://{}", collector.local_addr().expect("it listens"));
+    let address = free_address();
+    let station = consort(&["station", "--name", "s1", "--listen", &address, "--otlp", &at])
+        .stderr(Stdio::null())
+        .spawn()
+        .expect("the binary starts");
+    let _station = Running(station);
+    let ran = run(&["submit", "lab-samples", "--connect", &address]);
+    assert_eq!(ran.code, Some(0), "{}", ran.err);
+    let ran = run(&["cancel", "lab-samples-1", "--connect", &address]);
+    assert_eq!(ran.code, Some(0), "{}", ran.err);
+
+    let has = |body: &[u8], text: &str| body.windows(text.len()).any(|part| part == text.as_bytes());
+    let (head, body) = loop {
+        let (head, body) = taken(&collector);
+        if has(&body, "mission lab-samples-1") {
+            break (head, body);
+        }
+        assert!(has(&body, "auction lab-samples-1"), "auctions may come first: {}", String::from_utf8_lossy(&body));
+    };
+    assert!(head.starts_with("POST /v1/traces HTTP/1.1"), "{head}");
+    for text in ["service.name", "consort", "service.instance.id", "s1", "canceled"] {
+        assert!(has(&body, text), "{text}: {}", String::from_utf8_lossy(&body));
+    }
+}

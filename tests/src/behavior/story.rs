@@ -29,7 +29,7 @@ fn of(what: &Happening) -> Option<String> {
             format!("{mission}: gives {}", given.join(", "))
         }
         Happening::Released { mission, role, cause } => format!("{mission}: takes {role} back: {cause}"),
-        Happening::Mission { mission, state } => format!("{mission} is {}", state.word()),
+        Happening::Mission { mission, state, .. } => format!("{mission} is {}", state.word()),
         Happening::TaskBegan { role, task, .. } => format!("{role} begins {task}"),
         Happening::TaskEnded { role, task, .. } => format!("{role} has ended {task}"),
         Happening::TaskFailed { role, task, cause, .. } => format!("{role} failed at {task}: {cause}"),
