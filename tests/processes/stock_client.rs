@@ -46,7 +46,10 @@ fn a_stock_client_sees_everything_and_has_a_mission_done_across_the_death_of_the
         let alive = nodes.as_array()?.iter().all(|node| node["alive"] == true);
         (names(&nodes, "node") == everyone && alive).then_some(())
     });
-    let coordinator = client.view("coordinator");
+    let coordinator = until("somebody coordinates", LONG, || {
+        let view = client.view("coordinator");
+        view["node"].is_string().then_some(view)
+    });
     let (first, term) = (coordinator["node"].as_str().expect("a name").to_owned(), coordinator["term"].clone());
     assert!(first.starts_with("station-"), "{coordinator}");
     assert_eq!(client.view("fleet")["coordinator"], first.as_str());
