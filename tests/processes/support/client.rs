@@ -67,10 +67,12 @@ impl Client {
         all
     }
 
-    /// The answer to a question, once there is one: exactly one, on the key that was asked for.
+    /// The answer to a question, once there is one: exactly one, on the key that was asked for. While nobody coordinates there
+    /// is none but when to ask again.
     pub(crate) fn ask(&self, key: &str, payload: &str) -> Value {
         let answers = until(&format!("an answer on {key}"), Duration::from_secs(20), || {
-            let all = self.all(key, payload);
+            let mut all = self.all(key, payload);
+            all.retain(|(_, value)| value.get("retry_after_ms").is_none());
             (!all.is_empty()).then_some(all)
         });
         let [(from, value)] = &answers[..] else { panic!("{key} was answered more than once: {answers:#?}") };
