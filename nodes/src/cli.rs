@@ -2,7 +2,7 @@
 
 use crate::command::{
     bench, cancel, chaos, check, dry_run, experiment, explain, fleet, keys, leave, map, missions, recover, rescue,
-    robot, station, submit, test, world,
+    robot, station, submit, test, watch, world,
 };
 use crate::demo;
 use crate::exit::Failure;
@@ -70,6 +70,7 @@ enum Command {
     Experiment(experiment::Args),
     Bench(bench::Args),
     Test(test::Args),
+    Watch(watch::Args),
 }
 
 /// Runs the program.
@@ -95,6 +96,7 @@ pub fn run() -> ExitCode {
         Command::Experiment(args) => experiment::run(&args),
         Command::Bench(args) => bench::run(args),
         Command::Test(args) => test::run(args),
+        Command::Watch(args) => watch::run(args),
     };
     match done {
         Ok(()) => ExitCode::SUCCESS,

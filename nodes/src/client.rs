@@ -6,11 +6,12 @@ use crate::exit::Failure;
 use crate::output::{self, Waiting};
 use crate::running::{LogFormat, describe, runtime, start_log};
 use consort_actors::bus::zenoh_bus::Mode;
-use consort_actors::bus::{Bus, ZenohBus, ZenohSettings};
+use consort_actors::bus::{Bus, SharedBus, ZenohBus, ZenohSettings};
 use consort_protocol::ids::{FleetId, NodeId};
 use consort_protocol::keys::{ApiCall, Key, Keys};
 use serde_json::Value;
 use std::path::Path;
+use std::sync::Arc;
 use std::time::Duration;
 use tokio::time::{Instant, sleep};
 
@@ -160,6 +161,21 @@ impl Client {
                 self.fleet, self.to
             ))),
         }
+    }
+
+    /// The fleet that is asked.
+    pub fn fleet(&self) -> &FleetId {
+        &self.fleet
+    }
+
+    /// Its keys.
+    pub fn keys(&self) -> &Keys {
+        &self.keys
+    }
+
+    /// The connection, for whoever wants to listen.
+    pub fn bus(&self) -> SharedBus {
+        Arc::new(self.bus.clone())
     }
 
     /// Says on the standard error what is waited for.

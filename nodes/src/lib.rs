@@ -20,6 +20,7 @@ pub mod picture;
 pub mod plan;
 pub mod rendering;
 pub mod running;
+pub mod screen;
 pub mod source;
 pub mod telemetry;
 pub mod wiring;

@@ -21,4 +21,5 @@ pub mod robot;
 pub mod station;
 pub mod submit;
 pub mod test;
+pub mod watch;
 pub mod world;

@@ -21,6 +21,7 @@ mod routes;
 mod watcher;
 
 pub use board::{Board, FRAME};
+pub(crate) use watcher::watch as follow;
 
 use crate::picture::{FloorPlan, Picture};
 use consort_actors::bus::SharedBus;

@@ -31,7 +31,7 @@ const AGAIN: Duration = Duration::from_secs(1);
 const MISSIONS: usize = 16;
 
 /// Follows the fleet, until the tasks end.
-pub(super) fn watch(tasks: &mut JoinSet<()>, bus: SharedBus, keys: Keys, board: Arc<Board>) {
+pub(crate) fn watch(tasks: &mut JoinSet<()>, bus: SharedBus, keys: Keys, board: Arc<Board>) {
     let ear = |key: String| (Arc::clone(&bus), key, Arc::clone(&board));
     let (events, bodies, beacons) = (keys.any_events(), keys.any_body_state(), keys.write(&Key::Beacon));
     let (at, key, shown) = ear(events);

@@ -1,0 +1,92 @@
+//! `consort watch`: the fleet on a terminal.
+
+use crate::client::ClientFlags;
+use crate::dashboard::{Board, follow};
+use crate::exit::Failure;
+use crate::picture::{FloorPlan, Picture};
+use crate::screen::{Paint, Screen, Turn};
+use consort_actors::clock::Clock;
+use ratatui::crossterm::event::{Event, read};
+use std::io::IsTerminal;
+use std::sync::Arc;
+use std::time::Duration;
+use tokio::sync::mpsc::{UnboundedReceiver, unbounded_channel};
+use tokio::task::JoinSet;
+
+/// Watch a fleet on the terminal: robots, missions, auctions, and what happens
+///
+/// As the nearest node knows it; what is no longer heard is said to be old. Colours are left out where NO_COLOR is set.
+#[derive(Debug, clap::Args)]
+#[command(after_long_help = "\
+Keys: q ends; Tab goes to the next panel; the arrows, PgUp and PgDn move in it. The auction is that of the mission chosen.
+
+Examples:
+  consort watch
+  consort watch --fleet demo --connect tcp/192.0.2.7:7447")]
+pub struct Args {
+    #[command(flatten)]
+    client: ClientFlags,
+}
+
+/// From one drawing to the next, while nobody presses a key.
+const FRAME: Duration = Duration::from_millis(200);
+
+/// Runs the command.
+///
+/// # Errors
+/// [`Failure::Usage`] without a terminal; as [`Client::open`](crate::client::Client::open).
+pub fn run(args: Args) -> Result<(), Failure> {
+    if !std::io::stdout().is_terminal() || !std::io::stdin().is_terminal() {
+        return Err(Failure::Usage(
+            "consort watch draws on a terminal, and this is none; `consort missions --watch` and `consort fleet --json` \
+             write lines"
+                .to_owned(),
+        ));
+    }
+    args.client.connected(async |client| {
+        let clock = Clock::real();
+        let picture = Picture::new(client.fleet().to_string(), "watch", FloorPlan::default(), clock.wall_ms());
+        let board = Arc::new(Board::new(picture, clock));
+        let mut tasks = JoinSet::new();
+        follow(&mut tasks, client.bus(), client.keys().clone(), Arc::clone(&board));
+        let mut terminal = ratatui::try_init().map_err(|problem| unusable(&problem))?;
+        let ended = show(&mut terminal, &board, keys()).await;
+        ratatui::restore();
+        ended
+    })
+}
+
+async fn show(
+    terminal: &mut ratatui::DefaultTerminal,
+    board: &Board,
+    mut keys: UnboundedReceiver<Event>,
+) -> Result<(), Failure> {
+    let plain = std::env::var_os("NO_COLOR").is_some_and(|value| !value.is_empty());
+    let mut screen = Screen::new(if plain { Paint::Plain } else { Paint::Colours });
+    loop {
+        let drawn = board.with(|picture, now_ms| terminal.draw(|frame| screen.draw(frame, picture, now_ms)).map(drop));
+        drawn.map_err(|problem| unusable(&problem))?;
+        match tokio::time::timeout(FRAME, keys.recv()).await {
+            Ok(Some(Event::Key(key))) if screen.press(key) == Turn::Quit => return Ok(()),
+            Ok(None) => return Ok(()), // the terminal has gone
+            Ok(Some(_)) | Err(_) => {}
+        }
+    }
+}
+
+/// What is pressed. The thread waits for a key when the command ends, and ends with the process.
+fn keys() -> UnboundedReceiver<Event> {
+    let (to, pressed) = unbounded_channel();
+    std::thread::spawn(move || {
+        while let Ok(event) = read() {
+            if to.send(event).is_err() {
+                return;
+            }
+        }
+    });
+    pressed
+}
+
+fn unusable(problem: &std::io::Error) -> Failure {
+    Failure::Unsuccessful(format!("the terminal cannot be used: {problem}"))
+}
