@@ -26,6 +26,7 @@ pub fn note(text: impl Display) {
 /// Says on the standard error what is waited for: on a terminal in one line that is overwritten, else a line for each
 /// change.
 pub struct Waiting {
+    /// What turns on a terminal while something is waited for.
     bar: Option<ProgressBar>,
     said: String,
 }
@@ -39,13 +40,7 @@ impl Default for Waiting {
 impl Waiting {
     /// Says nothing yet.
     pub fn new() -> Waiting {
-        let bar = stderr().is_terminal().then(|| {
-            let bar = ProgressBar::new_spinner();
-            bar.set_style(ProgressStyle::with_template("{spinner} {msg}").expect("the template is sound"));
-            bar.enable_steady_tick(Duration::from_millis(100));
-            bar
-        });
-        Waiting { bar, said: String::new() }
+        Waiting { bar: None, said: String::new() }
     }
 
     /// Says what is waited for now.
@@ -54,9 +49,10 @@ impl Waiting {
         if text == self.said {
             return;
         }
-        match &self.bar {
-            Some(bar) => bar.set_message(text.clone()),
-            None => note(&text),
+        if stderr().is_terminal() {
+            self.bar.get_or_insert_with(spinner).set_message(text.clone());
+        } else {
+            note(&text);
         }
         self.said = text;
     }
@@ -64,17 +60,22 @@ impl Waiting {
     /// Takes back what is on the terminal, so that something lasting can be written.
     pub fn clear(&mut self) {
         self.said.clear();
-        if let Some(bar) = &self.bar {
-            bar.set_message("");
+        if let Some(bar) = self.bar.take() {
+            bar.finish_and_clear();
         }
     }
 }
 
+fn spinner() -> ProgressBar {
+    let bar = ProgressBar::new_spinner();
+    bar.set_style(ProgressStyle::with_template("{spinner} {msg}").expect("the template is sound"));
+    bar.enable_steady_tick(Duration::from_millis(100));
+    bar
+}
+
 impl Drop for Waiting {
     fn drop(&mut self) {
-        if let Some(bar) = &self.bar {
-            bar.finish_and_clear();
-        }
+        self.clear();
     }
 }
 
