@@ -24,4 +24,5 @@ pub mod robot;
 pub mod store;
 mod tasks;
 pub mod timing;
+pub mod trust;
 pub mod views;

@@ -1,8 +1,8 @@
 //! The command line.
 
 use crate::command::{
-    bench, cancel, chaos, check, dry_run, experiment, explain, fleet, keys, leave, map, missions, recover, rescue,
-    robot, station, submit, test, watch, world,
+    bench, cancel, cert, chaos, check, dry_run, experiment, explain, fleet, keys, leave, map, missions, recover,
+    rescue, robot, station, submit, test, watch, world,
 };
 use crate::demo;
 use crate::exit::Failure;
@@ -66,6 +66,7 @@ enum Command {
     Map(map::Args),
     DryRun(dry_run::Args),
     Recover(recover::Args),
+    Cert(cert::Args),
     Chaos(chaos::Args),
     Experiment(experiment::Args),
     Bench(bench::Args),
@@ -92,6 +93,7 @@ pub fn run() -> ExitCode {
         Command::Map(args) => map::run(args),
         Command::DryRun(args) => dry_run::run(args),
         Command::Recover(args) => recover::run(args),
+        Command::Cert(args) => cert::run(args),
         Command::Chaos(args) => chaos::run(&args),
         Command::Experiment(args) => experiment::run(&args),
         Command::Bench(args) => bench::run(args),

@@ -1,16 +1,19 @@
 //! A client of a fleet: asks whoever coordinates, and says what it waits for.
 
 use crate::asking::{AGAIN, Hindrance, Whom, once};
-use crate::config::{DEFAULT_FLEET, FleetConfig, load};
+use crate::config::{DEFAULT_FLEET, FleetConfig, load, trust_files};
 use crate::exit::Failure;
 use crate::output::{self, Waiting};
 use crate::running::{LogFormat, describe, runtime, start_log};
+use crate::wiring::link_trust;
 use consort_actors::bus::zenoh_bus::Mode;
-use consort_actors::bus::{Bus, SharedBus, ZenohBus, ZenohSettings};
+use consort_actors::bus::{SharedBus, ZenohBus, ZenohSettings};
+use consort_actors::clock::Clock;
+use consort_actors::trust::{Keyring, SealedBus, TrustFiles};
 use consort_protocol::ids::{FleetId, NodeId};
 use consort_protocol::keys::{ApiCall, Key, Keys};
 use serde_json::Value;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Duration;
 use tokio::time::{Instant, sleep};
@@ -34,6 +37,9 @@ pub struct ClientFlags {
         default_value = "tcp/127.0.0.1:7447"
     )]
     connect: Vec<String>,
+    /// Folder with your certificate and key, as `consort cert person` makes it, for a fleet that asks who you are (tls/…)
+    #[arg(long, env = "CONSORT_CERTS", value_name = "DIR")]
+    certs: Option<PathBuf>,
     /// How long to try to reach the fleet and its coordinator, in seconds
     #[arg(long, env = "CONSORT_TIMEOUT", value_name = "SECONDS", default_value_t = 10.0)]
     timeout: f64,
@@ -79,9 +85,18 @@ impl AskFlags {
     }
 }
 
+/// What a person proves himself with.
+fn keyring(certs: &Path, fleet: &FleetId, clock: Clock) -> Result<(Keyring, TrustFiles), Failure> {
+    let files = trust_files(certs);
+    let life = clock.wall_ms();
+    let keyring = files.open(fleet, Duration::from_millis(life), life);
+    Ok((keyring.map_err(|problem| Failure::Usage(problem.to_string()))?, files))
+}
+
 /// A client that is connected.
 pub struct Client {
-    bus: ZenohBus,
+    session: ZenohBus,
+    bus: SharedBus,
     keys: Keys,
     fleet: FleetId,
     to: String,
@@ -101,9 +116,16 @@ impl Client {
             .map_err(|_| Failure::Usage(format!("--timeout: {} is not a number of seconds", flags.timeout)))?;
         let mut waiting = Waiting::new();
         let until = Instant::now() + timeout;
-        let settings = ZenohSettings { mode: Mode::Client, connect: flags.connect.clone(), ..ZenohSettings::default() };
+        let clock = Clock::real();
+        let trust = flags.certs.as_deref().map(|certs| keyring(certs, &fleet, clock)).transpose()?;
+        let settings = ZenohSettings {
+            mode: Mode::Client,
+            connect: flags.connect.clone(),
+            links: flags.certs.as_deref().map(|certs| link_trust(certs, &fleet)),
+            ..ZenohSettings::default()
+        };
         let addresses = flags.connect.join(", ");
-        let (bus, links) = loop {
+        let (session, links) = loop {
             let problem = match ZenohBus::open(settings.clone()).await {
                 Ok(bus) => {
                     let links = bus.wait_connected(Duration::from_secs(1)).await;
@@ -127,7 +149,15 @@ impl Client {
         };
         waiting.clear();
         let keys = Keys::new(&fleet);
-        Ok(Client { bus, keys, fleet, to: describe(&links), timeout, waiting })
+        let plain: SharedBus = Arc::new(session.clone());
+        let bus = match trust {
+            None => plain,
+            Some((keyring, files)) => {
+                let sealed = SealedBus::open(plain, keys.clone(), keyring, files, clock).await;
+                Arc::new(sealed.map_err(|problem| Failure::Unsuccessful(problem.to_string()))?)
+            }
+        };
+        Ok(Client { session, bus, keys, fleet, to: describe(&links), timeout, waiting })
     }
 
     /// Makes a request: of the coordinator, or of the nearest node if it changes nothing.
@@ -152,7 +182,7 @@ impl Client {
     /// # Errors
     /// [`Failure::Unsuccessful`] with what it refused; [`Failure::Unreached`] if the node does not answer.
     pub async fn ask_node(&mut self, key: &Key, node: &NodeId, limit: Duration) -> Result<Value, Failure> {
-        match once(&self.bus, &self.keys.write(key), "", limit, Whom::All).await {
+        match once(&*self.bus, &self.keys.write(key), "", limit, Whom::All).await {
             Ok(value) => Ok(value),
             Err(Hindrance::Refused(problem)) => Err(Failure::Unsuccessful(problem)),
             Err(Hindrance::MayPass(problem, _)) => Err(Failure::Unreached(format!("{node}: {problem}"))),
@@ -175,7 +205,7 @@ impl Client {
 
     /// The connection, for whoever wants to listen.
     pub fn bus(&self) -> SharedBus {
-        Arc::new(self.bus.clone())
+        Arc::clone(&self.bus)
     }
 
     /// Says on the standard error what is waited for.
@@ -186,7 +216,7 @@ impl Client {
     /// Closes the connection.
     pub async fn close(self) {
         // The answer is out; how the session ends is of no interest any more.
-        let _ = self.bus.close().await;
+        let _ = self.session.close().await;
     }
 
     async fn ask(&mut self, key: &Key, payload: String, whom: Whom) -> Result<Value, Failure> {
@@ -196,7 +226,7 @@ impl Client {
         loop {
             let left = until.saturating_duration_since(Instant::now());
             let limit = ONE_QUERY.min(left.max(AGAIN));
-            let hindrance = match once(&self.bus, &key, &payload, limit, whom).await {
+            let hindrance = match once(&*self.bus, &key, &payload, limit, whom).await {
                 Ok(value) => {
                     if waited {
                         self.waiting.clear();

@@ -1,7 +1,7 @@
 //! A node on Zenoh, from its start until it is told to end.
 
 use crate::command::flags::RunFlags;
-use crate::config::{BusConfig, FleetConfig, Problems};
+use crate::config::{BusConfig, FleetConfig, Problems, trust_files};
 use crate::dashboard::Dashboard;
 use crate::exit::Failure;
 use crate::metrics::{Metrics, Watched, serve};
@@ -13,7 +13,10 @@ use consort_actors::bus::{Bus, Link, MeteredBus, SharedBus, ZenohBus};
 use consort_actors::clock::Clock;
 use consort_actors::node::{NodeHandle, NodeSettings};
 use consort_actors::observe::SharedObserver;
+use consort_actors::trust::{Keyring, SealedBus, TrustFiles};
 use consort_protocol::ids::NodeId;
+use consort_protocol::keys::Keys;
+use consort_protocol::trust::{Bearer, NodeRole};
 use std::io::IsTerminal;
 use std::net::SocketAddr;
 use std::sync::Arc;
@@ -109,18 +112,20 @@ async fn until_told(
     observers.extend(metrics.observer());
     settings.observer = Some(Arc::new(observers));
     let clock = settings.clock;
+    let trust = Trust::open(bus, &settings)?;
     let zenoh = ZenohBus::open(bus_settings(bus, fleet)).await;
     let zenoh = zenoh.map_err(|problem| Failure::Usage(problem.to_string()))?;
     let name = settings.node.clone();
     info!(node = %name, fleet = %fleet.name, id = zenoh.id(), listening = zenoh.listening().await.join(", "), "open");
     let mut watch = tokio::task::JoinSet::new();
     watch.spawn(say_links(zenoh.clone(), bus.connect.clone()));
-    let bus = metrics.metered(Arc::new(zenoh.clone()));
+    let bus = trust.sealed(metrics.metered(Arc::new(zenoh.clone())), &settings).await?;
+    let on_page = Arc::clone(&bus);
     let started = NodeHandle::start(settings, bus).await;
     let mut node = started.map_err(|problem| Failure::Unsuccessful(format!("{name} did not start: {problem}")))?;
     info!(node = %name, "started");
     let _dashboard = match dashboard {
-        Some(address) => Some(serve_dashboard(address, zenoh.clone(), fleet, &name).await?),
+        Some(address) => Some(serve_dashboard(address, on_page, fleet, &name).await?),
         None => None,
     };
     metrics.serve(&node, clock, &mut watch);
@@ -165,15 +170,68 @@ async fn until_told(
 /// Serves the dashboard, and prints where.
 async fn serve_dashboard(
     address: SocketAddr,
-    bus: ZenohBus,
+    bus: SharedBus,
     fleet: &FleetConfig,
     node: &NodeId,
 ) -> Result<Dashboard, Failure> {
     let plan = FloorPlan::new(&floor::load(&fleet.map)?);
-    let opened = Dashboard::open(address, Arc::new(bus), &fleet.name, node.as_str(), plan).await;
+    let opened = Dashboard::open(address, bus, &fleet.name, node.as_str(), plan).await;
     let dashboard = opened.map_err(Failure::Usage)?;
     output::line(format_args!("dashboard: {}", dashboard.url()))?;
     Ok(dashboard)
+}
+
+/// What a node proves itself with, if it has certificates.
+struct Trust(Option<(Keyring, TrustFiles)>);
+
+impl Trust {
+    /// Reads the files, and sees to it that they are this node's and let it be what it is configured to be.
+    fn open(bus: &BusConfig, node: &NodeSettings) -> Result<Trust, Failure> {
+        let Some(folder) = &bus.certs else { return Ok(Trust(None)) };
+        let files = trust_files(folder);
+        let now = Duration::from_millis(node.clock.wall_ms());
+        let keyring = files.open(&node.fleet.fleet, now, node.incarnation);
+        let keyring = keyring.map_err(|problem| Failure::Usage(problem.to_string()))?;
+        let wanted = needed_roles(node);
+        let problem = match &keyring.identity().bearer {
+            Bearer::Node { name, .. } if *name != node.node => {
+                Some(format!("it is node {name}'s, and this is {}", node.node))
+            }
+            Bearer::Node { roles, .. } => wanted.iter().find(|(role, _)| !roles.contains(role)).map(|(role, why)| {
+                format!(
+                    "it does not let {} be a {role}, and {why}; `consort cert node {0} --roles …` makes one",
+                    node.node
+                )
+            }),
+            person @ Bearer::Person { .. } => {
+                Some(format!("it is {person}'s, and nodes have certificates of their own"))
+            }
+        };
+        match problem {
+            Some(problem) => Err(Failure::Usage(format!("{}: {problem}", files.certificate.display()))),
+            None => {
+                info!(bearer = %keyring.identity().bearer, "links are encrypted, and messages signed");
+                Ok(Trust(Some((keyring, files))))
+            }
+        }
+    }
+
+    /// The bus on which messages are sealed, if they are.
+    async fn sealed(self, bus: SharedBus, node: &NodeSettings) -> Result<SharedBus, Failure> {
+        let Some((keyring, files)) = self.0 else { return Ok(bus) };
+        let sealed = SealedBus::open(bus, Keys::new(&node.fleet.fleet), keyring, files, node.clock).await;
+        Ok(Arc::new(sealed.map_err(|problem| Failure::Unsuccessful(problem.to_string()))?))
+    }
+}
+
+/// What a node is configured to be, and by what.
+fn needed_roles(node: &NodeSettings) -> Vec<(NodeRole, &'static str)> {
+    let all = [
+        (node.robot.is_some(), NodeRole::Robot, "it is a robot's"),
+        (node.may_vote, NodeRole::Voter, "may_vote is true"),
+        (node.host.is_some(), NodeRole::Host, "it hosts a world"),
+    ];
+    all.into_iter().filter(|(needed, ..)| *needed).map(|(_, role, why)| (role, why)).collect()
 }
 
 /// The metrics of a node, if they are asked for.

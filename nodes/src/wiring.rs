@@ -4,13 +4,14 @@
 use crate::config::{self, BusConfig, FleetConfig, Problem, Problems, RobotConfig, StationConfig, WorldConfig};
 use crate::floor::{self, Floor};
 use consort_actors::bus::ZenohSettings;
+use consort_actors::bus::zenoh_bus::LinkTrust;
 use consort_actors::clock::Clock;
 use consort_actors::node::{FleetSettings, HostPart, NodeSettings, RobotPart};
 use consort_actors::replica::StoreIdentity;
 use consort_actors::store::{DurableStore, Owner, Store};
 use consort_protocol::auction::{Exact, Limits};
 use consort_protocol::ensemble::Ensemble;
-use consort_protocol::ids::{NodeId, PlaceId};
+use consort_protocol::ids::{FleetId, NodeId, PlaceId};
 use consort_protocol::knowledge::{Availability, Worker};
 use consort_protocol::lease::LeaseTerms;
 use consort_protocol::mission::{Allowed, Domain};
@@ -285,12 +286,18 @@ fn shown_map(fleet: &FleetConfig) -> Option<Arc<Value>> {
     }
 }
 
+/// What links prove themselves with, by a folder that `consort cert` has made.
+pub fn link_trust(certs: &Path, fleet: &FleetId) -> LinkTrust {
+    LinkTrust { files: config::trust_files(certs), fleet: fleet.clone() }
+}
+
 /// How a node opens Zenoh: as a router between its neighbours.
 pub fn bus_settings(bus: &BusConfig, fleet: &FleetConfig) -> ZenohSettings {
     ZenohSettings {
-        listen: bus.listen.clone(),
+        listen: bus.listening(),
         connect: bus.connect.clone(),
         lease: fleet.times().link_lease,
+        links: bus.certs.as_deref().map(|folder| link_trust(folder, &fleet.name)),
         ..ZenohSettings::default()
     }
 }

@@ -125,6 +125,8 @@ names! {
     RobotId, "robot", SLUG;
     /// A mission in the ledger.
     MissionId, "mission", SLUG;
+    /// A person, or a program that a person answers for, as certificates and tokens name it.
+    PersonId, "person", SLUG;
     /// A client's own name for a request, so that sending it twice asks once.
     RequestId, "request", SLUG;
     /// A role within a mission (`r1`, `lab_arm`, `nurse`).

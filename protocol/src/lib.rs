@@ -18,4 +18,6 @@ pub mod mission;
 pub mod mutants;
 pub mod plan;
 pub mod pose;
+pub mod trust;
 pub mod units;
+mod words;

@@ -97,43 +97,64 @@ pub enum BusError {
     },
 }
 
+/// What an item of a stream becomes when it is taken out; nothing, if it is not handed out.
+type Sift<T> = Box<dyn FnMut(T) -> Option<T> + Send + Sync>;
+
 /// A stream of what arrives; dropping it ends the declaration behind it.
 pub struct Stream<T> {
     receiver: tokio::sync::mpsc::UnboundedReceiver<T>,
     /// What each passes through before it is handed out.
-    pass: Option<Box<dyn Fn(T) -> T + Send + Sync>>,
+    sift: Option<Sift<T>>,
     /// Whatever keeps the declaration alive.
     _guard: Box<dyn Send + Sync>,
 }
 
-impl<T> Stream<T> {
+impl<T: 'static> Stream<T> {
     /// A stream fed through `receiver`, whose declaration lives as long as `guard`.
     pub fn new(receiver: tokio::sync::mpsc::UnboundedReceiver<T>, guard: Box<dyn Send + Sync>) -> Self {
-        Stream { receiver, pass: None, _guard: guard }
+        Stream { receiver, sift: None, _guard: guard }
     }
 
-    /// This stream, each of whose items passes through `pass` when it is taken out. It stands in the place of a former one.
+    /// This stream, each of whose items passes through `pass` when it is taken out, after whatever it passed through before.
     #[must_use]
-    pub fn passing(self, pass: impl Fn(T) -> T + Send + Sync + 'static) -> Self {
-        Stream { pass: Some(Box::new(pass)), ..self }
+    pub fn passing(self, mut pass: impl FnMut(T) -> T + Send + Sync + 'static) -> Self {
+        self.sifting(move |item| Some(pass(item)))
+    }
+
+    /// This stream, of which only those items are handed out that pass `sift`, after whatever they passed through before.
+    #[must_use]
+    pub fn sifting(self, mut sift: impl FnMut(T) -> Option<T> + Send + Sync + 'static) -> Self {
+        let sift: Sift<T> = match self.sift {
+            Some(mut before) => Box::new(move |item| before(item).and_then(&mut sift)),
+            None => Box::new(sift),
+        };
+        Stream { sift: Some(sift), ..self }
     }
 
     /// The next one; `None` once there will be no more.
     pub async fn recv(&mut self) -> Option<T> {
-        let next = self.receiver.recv().await?;
-        Some(self.passed(next))
+        loop {
+            let next = self.receiver.recv().await?;
+            if let Some(item) = self.sifted(next) {
+                return Some(item);
+            }
+        }
     }
 
     /// The next one if it is already here.
     pub fn try_recv(&mut self) -> Option<T> {
-        let next = self.receiver.try_recv().ok()?;
-        Some(self.passed(next))
+        loop {
+            let next = self.receiver.try_recv().ok()?;
+            if let Some(item) = self.sifted(next) {
+                return Some(item);
+            }
+        }
     }
 
-    fn passed(&self, item: T) -> T {
-        match &self.pass {
-            Some(pass) => pass(item),
-            None => item,
+    fn sifted(&mut self, item: T) -> Option<T> {
+        match &mut self.sift {
+            Some(sift) => sift(item),
+            None => Some(item),
         }
     }
 }

@@ -167,12 +167,16 @@ impl StoreFlags {
 #[derive(Debug, clap::Args)]
 #[command(next_help_heading = "Network")]
 struct BusFlags {
-    /// Address to listen on, as tcp/0.0.0.0:7447; may be repeated. Default: loopback, any free port
+    /// Address to listen on, as tcp/0.0.0.0:7447 (tls/… with --certs); may be repeated. Default: loopback, any free port
     #[arg(long, env = "CONSORT_LISTEN", value_delimiter = ',', value_name = "ADDRESS")]
     listen: Vec<String>,
     /// Neighbour to connect to, as tcp/192.0.2.7:7447; may be repeated. Two to four serve well
     #[arg(long, env = "CONSORT_CONNECT", value_delimiter = ',', value_name = "ADDRESS")]
     connect: Vec<String>,
+    /// Folder with the node's certificate and key, as `consort cert` makes it. Links are then encrypted (tls/…), and whoever
+    /// has no certificate of the fleet gets nowhere
+    #[arg(long, env = "CONSORT_CERTS", value_name = "DIR")]
+    certs: Option<PathBuf>,
 }
 
 impl BusFlags {
@@ -184,6 +188,7 @@ impl BusFlags {
         if !self.connect.is_empty() {
             bus.connect = self.connect;
         }
+        bus.certs = self.certs.or(bus.certs.take());
     }
 }
 

@@ -2,6 +2,7 @@
 
 pub mod bench;
 pub mod cancel;
+pub mod cert;
 pub mod chaos;
 pub mod check;
 mod drawn_world;

@@ -1,33 +1,50 @@
-//! Where a node is on the network.
+//! Where a node is on the network, and how it proves who it is.
 
+use super::read::settle_path;
+use consort_actors::trust::TrustFiles;
 use serde::{Deserialize, Serialize};
+use std::path::{Path, PathBuf};
 
 /// `[bus]`: where a node listens and whom it is linked with.
 ///
 /// Every node relays for its neighbours. Two to four configured neighbours for each node keep a fleet together when links
-/// or nodes fail; fewer save traffic. Zenoh does not authenticate: whoever reaches the listening address is part of the
-/// fleet.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+/// or nodes fail; fewer save traffic. Without `certs` nobody is asked who they are: whoever reaches the listening address is
+/// part of the fleet.
+#[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct BusConfig {
     /// Addresses to listen on. Default: the loopback interface, at a port that the system gives.
     pub listen: Vec<String>,
     /// Neighbours to connect to. Those out of reach are tried again for as long as the node lives.
     pub connect: Vec<String>,
-}
-
-impl Default for BusConfig {
-    fn default() -> Self {
-        BusConfig { listen: vec!["tcp/127.0.0.1:0".to_owned()], connect: vec![] }
-    }
+    /// The folder with the node's certificate and key, and the fleet's authority, as `consort cert` makes it. Links are then
+    /// encrypted, both ends prove who they are, and what nodes say to one another bears their signatures. Default: none.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub certs: Option<PathBuf>,
 }
 
 impl BusConfig {
+    /// Addresses to listen on.
+    pub fn listening(&self) -> Vec<String> {
+        if self.listen.is_empty() { vec![format!("{}/127.0.0.1:0", self.protocol())] } else { self.listen.clone() }
+    }
+
+    /// The protocol of its addresses.
+    fn protocol(&self) -> &'static str {
+        if self.certs.is_some() { "tls" } else { "tcp" }
+    }
+
+    /// Makes paths relative to `folder`, where the file lies.
+    pub(super) fn settle(&mut self, folder: &Path) {
+        settle_path(&mut self.certs, folder);
+    }
+
     pub(super) fn problems(&self) -> Vec<String> {
+        let protocol = self.protocol();
         let wrong = |key: &'static str| {
             move |address: &String| {
-                let form = "an address is written as tcp/192.0.2.7:7447";
-                endpoint(address).err().map(|problem| format!("bus.{key}: {address:?}: {problem}; {form}"))
+                let form = format!("an address is written as {protocol}/192.0.2.7:7447");
+                endpoint(address, protocol).err().map(|problem| format!("bus.{key}: {address:?}: {problem}; {form}"))
             }
         };
         let listen = self.listen.iter().filter_map(wrong("listen"));
@@ -35,11 +52,25 @@ impl BusConfig {
     }
 }
 
+/// The files of a folder that `consort cert` has made for one bearer.
+pub fn trust_files(folder: &Path) -> TrustFiles {
+    let revoked = folder.join("revoked.pem");
+    TrustFiles {
+        authority: folder.join("ca.pem"),
+        certificate: folder.join("cert.pem"),
+        key: folder.join("key.pem"),
+        revoked: revoked.exists().then_some(revoked),
+    }
+}
+
 /// Whether a text is an address as Zenoh writes it.
-fn endpoint(text: &str) -> Result<(), &'static str> {
-    let (protocol, rest) = text.split_once('/').ok_or("there is no `/` after the protocol")?;
-    if protocol != "tcp" {
-        return Err("the protocol is tcp");
+fn endpoint(text: &str, protocol: &str) -> Result<(), &'static str> {
+    let (given, rest) = text.split_once('/').ok_or("there is no `/` after the protocol")?;
+    match (given, protocol) {
+        (given, protocol) if given == protocol => {}
+        (_, "tls") => return Err("the protocol is tls for a node that has certificates"),
+        ("tls", _) => return Err("the protocol is tls only for a node that has certificates (certs)"),
+        _ => return Err("the protocol is tcp"),
     }
     let (host, port) = rest.rsplit_once(':').ok_or("there is no port")?;
     if host.is_empty() {

@@ -15,7 +15,7 @@ mod robot;
 mod station;
 mod world;
 
-pub use bus::BusConfig;
+pub use bus::{BusConfig, trust_files};
 pub use fleet::{AuctionConfig, DEFAULT_FLEET, FleetConfig, FleetRef, LeaseConfig, LimitsConfig};
 pub use node::{NodeFile, Surroundings};
 pub use problem::{Problem, Problems};

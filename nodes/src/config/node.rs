@@ -31,6 +31,7 @@ impl Surroundings<'_> {
     /// Makes paths relative to `folder`, where the file lies.
     pub(super) fn settle(self, folder: &Path) {
         self.fleet.settle(folder);
+        self.bus.settle(folder);
         settle_path(self.data_dir, folder);
     }
 }

@@ -87,6 +87,7 @@ impl Processes {
         let endpoint = |index: usize| format!("tcp/127.0.0.1:{}", ports[index]);
         // Each node is linked to the world's and to the next two in a ring: no single death parts the fleet.
         let bus = |index: usize| BusConfig {
+            certs: None,
             listen: vec![endpoint(index)],
             connect: match index {
                 0 => vec![],

@@ -16,11 +16,15 @@ mod table;
 pub use table::{About, TABLE, Usage};
 
 use crate::ids::{FleetId, MissionId, NodeId, RobotId, RoleId};
+use crate::trust::Fingerprint;
+use crate::words::words;
 use std::fmt;
 
 /// A key of a fleet, as a value.
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Key {
+    /// `wire/card/{fingerprint}`: asked, its bearer shows the certificate by which its messages are sealed.
+    Card(Fingerprint),
     /// `wire/knowledge/{node}`: a node publishes its record.
     Knowledge(NodeId),
     /// `wire/gossip/{node}`: asked with a digest, a node answers with what the asker lacks.
@@ -91,29 +95,6 @@ pub enum Key {
     Events(NodeId),
 }
 
-macro_rules! words {
-    ($($(#[$doc:meta])* $name:ident { $($(#[$vdoc:meta])* $variant:ident = $word:literal),* $(,)? })*) => {$(
-        $(#[$doc])*
-        #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
-        pub enum $name { $($(#[$vdoc])* $variant),* }
-
-        impl $name {
-            /// All of them.
-            pub const ALL: &'static [$name] = &[$($name::$variant),*];
-
-            /// The word that stands for it in a key.
-            pub fn word(self) -> &'static str {
-                match self { $($name::$variant => $word),* }
-            }
-
-            /// Which of them a word stands for, if any.
-            pub fn read(word: &str) -> Option<$name> {
-                $name::ALL.iter().copied().find(|call| call.word() == word)
-            }
-        }
-    )*};
-}
-
 words! {
     /// A consensus call.
     RaftCall {
@@ -163,6 +144,8 @@ words! {
     }
     /// What is said on a key, whoever says it of whom: to count by.
     KeyKind {
+        /// Certificates.
+        Card = "card",
         /// Records of knowledge.
         Knowledge = "knowledge",
         /// Comparisons of knowledge.
@@ -210,6 +193,7 @@ impl KeyKind {
         let mut segments = text.split('/').skip(2);
         match (segments.next(), segments.next()) {
             (Some("wire"), Some(kind)) => match (kind, segments.last()) {
+                ("card", _) => KeyKind::Card,
                 ("knowledge", _) => KeyKind::Knowledge,
                 ("gossip", _) => KeyKind::Gossip,
                 ("swim", _) => KeyKind::Swim,
@@ -250,7 +234,7 @@ impl Keys {
 
     /// The key that a text is, if it is one of this fleet's.
     pub fn read(&self, text: &str) -> Option<Key> {
-        read(text.strip_prefix(&self.prefix)?.strip_prefix('/')?)
+        read(self.below(text)?)
     }
 
     /// Whether what is said on this key, or key expression, concerns missions and is [`Within`](crate::message::Within)
@@ -261,6 +245,16 @@ impl Keys {
         kind.is_some_and(|kind| {
             ["beacon", "bid", "award", "report", "live", "changed", "signal", "said"].contains(&kind)
         })
+    }
+
+    /// What is below the fleet's prefix of a key or key expression: `wire/bid/*`.
+    pub fn below<'a>(&self, text: &'a str) -> Option<&'a str> {
+        text.strip_prefix(&self.prefix)?.strip_prefix('/')
+    }
+
+    /// Key expression for all certificates.
+    pub fn any_card(&self) -> String {
+        format!("{}/wire/card/*", self.prefix)
     }
 
     /// Key expression for all records of knowledge.
@@ -308,6 +302,16 @@ impl Keys {
         format!("{}/seen/{node}/**", self.prefix)
     }
 
+    /// Key expression for all views as each node has them.
+    pub fn any_seen_by_any(&self) -> String {
+        format!("{}/seen/**", self.prefix)
+    }
+
+    /// Key expression that asks nodes to leave.
+    pub fn any_leave(&self) -> String {
+        format!("{}/api/leave/*", self.prefix)
+    }
+
     /// Key expression for the help on each call.
     pub fn any_help(&self) -> String {
         format!("{}/api/*/help", self.prefix)
@@ -343,6 +347,7 @@ impl fmt::Display for Key {
     /// The key without the fleet's prefix.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
+            Key::Card(fingerprint) => write!(f, "wire/card/{fingerprint}"),
             Key::Knowledge(node) => write!(f, "wire/knowledge/{node}"),
             Key::Gossip(node) => write!(f, "wire/gossip/{node}"),
             Key::Swim(node) => write!(f, "wire/swim/{node}"),
@@ -387,6 +392,7 @@ impl fmt::Display for Key {
 fn read(text: &str) -> Option<Key> {
     let segments: Vec<&str> = text.split('/').collect();
     Some(match segments[..] {
+        ["wire", "card", fingerprint] => Key::Card(fingerprint.parse().ok()?),
         ["wire", "knowledge", node] => Key::Knowledge(node.parse().ok()?),
         ["wire", "gossip", node] => Key::Gossip(node.parse().ok()?),
         ["wire", "swim", node] => Key::Swim(node.parse().ok()?),
@@ -445,6 +451,7 @@ mod tests {
         let mission = MissionId::new("lab-samples-3").unwrap();
         let role = RoleId::new("r1").unwrap();
         let mut keys = vec![
+            Key::Card(Fingerprint([0xc0; 16])),
             Key::Knowledge(node.clone()),
             Key::Gossip(node.clone()),
             Key::Swim(node.clone()),

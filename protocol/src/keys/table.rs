@@ -91,6 +91,7 @@ table! {
     Key::AliveRobot(_) => "alive/robot/{robot}", "the robot's node" Announces "", "the robot is there";
     Key::AliveNode(_) => "alive/node/{node}", "the node" Announces "", "the node is there";
     Key::AliveCoordinator(..) => "alive/coordinator/{term}/{node}", "the coordinator" Announces "", "this node coordinates in this term";
+    Key::Card(_) => "wire/card/{fingerprint}", "its bearer" Answers WIRE, "the certificate by which a node seals what it says";
     Key::Knowledge(_) => "wire/knowledge/{node}", "the node" Publishes WIRE, "its record: what it says of itself";
     Key::Gossip(_) => "wire/gossip/{node}", "the node" Answers WIRE, "compares what both know, and hands over what the asker lacks";
     Key::Swim(_) => "wire/swim/{node}", "the others" Publishes WIRE, "packets of failure detection for the node";

@@ -212,7 +212,7 @@ impl VirtualBus {
         Ok(self.stream(receiver, number, Network::stop_serving))
     }
 
-    fn stream<T>(
+    fn stream<T: 'static>(
         &self,
         receiver: mpsc::UnboundedReceiver<T>,
         number: Number,

@@ -22,7 +22,7 @@ use zenoh::session::ZenohId;
 
 /// Where a node answers its neighbours, outside of any fleet's keys, followed by its id on the bus. With the parameter
 /// `back=ID` it answers whether that one answers it.
-const HEARING: &str = "consort-hearing";
+pub(super) const HEARING: &str = "consort-hearing";
 const YES: &str = "heard";
 const NO: &str = "not heard";
 

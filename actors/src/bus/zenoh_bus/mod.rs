@@ -8,7 +8,7 @@ mod hearing;
 mod session;
 mod settings;
 
-pub use settings::{Mode, ZenohSettings};
+pub use settings::{LinkTrust, Mode, ZenohSettings};
 
 use super::{Bus, BusError, Delivery, Encoding, Link, Presence, Query, Replier, Reply, Sample, Stream, Token, keys};
 use async_trait::async_trait;

@@ -1,6 +1,11 @@
 //! How a node takes its place on a Zenoh network.
 
+use super::hearing::HEARING;
 use crate::bus::{BusError, MESSAGE_MAX};
+use crate::trust::TrustFiles;
+use consort_protocol::ids::FleetId;
+use consort_protocol::trust::access::{Grant, Passing, grants};
+use serde_json::{Value, json};
 use std::time::Duration;
 
 /// What a node is to its neighbours.
@@ -34,7 +39,7 @@ pub struct ZenohSettings {
     /// What this node is to its neighbours.
     pub mode: Mode,
     /// Where to listen, as `tcp/127.0.0.1:7447`; port 0 means any free one. Empty: nowhere. Clients never listen.
-    /// Zenoh does not authenticate, so that whoever reaches these addresses is part of the fleet.
+    /// Without `links` nobody is asked who they are: whoever reaches these addresses is part of the fleet.
     pub listen: Vec<String>,
     /// Neighbours to connect to, as `tcp/192.0.2.7:7447`. Those out of reach are tried again for as long as the bus
     /// lives. More of them cost traffic and save the fleet from falling apart: two to four serve well.
@@ -48,8 +53,19 @@ pub struct ZenohSettings {
     pub message_max: usize,
     /// How long the opening of one link may take.
     pub open_timeout: Duration,
+    /// How links prove who is at their ends. Addresses are then written `tls/192.0.2.7:7447`.
+    pub links: Option<LinkTrust>,
     /// Further settings of Zenoh's own, as path and JSON5 value (`transport/link/tls/...`); they prevail.
     pub overrides: Vec<(String, String)>,
+}
+
+/// How links prove who is at their ends: TLS 1.3, both sides with a certificate of the fleet's authority.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct LinkTrust {
+    /// Certificates and keys.
+    pub files: TrustFiles,
+    /// Whose keys links carry, and to whom: see [`grants`].
+    pub fleet: FleetId,
 }
 
 impl Default for ZenohSettings {
@@ -61,6 +77,7 @@ impl Default for ZenohSettings {
             lease: Duration::from_secs(2),
             message_max: MESSAGE_MAX,
             open_timeout: Duration::from_secs(5),
+            links: None,
             overrides: Vec::new(),
         }
     }
@@ -82,6 +99,12 @@ impl ZenohSettings {
     }
 
     fn entries(&self) -> Result<Vec<(&'static str, String)>, BusError> {
+        let mut entries = self.link_entries()?;
+        entries.extend(self.links.iter().flat_map(LinkTrust::entries));
+        Ok(entries)
+    }
+
+    fn link_entries(&self) -> Result<Vec<(&'static str, String)>, BusError> {
         if self.message_max > MESSAGE_MAX {
             return Err(BusError::Failed {
                 what: "open".to_owned(),
@@ -114,9 +137,79 @@ impl ZenohSettings {
     }
 }
 
+impl LinkTrust {
+    fn entries(&self) -> Vec<(&'static str, String)> {
+        let TrustFiles { authority, certificate, key, revoked: _ } = &self.files;
+        let (authority, certificate, key) = (json!(authority), json!(certificate), json!(key));
+        let own = [
+            ("transport/link/tls/root_ca_certificate", authority),
+            ("transport/link/tls/listen_certificate", certificate.clone()),
+            ("transport/link/tls/listen_private_key", key.clone()),
+            ("transport/link/tls/connect_certificate", certificate),
+            ("transport/link/tls/connect_private_key", key),
+            ("transport/link/tls/enable_mtls", json!(true)),
+            // Nodes are reached under addresses that change; that they are the fleet's is what counts, and persons'
+            // certificates do not serve to be connected to.
+            ("transport/link/tls/verify_name_on_connect", json!(false)),
+            ("transport/link/tls/close_link_on_expiration", json!(true)),
+            ("transport/link/protocols", json!(["tls"])),
+            ("access_control", access_control(&grants(&self.fleet, &[&format!("{HEARING}/*")]))),
+        ];
+        own.into_iter().map(|(path, value)| (path, value.to_string())).collect()
+    }
+}
+
+/// Zenoh's access control: what links let in by the certificate at the other end, and everything out, since nobody is sent
+/// what it could not ask for.
+fn access_control(grants: &[Grant]) -> Value {
+    let mut rules = vec![json!({
+        "id": "out", "permission": "allow", "flows": ["egress"], "key_exprs": ["**"],
+        "messages": messages(&Passing::ALL),
+    })];
+    let (mut subjects, mut policies) = (Vec::new(), Vec::new());
+    for Grant { common_name, lets_in } in grants {
+        let mut own = vec!["out".to_owned()];
+        for (number, (passings, keys)) in lets_in.iter().enumerate() {
+            let id = format!("{common_name}-{number}");
+            rules.push(json!({
+                "id": id, "permission": "allow", "flows": ["ingress"], "key_exprs": keys, "messages": messages(passings),
+            }));
+            own.push(id);
+        }
+        subjects.push(json!({ "id": common_name, "cert_common_names": [common_name] }));
+        policies.push(json!({ "subjects": [common_name], "rules": own }));
+    }
+    json!({
+        "enabled": true, "default_permission": "deny", "rules": rules, "subjects": subjects, "policies": policies,
+    })
+}
+
+fn messages(passings: &[Passing]) -> Vec<&'static str> {
+    passings.iter().map(|passing| passing.word()).collect()
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn zenoh_takes_certificates_and_rules_for_every_kind_of_bearer() {
+        let files = TrustFiles {
+            authority: "certs/ca.pem".into(),
+            certificate: "certs/ada.pem".into(),
+            key: "certs/ada.key".into(),
+            revoked: None,
+        };
+        let links = Some(LinkTrust { files, fleet: FleetId::new("ward").unwrap() });
+        let config = ZenohSettings { links, ..Default::default() }.config().unwrap();
+        let read = |path| config.get_json(path).unwrap();
+        assert_eq!(read("transport/link/tls/root_ca_certificate"), r#""certs/ca.pem""#);
+        assert_eq!(read("transport/link/tls/enable_mtls"), "true");
+        assert_eq!(read("transport/link/protocols"), r#"["tls"]"#);
+        let access: Value = serde_json::from_str(&read("access_control")).unwrap();
+        assert_eq!(access["default_permission"], "deny");
+        assert_eq!(access["subjects"].as_array().unwrap().len(), 4, "{access}");
+    }
 
     #[test]
     fn zenoh_takes_every_setting_as_it_is_meant() {

@@ -1,0 +1,144 @@
+//! How nodes learn each other's certificates: whoever hears a fingerprint that it does not know asks its bearer.
+
+use super::files::TrustFiles;
+use super::keyring::Keyring;
+use super::refusals::Refusals;
+use crate::bus::{BusError, Encoding, SharedBus, Stream};
+use crate::clock::Clock;
+use bytes::Bytes;
+use consort_protocol::keys::{Key, Keys};
+use consort_protocol::trust::Fingerprint;
+use std::collections::BTreeMap;
+use std::sync::Arc;
+use std::time::Duration;
+use tokio::sync::mpsc::{UnboundedReceiver, UnboundedSender, unbounded_channel};
+use tokio::task::JoinSet;
+use tokio::time::{Instant, MissedTickBehavior, interval, timeout};
+use tracing::{debug, warn};
+
+/// How long a bearer has to show its certificate.
+const SHOWN_WITHIN: Duration = Duration::from_secs(2);
+
+/// How long a bearer who showed none, or none that is believed, is not asked again.
+const NOT_AGAIN_FOR: Duration = Duration::from_secs(1);
+
+/// How many are asked at once. Who makes up fingerprints is a member of the fleet, and holds up others no longer than this.
+const AT_ONCE: usize = 32;
+
+/// How often everybody is judged anew, and the list of revoked certificates read.
+const REVIEWED_EVERY: Duration = Duration::from_secs(10);
+
+/// Asks for certificates, shows the own, and reviews all, for as long as it lives.
+pub(super) struct Cards {
+    wanted: UnboundedSender<Fingerprint>,
+    _tasks: JoinSet<()>,
+}
+
+/// What the tasks work with.
+#[derive(Clone)]
+struct Parts {
+    bus: SharedBus,
+    keys: Keys,
+    keyring: Arc<Keyring>,
+    clock: Clock,
+    refusals: Arc<Refusals>,
+}
+
+impl Cards {
+    /// Begins to show the own certificate, and to ask for others'.
+    pub(super) async fn open(
+        bus: SharedBus,
+        keys: Keys,
+        keyring: Arc<Keyring>,
+        files: TrustFiles,
+        clock: Clock,
+        refusals: Arc<Refusals>,
+    ) -> Result<Cards, BusError> {
+        let parts = Parts { bus, keys, keyring, clock, refusals };
+        let own = parts.keys.write(&Key::Card(parts.keyring.fingerprint()));
+        let asked = parts.bus.serve(&own).await?;
+        let (wanted, wishes) = unbounded_channel();
+        let mut tasks = JoinSet::new();
+        tasks.spawn(show(asked, own, Bytes::from(parts.keyring.shown())));
+        tasks.spawn(review(files, Arc::clone(&parts.keyring), parts.clock));
+        tasks.spawn(learn(parts, wishes));
+        Ok(Cards { wanted, _tasks: tasks })
+    }
+
+    /// Somebody was heard whose certificate is not known.
+    pub(super) fn want(&self, of: Fingerprint) {
+        let _ = self.wanted.send(of);
+    }
+}
+
+/// Shows the own certificate to whoever asks.
+async fn show(mut asked: Stream<crate::bus::Query>, key: String, certificate: Bytes) {
+    while let Some(query) = asked.recv().await {
+        if let Err(problem) = query.replier.reply(&key, certificate.clone(), Encoding::Wire).await {
+            debug!(%problem, "the certificate was not shown");
+        }
+    }
+}
+
+/// Asks for what is wanted, each once at a time.
+async fn learn(parts: Parts, mut wishes: UnboundedReceiver<Fingerprint>) {
+    let mut asked: BTreeMap<Fingerprint, Instant> = BTreeMap::new();
+    let mut asking = JoinSet::new();
+    while let Some(wanted) = wishes.recv().await {
+        while asking.try_join_next().is_some() {}
+        let now = Instant::now();
+        asked.retain(|_, at| now < *at + NOT_AGAIN_FOR);
+        if asked.contains_key(&wanted) || asking.len() >= AT_ONCE || parts.keyring.card(wanted).is_some() {
+            continue;
+        }
+        asked.insert(wanted, now);
+        asking.spawn(ask(parts.clone(), wanted));
+    }
+}
+
+async fn ask(parts: Parts, wanted: Fingerprint) {
+    let key = parts.keys.write(&Key::Card(wanted));
+    let mut shown = match parts.bus.query(&key, Bytes::new(), SHOWN_WITHIN).await {
+        Ok(shown) => shown,
+        Err(problem) => return debug!(%problem, "a certificate was not asked for"),
+    };
+    while let Ok(Some(reply)) = timeout(SHOWN_WITHIN, shown.recv()).await {
+        let Ok(certificate) = reply.payload else { continue };
+        match parts.keyring.admit(&certificate, wall(parts.clock)) {
+            Ok(card) if card.fingerprint() == wanted => return debug!(identity = %card.identity, "known"),
+            Ok(_) => {}
+            Err(problem) => parts.refusals.note(format!("the bearer of certificate {wanted}: {problem}")),
+        }
+    }
+}
+
+/// Judges everybody anew, now and then.
+async fn review(files: TrustFiles, keyring: Arc<Keyring>, clock: Clock) {
+    let mut due = interval(REVIEWED_EVERY);
+    due.set_missed_tick_behavior(MissedTickBehavior::Delay);
+    let mut unread = false;
+    loop {
+        due.tick().await;
+        let revoked = match files.read_revoked() {
+            Ok(revoked) => {
+                unread = false;
+                revoked
+            }
+            Err(problem) => {
+                if !unread {
+                    warn!(%problem, "the list of revoked certificates stays as it was");
+                }
+                unread = true;
+                None
+            }
+        };
+        for (identity, problem) in keyring.review(revoked, wall(clock)) {
+            warn!(bearer = %identity.bearer, %problem, "no longer believed");
+        }
+    }
+}
+
+/// The time since 1970.
+pub(super) fn wall(clock: Clock) -> Duration {
+    Duration::from_millis(clock.wall_ms())
+}

@@ -1,0 +1,83 @@
+//! The files that trust is kept in: PEM, as `consort cert` writes it and as everybody's tools read it.
+
+use super::keyring::{Authority, Keyring};
+use consort_protocol::ids::FleetId;
+use consort_protocol::trust::Identity;
+use pki_types::pem::PemObject;
+use pki_types::{CertificateDer, CertificateRevocationListDer, PrivatePkcs8KeyDer};
+use ring::signature::Ed25519KeyPair;
+use std::fmt::Display;
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+/// Where a node's, or a person's, certificate and key are, and whom it trusts.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct TrustFiles {
+    /// The certificate of the fleet's authority.
+    pub authority: PathBuf,
+    /// The bearer's certificate.
+    pub certificate: PathBuf,
+    /// Its key, in PKCS #8. Whoever can read this file is the bearer.
+    pub key: PathBuf,
+    /// The list of revoked certificates, if there is one. It is read again while the node runs.
+    pub revoked: Option<PathBuf>,
+}
+
+/// Why the files are of no use.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error("{}: {problem}", file.display())]
+pub struct TrustError {
+    /// Which file.
+    pub file: PathBuf,
+    /// What is wrong with it.
+    pub problem: String,
+}
+
+impl TrustError {
+    fn of<E: Display>(file: &Path) -> impl Fn(E) -> TrustError {
+        move |problem| TrustError { file: file.to_owned(), problem: problem.to_string() }
+    }
+}
+
+impl TrustFiles {
+    /// Reads them all, and sees to it that they belong together: the authority signed the certificate, for this fleet and for now
+    /// (`now` in time since 1970), and the key is the certificate's. `life`: see [`Keyring`].
+    ///
+    /// # Errors
+    /// [`TrustError`] names the file and what is wrong with it.
+    pub fn open(&self, fleet: &FleetId, now: Duration, life: u64) -> Result<Keyring, TrustError> {
+        let authority = pem::<CertificateDer<'static>>(&self.authority, "certificate")?;
+        let authority = Authority::new(fleet.clone(), &authority).map_err(TrustError::of(&self.authority))?;
+        let revoked = self.read_revoked()?;
+        let certificate = pem::<CertificateDer<'static>>(&self.certificate, "certificate")?;
+        let own = authority.judge(certificate, revoked.as_deref(), now).map_err(TrustError::of(&self.certificate))?;
+        let key = pem::<PrivatePkcs8KeyDer<'static>>(&self.key, "private key in PKCS #8")?;
+        let key = Ed25519KeyPair::from_pkcs8_maybe_unchecked(key.secret_pkcs8_der())
+            .map_err(|problem| TrustError::of(&self.key)(format!("it is no key for Ed25519: {problem}")))?;
+        if !own.signed(b"whose key is it", key.sign(b"whose key is it").as_ref()) {
+            let problem = format!("it is not the key of {}", self.certificate.display());
+            return Err(TrustError::of(&self.key)(problem));
+        }
+        Ok(Keyring::new(authority, own, key, revoked, life))
+    }
+
+    /// Whose certificate it is, if the files are right.
+    ///
+    /// # Errors
+    /// As [`open`](Self::open).
+    pub fn identity(&self, fleet: &FleetId, now: Duration) -> Result<Identity, TrustError> {
+        self.open(fleet, now, 0).map(|keyring| keyring.identity().clone())
+    }
+
+    /// The list of what is revoked, in DER; none if there is no file for it.
+    pub(super) fn read_revoked(&self) -> Result<Option<Vec<u8>>, TrustError> {
+        let Some(file) = &self.revoked else { return Ok(None) };
+        let list = pem::<CertificateRevocationListDer<'static>>(file, "list of revoked certificates")?;
+        Ok(Some(list.to_vec()))
+    }
+}
+
+fn pem<T: PemObject>(file: &Path, what: &str) -> Result<T, TrustError> {
+    let text = std::fs::read(file).map_err(TrustError::of(file))?;
+    T::from_pem_slice(&text).map_err(|problem| TrustError::of(file)(format!("there is no {what} in it: {problem}")))
+}

@@ -1,0 +1,335 @@
+//! Nodes that seal what they say, and what becomes of those who say what they may not: on the virtual bus, with real
+//! certificates and signatures.
+
+use bytes::Bytes;
+use consort_actors::bus::{Bus, Delivery, Encoding, LinkModel, Sample, SharedBus, Stream, VirtualNetwork};
+use consort_actors::clock::Clock;
+use consort_actors::trust::issue::{Authorising, Issued, Revoked, Validity, found};
+use consort_actors::trust::{SealedBus, TrustFiles};
+use consort_protocol::codec;
+use consort_protocol::ids::{FleetId, NodeId};
+use consort_protocol::keys::{BodyCall, Key, Keys};
+use consort_protocol::message::{Beacon, Founder, Within};
+use consort_protocol::trust::Identity;
+use std::collections::BTreeSet;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU32, Ordering};
+use std::time::Duration;
+
+const NOW: Duration = Duration::from_secs(1_800_000_000);
+const LONG: Validity = Validity { from: Duration::from_secs(1_700_000_000), until: Duration::from_secs(1_900_000_000) };
+
+fn ward() -> FleetId {
+    FleetId::new("ward").unwrap()
+}
+
+fn keys() -> Keys {
+    Keys::new(&ward())
+}
+
+/// A folder of its own for each test, gone with it.
+struct Folder(PathBuf);
+
+impl Folder {
+    fn new() -> Folder {
+        static NEXT: AtomicU32 = AtomicU32::new(0);
+        let number = NEXT.fetch_add(1, Ordering::Relaxed);
+        let folder = std::env::temp_dir().join(format!("consort-trust-{}-{number}", std::process::id()));
+        std::fs::create_dir_all(&folder).unwrap();
+        Folder(folder)
+    }
+
+    fn write(&self, name: &str, text: &str) -> PathBuf {
+        let file = self.0.join(name);
+        std::fs::write(&file, text).unwrap();
+        file
+    }
+}
+
+impl Drop for Folder {
+    fn drop(&mut self) {
+        let _ = std::fs::remove_dir_all(&self.0);
+    }
+}
+
+/// An authority, and a network whose nodes have certificates of it.
+struct Stage {
+    folder: Folder,
+    ca: Issued,
+    network: VirtualNetwork,
+}
+
+impl Stage {
+    fn new() -> Stage {
+        let ca = found(&ward(), LONG).unwrap();
+        Stage { folder: Folder::new(), ca, network: VirtualNetwork::new(1, LinkModel::LAN) }
+    }
+
+    fn authority(&self) -> Authorising {
+        Authorising::read(&self.ca.certificate, &self.ca.key).unwrap()
+    }
+
+    fn files(&self, who: &str, issued: &Issued) -> TrustFiles {
+        TrustFiles {
+            authority: self.folder.write("ca.pem", &self.ca.certificate),
+            certificate: self.folder.write(&format!("{who}.pem"), &issued.certificate),
+            key: self.folder.write(&format!("{who}.key"), &issued.key),
+            revoked: None,
+        }
+    }
+
+    fn plain(&self, who: &str) -> SharedBus {
+        Arc::new(self.network.bus(NodeId::new(who).unwrap()))
+    }
+
+    /// A node with a certificate for what `identity` says.
+    async fn node(&self, who: &str, identity: &str) -> SealedBus {
+        self.life(who, identity, 1).await
+    }
+
+    async fn life(&self, who: &str, identity: &str, life: u64) -> SealedBus {
+        let issued = self.authority().issue(&identity.parse().unwrap(), &[], LONG).unwrap();
+        self.with(self.plain(who), self.files(who, &issued), life).await
+    }
+
+    async fn with(&self, bus: SharedBus, files: TrustFiles, life: u64) -> SealedBus {
+        let keyring = files.open(&ward(), NOW, life).unwrap();
+        let clock = Clock::virtual_at(NOW.as_millis() as u64);
+        SealedBus::open(bus, keys(), keyring, files, clock).await.unwrap()
+    }
+}
+
+async fn say(bus: &dyn Bus, key: &Key, what: &[u8]) {
+    let payload = Bytes::copy_from_slice(what);
+    bus.publish(&keys().write(key), payload, Encoding::Wire, Delivery::Block).await.unwrap();
+}
+
+/// All that is heard until nothing more comes.
+async fn heard(stream: &mut Stream<Sample>) -> Vec<Bytes> {
+    let mut heard = Vec::new();
+    while let Ok(Some(sample)) = tokio::time::timeout(Duration::from_secs(5), stream.recv()).await {
+        heard.push(sample.payload);
+    }
+    heard
+}
+
+fn node(name: &str) -> NodeId {
+    NodeId::new(name).unwrap()
+}
+
+fn beacon(of: &str) -> Vec<u8> {
+    let beacon = Beacon { node: node(of), term: 3, voters: BTreeSet::new(), since_ms: 0, cluster: None };
+    codec::encode(&Within { cluster: None, said: codec::encode(&beacon).unwrap() }).unwrap()
+}
+
+/// Says something until it is heard: what is said before the certificate is known is lost.
+async fn introduce(to: &mut Stream<Sample>, bus: &dyn Bus, key: &Key, what: &[u8]) {
+    for _ in 0..10 {
+        say(bus, key, what).await;
+        if !heard(to).await.is_empty() {
+            return;
+        }
+    }
+    panic!("never heard");
+}
+
+#[tokio::test(flavor = "current_thread", start_paused = true)]
+async fn what_a_node_says_in_its_own_name_is_heard_and_what_it_says_in_anothers_is_not() {
+    let stage = Stage::new();
+    let ada = stage.node("ada", "consort://ward/node/ada?roles=robot,voter").await;
+    let bob = stage.node("bob", "consort://ward/node/bob?roles=robot").await;
+    let eve = stage.node("eve", "consort://ward/node/eve?roles=robot").await;
+    let mut at_bob = bob.subscribe(&keys().write(&Key::Beacon)).await.unwrap();
+    introduce(&mut at_bob, &ada, &Key::Beacon, &beacon("ada")).await;
+    say(&ada, &Key::Beacon, &beacon("bob")).await;
+    assert_eq!(heard(&mut at_bob).await, [] as [Bytes; 0], "ada speaks in the name of bob");
+    for _ in 0..3 {
+        say(&eve, &Key::Beacon, &beacon("eve")).await;
+        assert_eq!(heard(&mut at_bob).await, [] as [Bytes; 0], "eve is no voter");
+    }
+    say(&ada, &Key::Beacon, &beacon("ada")).await;
+    assert_eq!(heard(&mut at_bob).await, [beacon("ada")]);
+}
+
+#[tokio::test(flavor = "current_thread", start_paused = true)]
+async fn who_has_no_certificate_of_the_fleet_is_not_heard_and_hears_nothing_it_can_use() {
+    let stage = Stage::new();
+    let ada = stage.node("ada", "consort://ward/node/ada?roles=voter").await;
+    let mut at_ada = ada.subscribe(&keys().write(&Key::Beacon)).await.unwrap();
+    let stranger = stage.plain("stranger");
+    say(&*stranger, &Key::Beacon, &beacon("stranger")).await;
+    let other = Stage { network: stage.network.clone(), ..Stage::new() };
+    let foreign = other.node("foreign", "consort://ward/node/foreign?roles=voter").await;
+    for _ in 0..3 {
+        say(&foreign, &Key::Beacon, &beacon("foreign")).await;
+        assert_eq!(heard(&mut at_ada).await, [] as [Bytes; 0]);
+    }
+}
+
+#[tokio::test(flavor = "current_thread", start_paused = true)]
+async fn a_message_that_is_changed_moved_or_repeated_on_the_way_is_not_heard() {
+    let stage = Stage::new();
+    let (ada, bob) = (
+        stage.node("ada", "consort://ward/node/ada?roles=host").await,
+        stage.node("bob", "consort://ward/node/bob?roles=robot").await,
+    );
+    let (here, there) = ("bob".parse().unwrap(), "cyd".parse().unwrap());
+    let (here, there) = (Key::Body(here, BodyCall::State), Key::Body(there, BodyCall::State));
+    let mut at_bob = bob.subscribe(&keys().any_body_state()).await.unwrap();
+    introduce(&mut at_bob, &ada, &here, b"at the dock").await;
+    // A relay sees what passes, and sends it on as it likes.
+    let relay = stage.plain("relay");
+    let mut passing = relay.subscribe(&keys().any_body_state()).await.unwrap();
+    say(&ada, &here, b"at the lift").await;
+    assert_eq!(heard(&mut at_bob).await, ["at the lift"]);
+    let seen = heard(&mut passing).await.pop().unwrap();
+    say(&*relay, &here, &seen).await;
+    say(&*relay, &there, &seen).await;
+    for place in 0..seen.len() {
+        let mut changed = seen.to_vec();
+        changed[place] ^= 1;
+        say(&*relay, &here, &changed).await;
+    }
+    assert_eq!(heard(&mut at_bob).await, [] as [Bytes; 0]);
+    // What was kept back all the while still counts when it comes.
+    say(&ada, &here, b"at the ward").await;
+    assert_eq!(heard(&mut at_bob).await, ["at the ward"]);
+}
+
+/// Asks until the one who answers is known.
+async fn ask(bus: &dyn Bus, key: &str, what: &[u8]) -> Vec<Result<Bytes, String>> {
+    let mut answers = Vec::new();
+    for _ in 0..3 {
+        answers.clear();
+        let mut replies = bus.query(key, Bytes::copy_from_slice(what), Duration::from_secs(1)).await.unwrap();
+        while let Some(reply) = replies.recv().await {
+            answers.push(reply.payload);
+        }
+        tokio::time::sleep(Duration::from_secs(2)).await;
+    }
+    answers
+}
+
+#[tokio::test(flavor = "current_thread", start_paused = true)]
+async fn a_question_is_answered_by_who_may_and_to_who_may_ask() {
+    let stage = Stage::new();
+    let ada = stage.node("ada", "consort://ward/node/ada?roles=voter").await;
+    let bob = stage.node("bob", "consort://ward/node/bob?roles=voter").await;
+    let eve = stage.node("eve", "consort://ward/node/eve?roles=robot").await;
+    let key = keys().write(&Key::Found(node("bob")));
+    for bus in [&bob, &eve] {
+        // Eve answers in the place of bob.
+        let mut asked = bus.serve(&key).await.unwrap();
+        tokio::spawn(async move {
+            while let Some(query) = asked.recv().await {
+                query.replier.reply(&query.key, query.payload.clone(), Encoding::Wire).await.unwrap();
+            }
+        });
+    }
+    let founder = |name: &str| codec::encode(&Founder { mobile: false, on_battery: false, node: node(name) }).unwrap();
+    assert_eq!(ask(&ada, &key, &founder("ada")).await, [Ok(Bytes::from(founder("ada")))], "one answer: eve's is none");
+    for (asker, question) in [(&eve, founder("eve")), (&ada, founder("bob"))] {
+        let answers = ask(asker, &key, &question).await;
+        assert!(answers.iter().all(Result::is_err) && !answers.is_empty(), "{answers:?}");
+    }
+    let said = ask(&eve, &key, &founder("eve")).await;
+    assert!(
+        said.iter().flat_map(|answer| answer.clone().err()).any(|why| why.contains("node eve (robot) may not ask")),
+        "{said:?}"
+    );
+}
+
+#[tokio::test(flavor = "current_thread", start_paused = true)]
+async fn what_is_for_anybodys_clients_passes_unsealed() {
+    let stage = Stage::new();
+    let ada = stage.node("ada", "consort://ward/node/ada?roles=voter").await;
+    let client = stage.plain("client");
+    let events = Key::Events(node("ada"));
+    let mut at_client = client.subscribe(&keys().write(&events)).await.unwrap();
+    say(&ada, &events, b"{}").await;
+    assert_eq!(heard(&mut at_client).await, ["{}"]);
+}
+
+#[tokio::test(flavor = "current_thread", start_paused = true)]
+async fn a_revoked_bearer_is_no_longer_heard_though_it_was_believed() {
+    let stage = Stage::new();
+    let authority = stage.authority();
+    let list = |revoked: &[Revoked], number| authority.revoke(revoked, number, LONG).unwrap();
+    let mut files = {
+        let issued = authority.issue(&"consort://ward/node/bob?roles=robot".parse().unwrap(), &[], LONG).unwrap();
+        stage.files("bob", &issued)
+    };
+    files.revoked = Some(stage.folder.write("revoked.pem", &list(&[], 1)));
+    let bob = stage.with(stage.plain("bob"), files, 1).await;
+    let of_ada = authority.issue(&"consort://ward/node/ada?roles=voter".parse().unwrap(), &[], LONG).unwrap();
+    let serial = serial(&of_ada.certificate);
+    let ada = stage.with(stage.plain("ada"), stage.files("ada", &of_ada), 1).await;
+    let mut at_bob = bob.subscribe(&keys().write(&Key::Beacon)).await.unwrap();
+    introduce(&mut at_bob, &ada, &Key::Beacon, &beacon("ada")).await;
+    stage.folder.write("revoked.pem", &list(&[Revoked { serial, since: NOW }], 2));
+    tokio::time::sleep(Duration::from_secs(30)).await;
+    for _ in 0..3 {
+        say(&ada, &Key::Beacon, &beacon("ada")).await;
+        assert_eq!(heard(&mut at_bob).await, [] as [Bytes; 0]);
+    }
+}
+
+fn serial(certificate: &str) -> Vec<u8> {
+    use pki_types::pem::PemObject;
+    let der = pki_types::CertificateDer::from_pem_slice(certificate.as_bytes()).unwrap();
+    webpki::EndEntityCert::try_from(&der).unwrap().serial().to_vec()
+}
+
+#[tokio::test(flavor = "current_thread", start_paused = true)]
+async fn a_node_that_starts_anew_is_heard_at_once() {
+    let stage = Stage::new();
+    let bob = stage.node("bob", "consort://ward/node/bob?roles=robot").await;
+    let mut at_bob = bob.subscribe(&keys().write(&Key::Beacon)).await.unwrap();
+    for life in 1..4 {
+        // With a certificate of its own each time, and with the same name.
+        let ada = stage.life("ada", "consort://ward/node/ada?roles=voter", life).await;
+        introduce(&mut at_bob, &ada, &Key::Beacon, &beacon("ada")).await;
+    }
+}
+
+#[test]
+fn files_that_do_not_belong_together_are_told_by_name() {
+    let stage = Stage::new();
+    let issue = |identity: &str, validity| {
+        let identity: Identity = identity.parse().unwrap();
+        stage.authority().issue(&identity, &["192.0.2.7".to_owned(), "ada.example".to_owned()], validity).unwrap()
+    };
+    let said = |files: &TrustFiles| files.open(&ward(), NOW, 1).err().map(|problem| problem.to_string());
+    let ada = issue("consort://ward/node/ada?roles=robot", LONG);
+    let good = stage.files("ada", &ada);
+    assert_eq!(said(&good), None);
+    let name = |file: &Path| file.display().to_string();
+
+    let bob = stage.files("bob", &issue("consort://ward/node/bob?roles=robot", LONG));
+    let mixed = TrustFiles { key: bob.key.clone(), ..good.clone() };
+    let why = said(&mixed).unwrap();
+    assert!(why.contains("it is not the key of") && why.contains(&name(&mixed.key)), "{why}");
+
+    let other = Stage::new();
+    let foreign = other.files("ca", &Issued { certificate: other.ca.certificate.clone(), key: String::new() });
+    let why = said(&TrustFiles { authority: foreign.authority.clone(), ..good.clone() }).unwrap();
+    assert!(why.contains("it was not signed by this fleet's authority"), "{why}");
+
+    let past = Validity { from: Duration::from_secs(1_600_000_000), until: NOW - Duration::from_secs(3 * 86_400) };
+    let why = said(&stage.files("old", &issue("consort://ward/node/old?roles=robot", past))).unwrap();
+    assert!(why.ends_with("old.pem: it expired 3 days ago"), "{why}");
+
+    let ahead = Validity { from: NOW + Duration::from_secs(7200), until: LONG.until };
+    let why = said(&stage.files("new", &issue("consort://ward/node/new?roles=robot", ahead))).unwrap();
+    assert!(why.contains("valid only in 2 h: is the clock right?"), "{why}");
+
+    let why = said(&stage.files("far", &issue("consort://lab/node/far?roles=robot", LONG))).unwrap();
+    assert!(why.contains("it is for fleet lab, where this is ward"), "{why}");
+
+    let none = TrustFiles { key: good.certificate.clone(), ..good.clone() };
+    let why = said(&none).unwrap();
+    assert!(why.contains("there is no private key in PKCS #8 in it"), "{why}");
+    let missing = TrustFiles { certificate: stage.folder.0.join("nowhere.pem"), ..good };
+    assert!(said(&missing).unwrap().contains("nowhere.pem: "), "{missing:?}");
+}

@@ -1,0 +1,114 @@
+//! What has been issued, read back from the certificates themselves.
+
+use super::{now, of};
+use crate::config::Problem;
+use consort_actors::trust::issue::{Revoked, authority_of};
+use consort_protocol::ids::FleetId;
+use consort_protocol::trust::Identity;
+use std::fs;
+use std::net::IpAddr;
+use std::path::Path;
+use std::time::Duration;
+use x509_parser::extensions::GeneralName;
+use x509_parser::pem::{Pem, parse_x509_pem};
+use x509_parser::prelude::{FromDer, X509Certificate};
+use x509_parser::revocation_list::CertificateRevocationList;
+
+/// Somebody who has a certificate.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Holder {
+    /// The name, which is the folder's.
+    pub name: String,
+    /// Whose it is.
+    pub identity: Identity,
+    /// Names and addresses under which a node is reached.
+    pub addresses: Vec<String>,
+    /// The serial number.
+    pub serial: Vec<u8>,
+    /// Until when it is valid, in time since 1970.
+    pub until: Duration,
+    /// Whether it is good.
+    pub state: State,
+}
+
+/// Whether a certificate is good.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum State {
+    /// It is, for so many days more.
+    Valid {
+        /// How many.
+        days: u64,
+    },
+    /// It was.
+    Expired,
+    /// It has been revoked.
+    Revoked,
+}
+
+impl Holder {
+    /// Reads a certificate, with what is revoked.
+    pub(super) fn read(file: &Path, revoked: &[Revoked]) -> Result<Holder, Problem> {
+        let pem = pem(file)?;
+        let certificate = pem.parse_x509().map_err(|problem| of(file, problem))?;
+        let (identity, addresses) = names(&certificate).map_err(|problem| of(file, problem))?;
+        let until = certificate.validity().not_after.timestamp();
+        let until = Duration::from_secs(u64::try_from(until).unwrap_or(0));
+        let serial = certificate.raw_serial().to_vec();
+        let state = if revoked.iter().any(|revoked| revoked.serial == serial) {
+            State::Revoked
+        } else {
+            until.checked_sub(now()).map_or(State::Expired, |left| State::Valid { days: left.as_secs() / 86_400 })
+        };
+        let name = file.parent().and_then(Path::file_name).unwrap_or_default();
+        Ok(Holder { name: name.to_string_lossy().into_owned(), identity, addresses, serial, until, state })
+    }
+}
+
+/// Whose a certificate is, and where it is reached.
+fn names(certificate: &X509Certificate<'_>) -> Result<(Identity, Vec<String>), String> {
+    let names = certificate.subject_alternative_name().map_err(|problem| problem.to_string())?;
+    let names = names.map(|names| names.value.general_names.as_slice()).unwrap_or_default();
+    let (mut identity, mut addresses) = (None, Vec::new());
+    for name in names {
+        match name {
+            GeneralName::URI(text) => identity = Some(text.parse::<Identity>().map_err(|problem| problem.to_string())?),
+            GeneralName::DNSName(name) => addresses.push((*name).to_owned()),
+            GeneralName::IPAddress(bytes) => addresses.extend(address(bytes)),
+            _ => {}
+        }
+    }
+    let identity = identity.ok_or("it does not say whose it is: there is no name of the form consort://… in it")?;
+    Ok((identity, addresses))
+}
+
+/// An address as its 4 or 16 bytes.
+fn address(bytes: &[u8]) -> Option<String> {
+    let short = <[u8; 4]>::try_from(bytes).map(|bytes| IpAddr::from(bytes).to_string());
+    short.or_else(|_| <[u8; 16]>::try_from(bytes).map(|bytes| IpAddr::from(bytes).to_string())).ok()
+}
+
+/// The fleet that an authority is for, by its certificate.
+pub(super) fn fleet_of(file: &Path) -> Result<FleetId, Problem> {
+    let pem = pem(file)?;
+    let certificate = pem.parse_x509().map_err(|problem| of(file, problem))?;
+    let mut names = certificate.subject().iter_common_name().filter_map(|name| name.as_str().ok());
+    let fleet =
+        names.find_map(authority_of).ok_or_else(|| of(file, "it is not the certificate of a fleet's authority"))?;
+    fleet.parse().map_err(|problem| of(file, problem))
+}
+
+/// What a list has revoked.
+pub(super) fn revoked_in(file: &Path) -> Result<Vec<Revoked>, Problem> {
+    let pem = pem(file)?;
+    let (_, list) = CertificateRevocationList::from_der(&pem.contents).map_err(|problem| of(file, problem))?;
+    let revoked = list.iter_revoked_certificates().map(|revoked| {
+        let since = u64::try_from(revoked.revocation_date.timestamp()).unwrap_or(0);
+        Revoked { serial: revoked.raw_serial().to_vec(), since: Duration::from_secs(since) }
+    });
+    Ok(revoked.collect())
+}
+
+fn pem(file: &Path) -> Result<Pem, Problem> {
+    let text = fs::read(file).map_err(|problem| of(file, problem))?;
+    parse_x509_pem(&text).map(|(_, pem)| pem).map_err(|problem| of(file, format!("it is not in PEM: {problem}")))
+}

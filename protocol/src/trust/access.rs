@@ -1,0 +1,171 @@
+//! What a link lets through, by the certificate at its other end: the rules that every node gives to Zenoh.
+//!
+//! Zenoh knows a neighbour by the common name of its certificate and nothing else of it, so that name is the *kind* of
+//! bearer ([`common_name`]): rules then hold for bearers that do not exist yet, and no node needs a list of all others. Nodes
+//! relay for each other, so a node's link carries whatever the fleet says, and nothing outside the fleet's tree; that each
+//! speaks in its own name alone is what [seals](super::seal) are for. A person's link carries views, requests within the
+//! scope, and what is to be heard.
+
+use super::identity::{Bearer, Identity, Scope};
+use crate::ids::FleetId;
+use crate::keys::{ApiCall, Key, Keys};
+
+/// What a message on a link is, as Zenoh tells them apart.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Passing {
+    /// Something published.
+    Put,
+    /// A key struck out.
+    Delete,
+    /// That somebody wants to hear.
+    DeclareSubscriber,
+    /// A question.
+    Query,
+    /// That somebody answers.
+    DeclareQueryable,
+    /// An answer.
+    Reply,
+    /// That somebody is there.
+    LivelinessToken,
+    /// That somebody wants to hear who is there.
+    DeclareLivelinessSubscriber,
+    /// A question who is there.
+    LivelinessQuery,
+}
+
+impl Passing {
+    /// All of them.
+    pub const ALL: [Passing; 9] = [
+        Passing::Put,
+        Passing::Delete,
+        Passing::DeclareSubscriber,
+        Passing::Query,
+        Passing::DeclareQueryable,
+        Passing::Reply,
+        Passing::LivelinessToken,
+        Passing::DeclareLivelinessSubscriber,
+        Passing::LivelinessQuery,
+    ];
+
+    /// Zenoh's word for it.
+    pub fn word(self) -> &'static str {
+        match self {
+            Passing::Put => "put",
+            Passing::Delete => "delete",
+            Passing::DeclareSubscriber => "declare_subscriber",
+            Passing::Query => "query",
+            Passing::DeclareQueryable => "declare_queryable",
+            Passing::Reply => "reply",
+            Passing::LivelinessToken => "liveliness_token",
+            Passing::DeclareLivelinessSubscriber => "declare_liveliness_subscriber",
+            Passing::LivelinessQuery => "liveliness_query",
+        }
+    }
+}
+
+/// What links to bearers of one common name let in.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Grant {
+    /// The common name.
+    pub common_name: String,
+    /// What is let in, and on which key expressions. Everything else is not.
+    pub lets_in: Vec<(Vec<Passing>, Vec<String>)>,
+}
+
+/// The common name of a bearer's certificate.
+pub fn common_name(who: &Identity) -> String {
+    match &who.bearer {
+        Bearer::Node { .. } => "consort-node".to_owned(),
+        Bearer::Person { scope, .. } => person(*scope),
+    }
+}
+
+fn person(scope: Scope) -> String {
+    format!("consort-{scope}")
+}
+
+/// What the links of a fleet's node let in; `aside` are key expressions outside the fleet's tree on which neighbours speak.
+pub fn grants(fleet: &FleetId, aside: &[&str]) -> Vec<Grant> {
+    let keys = Keys::new(fleet);
+    let mut all = vec![format!("consort/{fleet}/**")];
+    all.extend(aside.iter().map(|aside| (*aside).to_owned()));
+    let node = Grant { common_name: "consort-node".to_owned(), lets_in: vec![(Passing::ALL.to_vec(), all)] };
+    let persons = Scope::ALL.iter().map(|scope| Grant {
+        common_name: person(*scope),
+        lets_in: vec![
+            (vec![Passing::Query], asked(&keys, *scope)),
+            (vec![Passing::DeclareSubscriber], heard(&keys)),
+            (vec![Passing::DeclareLivelinessSubscriber, Passing::LivelinessQuery], vec![keys.any_alive()]),
+        ],
+    });
+    std::iter::once(node).chain(persons).collect()
+}
+
+/// What a person of this scope may ask.
+fn asked(keys: &Keys, scope: Scope) -> Vec<String> {
+    let calls = ApiCall::ALL.iter().filter(|call| needed(**call) <= scope);
+    let mut asked: Vec<String> = calls.map(|call| keys.write(&Key::Api(*call))).collect();
+    asked.extend([keys.any_view(), keys.any_seen_by_any(), keys.any_help(), keys.any_card()]);
+    if scope >= Scope::Operate {
+        asked.push(keys.any_leave());
+    }
+    asked
+}
+
+/// What any person may listen to: events, and what pictures of a fleet are drawn of.
+fn heard(keys: &Keys) -> Vec<String> {
+    vec![keys.any_events(), keys.any_body_state(), keys.write(&Key::Beacon)]
+}
+
+/// Which scope a call needs.
+pub fn needed(call: ApiCall) -> Scope {
+    match call {
+        ApiCall::Get | ApiCall::List | ApiCall::Explain | ApiCall::Help => Scope::Read,
+        ApiCall::Submit | ApiCall::Cancel => Scope::Submit,
+        ApiCall::Rescued => Scope::Operate,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn ward() -> FleetId {
+        FleetId::new("ward").unwrap()
+    }
+
+    fn may(scope: Scope, passing: Passing, key: &str) -> bool {
+        let grants = grants(&ward(), &[]);
+        let grant = grants.iter().find(|grant| grant.common_name == person(scope)).unwrap();
+        let mut matching = grant.lets_in.iter().filter(|(passings, _)| passings.contains(&passing));
+        matching.any(|(_, keys)| keys.iter().any(|granted| granted == key))
+    }
+
+    #[test]
+    fn a_person_asks_what_the_scope_allows_and_says_nothing() {
+        use Passing::{DeclareSubscriber, Put, Query, Reply};
+        for (scope, submits, operates) in
+            [(Scope::Read, false, false), (Scope::Submit, true, false), (Scope::Operate, true, true)]
+        {
+            assert!(may(scope, Query, "consort/ward/view/**"));
+            assert_eq!(may(scope, Query, "consort/ward/api/submit"), submits);
+            assert_eq!(may(scope, Query, "consort/ward/api/rescued"), operates);
+            assert_eq!(may(scope, Query, "consort/ward/api/leave/*"), operates);
+            assert!(may(scope, DeclareSubscriber, "consort/ward/events/**"));
+            let grants = grants(&ward(), &[]);
+            let own = grants.iter().find(|grant| grant.common_name == person(scope)).unwrap();
+            let says =
+                own.lets_in.iter().flat_map(|(passings, _)| passings).any(|passing| [Put, Reply].contains(passing));
+            assert!(!says, "{scope}");
+        }
+    }
+
+    #[test]
+    fn a_nodes_link_carries_its_fleet_and_no_other() {
+        let grants = grants(&ward(), &["consort-hearing/*"]);
+        assert_eq!(
+            grants[0].lets_in,
+            [(Passing::ALL.to_vec(), vec!["consort/ward/**".to_owned(), "consort-hearing/*".to_owned()])]
+        );
+    }
+}

@@ -1,0 +1,25 @@
+//! Who may say what, decided in values: what a certificate says of its bearer, what such a bearer may do on which key, and
+//! the envelope by which a message proves who said it.
+//!
+//! ```text
+//!  certificate ──▶ Identity ──┐
+//!  key, act, payload ─────────┴─▶ rights::check ──▶ may, or why not
+//!  message ──▶ seal ──▶ over any number of relays ──▶ unseal: sealed by whom, and for the first time?
+//! ```
+//!
+//! Nodes relay for each other, so a link says who the neighbour is and nothing of who spoke: that a message bears its
+//! author's signature is what makes it its author's. Keys and signatures themselves are not here (`actors::trust`).
+//!
+//! Below `view/`, `api/`, `events/` and `alive/` clients of any kind read and ask, who sign nothing: there the links
+//! decide (see [`access`]).
+
+pub mod access;
+mod identity;
+mod rights;
+mod seal;
+mod window;
+
+pub use identity::{Bearer, Identity, IdentityError, NodeRole, Scope};
+pub use rights::{Act, Denied, check};
+pub use seal::{Fingerprint, Kind, OVERHEAD, SIGNATURE, SealError, Sealed, open, signed_part, write};
+pub use window::{Freshness, Window};

@@ -1,0 +1,218 @@
+//! What the bearer of a certificate may say on which key, and whether it says it in its own name.
+//!
+//! | key | publishes | asks | answers |
+//! |---|---|---|---|
+//! | `wire/knowledge/{node}` | that node, of itself | – | – |
+//! | `wire/swim/{node}` | any node | – | – |
+//! | `wire/gossip/{node}` | – | any node | that node |
+//! | `wire/card/{fingerprint}` | – | (unsealed) | (unsealed: what is answered proves itself) |
+//! | `wire/raft/{member}/{call}` | – | voters | voters |
+//! | `wire/found/{node}` | – | voters, in their own name | that node, if a voter |
+//! | `wire/beacon`, `wire/changed` | voters, in their own name | – | – |
+//! | `wire/bid/{robot}` | – | voters | that robot, in its own name |
+//! | `wire/award/{robot}` | – | voters | that robot |
+//! | `wire/report/{node}` | – | robots, of themselves; hosts, for people | that node, if a voter |
+//! | `wire/live/{node}` | – | any node | that node, if a voter |
+//! | `wire/signal/{mission}/{role}` | robots and hosts | – | – |
+//! | `wire/said/{mission}/{role}` | – | any node | robots and hosts |
+//! | `wire/body/{robot}/command` | – | that robot | hosts |
+//! | `wire/body/{robot}/state` | hosts | – | – |
+//! | `wire/people/ask` | – | hosts | hosts |
+//! | `wire/people/done` | hosts | – | – |
+//! | `wire/world` | – | any node | hosts |
+//!
+//! Persons say nothing below `wire/`. What this cannot tell: whether a robot holds the role for which it signals (hearers
+//! compare the epoch), whether a voter leads (terms and majorities do), and what a node hands on of a third one's knowledge.
+
+use super::identity::{Bearer, Identity, NodeRole};
+use crate::auction::Tender;
+use crate::codec;
+use crate::ids::NodeId;
+use crate::message::{Beacon, Changed, Founder, Report, Statement, Within};
+use serde::de::DeserializeOwned;
+use std::collections::BTreeSet;
+
+/// What is done on a key.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Act {
+    /// Something is published.
+    Publish,
+    /// Something is asked.
+    Ask,
+    /// Something is answered.
+    Answer,
+}
+
+impl Act {
+    fn word(self) -> &'static str {
+        match self {
+            Act::Publish => "publish on",
+            Act::Ask => "ask",
+            Act::Answer => "answer on",
+        }
+    }
+}
+
+/// Why somebody may not say what was said. Whoever hears it takes no notice of the message.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+pub enum Denied {
+    /// The bearer may not do this there at all.
+    #[error("{bearer} may not {act} {key}")]
+    Act {
+        /// Who.
+        bearer: String,
+        /// What, in words.
+        act: &'static str,
+        /// Where, below the fleet's prefix.
+        key: String,
+    },
+    /// It was said in somebody else's name.
+    #[error("{bearer} speaks on {key} in the name of {name}")]
+    Name {
+        /// Who.
+        bearer: String,
+        /// Where, below the fleet's prefix.
+        key: String,
+        /// Whose name it used.
+        name: String,
+    },
+    /// It cannot be read, so nobody knows in whose name it is.
+    #[error("what {bearer} says on {key} cannot be read: {problem}")]
+    Unreadable {
+        /// Who.
+        bearer: String,
+        /// Where, below the fleet's prefix.
+        key: String,
+        /// What is wrong with it.
+        problem: String,
+    },
+}
+
+/// Whether the bearer may do this on a key (below the fleet's prefix: `wire/bid/*`) and with this payload.
+///
+/// # Errors
+/// [`Denied`] says why not.
+pub fn check(who: &Identity, act: Act, key: &str, payload: &[u8]) -> Result<(), Denied> {
+    let claim = Claim { who, key, payload };
+    let Bearer::Node { name, roles } = &who.bearer else { return Err(claim.denied(act)) };
+    let bearer = Node { name, roles };
+    match claimed_name(&bearer, act, key) {
+        None => Err(claim.denied(act)),
+        Some(Says::Anything) => Ok(()),
+        Some(Says::Statement) => claim.named(name, |said: &Statement| match said {
+            Statement::Record(record) => Some(record.owner.to_string()),
+            Statement::Still { .. } => None,
+        }),
+        Some(Says::Founder) => claim.named(name, |said: &Founder| Some(said.node.to_string())),
+        Some(Says::Beacon) => claim.named_within(name, |said: &Beacon| Some(said.node.to_string())),
+        Some(Says::Changed) => claim.named_within(name, |said: &Changed| Some(said.node.to_string())),
+        Some(Says::Report) => claim.named_within(name, |said: &Report| Some(said.robot.to_string())),
+        Some(Says::Tender) => claim.named(name, |said: &Tender| Some(said.robot.to_string())),
+    }
+}
+
+/// What is said there, as far as it names its author.
+enum Says {
+    Anything,
+    Statement,
+    Founder,
+    Beacon,
+    Changed,
+    Report,
+    Tender,
+}
+
+struct Node<'a> {
+    name: &'a NodeId,
+    roles: &'a BTreeSet<NodeRole>,
+}
+
+impl Node<'_> {
+    fn is(&self, role: NodeRole) -> bool {
+        self.roles.contains(&role)
+    }
+
+    fn called(&self, name: &str) -> bool {
+        self.name.as_str() == name
+    }
+}
+
+/// What the node may say there, if anything.
+fn claimed_name(node: &Node<'_>, act: Act, key: &str) -> Option<Says> {
+    use Act::{Answer, Ask, Publish};
+    use NodeRole::{Host, Robot, Voter};
+    let segments: Vec<&str> = key.split('/').collect();
+    let anything = |may: bool| may.then_some(Says::Anything);
+    match (segments.as_slice(), act) {
+        (&["wire", "knowledge", name], Publish) => node.called(name).then_some(Says::Statement),
+        (&["wire", "swim", _], Publish) => anything(true),
+        (&["wire", "gossip", _], Ask) => anything(true),
+        (&["wire", "gossip", name], Answer) => anything(node.called(name)),
+        (&["wire", "raft", _, _], Ask | Answer) => anything(node.is(Voter)),
+        (&["wire", "found", _], Ask) => node.is(Voter).then_some(Says::Founder),
+        (&["wire", "found", name], Answer) => anything(node.is(Voter) && node.called(name)),
+        (&["wire", "beacon"], Publish) => node.is(Voter).then_some(Says::Beacon),
+        (&["wire", "changed"], Publish) => node.is(Voter).then_some(Says::Changed),
+        (&["wire", "bid" | "award", _], Ask) => anything(node.is(Voter)),
+        (&["wire", "bid", name], Answer) => (node.is(Robot) && node.called(name)).then_some(Says::Tender),
+        (&["wire", "award", name], Answer) => anything(node.is(Robot) && node.called(name)),
+        (&["wire", "report", _], Ask) if node.is(Host) => anything(true),
+        (&["wire", "report", _], Ask) => node.is(Robot).then_some(Says::Report),
+        (&["wire", "report" | "live", name], Answer) => anything(node.is(Voter) && node.called(name)),
+        (&["wire", "live", _] | &["wire", "said", _, _] | &["wire", "world"], Ask) => anything(true),
+        (&["wire", "signal", _, _], Publish) | (&["wire", "said", _, _], Answer) => {
+            anything(node.is(Robot) || node.is(Host))
+        }
+        (&["wire", "body", name, "command"], Ask) => anything(node.is(Robot) && node.called(name)),
+        (&["wire", "body", _, "command"] | &["wire", "world"], Answer) => anything(node.is(Host)),
+        (&["wire", "body", _, "state"] | &["wire", "people", "done"], Publish) => anything(node.is(Host)),
+        (&["wire", "people", "ask"], Ask | Answer) => anything(node.is(Host)),
+        _ => None,
+    }
+}
+
+/// Something said by somebody.
+struct Claim<'a> {
+    who: &'a Identity,
+    key: &'a str,
+    payload: &'a [u8],
+}
+
+impl Claim<'_> {
+    fn denied(&self, act: Act) -> Denied {
+        Denied::Act { bearer: self.who.bearer.to_string(), act: act.word(), key: self.key.to_owned() }
+    }
+
+    fn named<T: DeserializeOwned>(&self, own: &NodeId, name: impl FnOnce(&T) -> Option<String>) -> Result<(), Denied> {
+        let said: T = self.read(self.payload)?;
+        self.is_own(own, name(&said))
+    }
+
+    /// The same of what is said within a cluster.
+    fn named_within<T: DeserializeOwned>(
+        &self,
+        own: &NodeId,
+        name: impl FnOnce(&T) -> Option<String>,
+    ) -> Result<(), Denied> {
+        let within: Within = self.read(self.payload)?;
+        let said: T = self.read(&within.said)?;
+        self.is_own(own, name(&said))
+    }
+
+    fn read<T: DeserializeOwned>(&self, bytes: &[u8]) -> Result<T, Denied> {
+        codec::decode(bytes).map_err(|problem| Denied::Unreadable {
+            bearer: self.who.bearer.to_string(),
+            key: self.key.to_owned(),
+            problem: problem.to_string(),
+        })
+    }
+
+    fn is_own(&self, own: &NodeId, name: Option<String>) -> Result<(), Denied> {
+        match name {
+            Some(name) if name != own.as_str() => {
+                Err(Denied::Name { bearer: self.who.bearer.to_string(), key: self.key.to_owned(), name })
+            }
+            _ => Ok(()),
+        }
+    }
+}

@@ -1,0 +1,202 @@
+//! The envelope by which a message proves who said it.
+//!
+//! ```text
+//!  1      1     16           8       64         …
+//!  version kind  fingerprint  number  signature  payload
+//! ```
+//!
+//! What is signed ([`signed_part`]) is the purpose, version, kind, fingerprint and number, the key that it is said on, for
+//! an answer the question that it answers, and the payload. So a relay can neither put a message on another key, nor pass an
+//! answer off as one to another question, nor a question as a publication.
+
+use std::fmt;
+use std::str::FromStr;
+
+/// First byte of every sealed message.
+const VERSION: u8 = 1;
+
+/// Bytes of an Ed25519 signature.
+pub const SIGNATURE: usize = 64;
+
+const FINGERPRINT: usize = 16;
+const HEAD: usize = 2 + FINGERPRINT + 8;
+
+/// How many bytes a seal adds to a message.
+pub const OVERHEAD: usize = HEAD + SIGNATURE;
+
+/// Which certificate: the first half of the SHA-256 of its DER. Written as 32 hexadecimal digits.
+#[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct Fingerprint(pub [u8; FINGERPRINT]);
+
+impl fmt::Display for Fingerprint {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        self.0.iter().try_for_each(|byte| write!(f, "{byte:02x}"))
+    }
+}
+
+impl fmt::Debug for Fingerprint {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "Fingerprint({self})")
+    }
+}
+
+impl FromStr for Fingerprint {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Fingerprint, String> {
+        let problem = || format!("{text:?} is no fingerprint: one is {} hexadecimal digits", 2 * FINGERPRINT);
+        let right =
+            text.len() == 2 * FINGERPRINT && text.bytes().all(|c| c.is_ascii_digit() || (b'a'..=b'f').contains(&c));
+        let number = right.then(|| u128::from_str_radix(text, 16).ok()).flatten();
+        number.map(|number| Fingerprint(number.to_be_bytes())).ok_or_else(problem)
+    }
+}
+
+/// What a message is.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Kind {
+    /// It is said to whoever listens.
+    Publication,
+    /// It asks.
+    Question,
+    /// It answers the question of this number, which the bearer of this certificate asked.
+    Answer(Fingerprint, u64),
+}
+
+impl Kind {
+    fn byte(self) -> u8 {
+        match self {
+            Kind::Publication => 0,
+            Kind::Question => 1,
+            Kind::Answer(..) => 2,
+        }
+    }
+}
+
+/// A message as it was sealed; whether the signature is right is not said by its being one.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Sealed<'a> {
+    /// By the bearer of which certificate it claims to be.
+    pub by: Fingerprint,
+    /// Its number among all messages of its author, which only grow.
+    pub number: u64,
+    /// Over [`signed_part`].
+    pub signature: &'a [u8],
+    /// The message.
+    pub payload: &'a [u8],
+}
+
+/// Why bytes are not a sealed message of the kind expected.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
+pub enum SealError {
+    /// Too short to be one: it comes from somebody who seals nothing.
+    #[error("it bears no seal")]
+    None,
+    /// Sealed in another way.
+    #[error("its seal is of version {found}, where this node knows {VERSION}")]
+    Version {
+        /// The version found.
+        found: u8,
+    },
+    /// A question where an answer was expected, or the like.
+    #[error("it was sealed as another kind of message")]
+    Kind,
+}
+
+/// What is signed of a message.
+pub fn signed_part(kind: Kind, by: Fingerprint, number: u64, key: &str, payload: &[u8]) -> Vec<u8> {
+    let mut signed = Vec::with_capacity(64 + HEAD + key.len() + payload.len());
+    signed.extend_from_slice(b"consort seal\0");
+    signed.extend_from_slice(&[VERSION, kind.byte()]);
+    signed.extend_from_slice(&by.0);
+    signed.extend_from_slice(&number.to_be_bytes());
+    if let Kind::Answer(asker, question) = kind {
+        signed.extend_from_slice(&asker.0);
+        signed.extend_from_slice(&question.to_be_bytes());
+    }
+    signed.extend_from_slice(&(key.len() as u64).to_be_bytes());
+    signed.extend_from_slice(key.as_bytes());
+    signed.extend_from_slice(payload);
+    signed
+}
+
+/// The sealed message as bytes.
+pub fn write(kind: Kind, sealed: Sealed<'_>) -> Vec<u8> {
+    let Sealed { by, number, signature, payload } = sealed;
+    let mut bytes = Vec::with_capacity(OVERHEAD + payload.len());
+    bytes.extend_from_slice(&[VERSION, kind.byte()]);
+    bytes.extend_from_slice(&by.0);
+    bytes.extend_from_slice(&number.to_be_bytes());
+    bytes.extend_from_slice(signature);
+    bytes.extend_from_slice(payload);
+    bytes
+}
+
+/// The sealed message that bytes are.
+///
+/// # Errors
+/// [`SealError`]; whatever the bytes are, this does not panic.
+pub fn open(kind: Kind, bytes: &[u8]) -> Result<Sealed<'_>, SealError> {
+    let (head, rest) = bytes.split_at_checked(HEAD).ok_or(SealError::None)?;
+    let (signature, payload) = rest.split_at_checked(SIGNATURE).ok_or(SealError::None)?;
+    let (&[version, of_kind], head) = head.split_first_chunk::<2>().ok_or(SealError::None)?;
+    let (by, number) = head.split_first_chunk::<FINGERPRINT>().ok_or(SealError::None)?;
+    let number: [u8; 8] = number.try_into().map_err(|_| SealError::None)?;
+    match (version, of_kind) {
+        (VERSION, of_kind) if of_kind == kind.byte() => {
+            Ok(Sealed { by: Fingerprint(*by), number: u64::from_be_bytes(number), signature, payload })
+        }
+        (VERSION, _) => Err(SealError::Kind),
+        (found, _) => Err(SealError::Version { found }),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    const BY: Fingerprint = Fingerprint([7; FINGERPRINT]);
+
+    #[test]
+    fn a_fingerprint_reads_back() {
+        assert_eq!(BY.to_string().parse(), Ok(BY));
+        assert!("07".parse::<Fingerprint>().unwrap_err().contains("32 hexadecimal digits"));
+        assert!("+7070707070707070707070707070707".parse::<Fingerprint>().is_err());
+    }
+
+    #[test]
+    fn one_kind_is_not_taken_for_another() {
+        let answer = Kind::Answer(BY, 3);
+        let bytes = write(Kind::Question, Sealed { by: BY, number: 9, signature: &[1; SIGNATURE], payload: b"?" });
+        assert_eq!(bytes.len(), OVERHEAD + 1);
+        assert_eq!(open(Kind::Question, &bytes).unwrap().payload, b"?");
+        assert_eq!(open(answer, &bytes), Err(SealError::Kind));
+        assert_eq!(open(answer, &bytes[..OVERHEAD - 1]), Err(SealError::None));
+        assert_eq!(open(answer, &[&[9], &bytes[1..]].concat()), Err(SealError::Version { found: 9 }));
+    }
+
+    #[test]
+    fn whatever_differs_is_signed_differently() {
+        let parts = [
+            signed_part(Kind::Publication, BY, 1, "a/b", b"c"),
+            signed_part(Kind::Question, BY, 1, "a/b", b"c"),
+            signed_part(Kind::Answer(BY, 1), BY, 1, "a/b", b"c"),
+            signed_part(Kind::Answer(BY, 2), BY, 1, "a/b", b"c"),
+            signed_part(Kind::Publication, BY, 2, "a/b", b"c"),
+            signed_part(Kind::Publication, Fingerprint([8; FINGERPRINT]), 1, "a/b", b"c"),
+            signed_part(Kind::Publication, BY, 1, "a/bc", b""),
+            signed_part(Kind::Publication, BY, 1, "a/", b"bc"),
+        ];
+        assert_eq!(parts.iter().collect::<std::collections::BTreeSet<_>>().len(), parts.len());
+    }
+
+    proptest! {
+        #[test]
+        fn whatever_is_heard_is_read_or_refused(bytes in prop::collection::vec(any::<u8>(), 0..300)) {
+            if let Ok(sealed) = open(Kind::Publication, &bytes) {
+                prop_assert_eq!(write(Kind::Publication, sealed), bytes);
+            }
+        }
+    }
+}
