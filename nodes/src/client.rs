@@ -12,6 +12,7 @@ use consort_actors::clock::Clock;
 use consort_actors::trust::{Keyring, SealedBus, TrustFiles};
 use consort_protocol::ids::{FleetId, NodeId};
 use consort_protocol::keys::{ApiCall, Key, Keys};
+use consort_protocol::trust::{Bearer, access};
 use serde_json::Value;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -96,6 +97,8 @@ fn keyring(certs: &Path, fleet: &FleetId, clock: Clock) -> Result<(Keyring, Trus
 /// A client that is connected.
 pub struct Client {
     session: ZenohBus,
+    /// Whose certificate it has, if it has one.
+    person: Option<Bearer>,
     bus: SharedBus,
     keys: Keys,
     fleet: FleetId,
@@ -141,7 +144,8 @@ impl Client {
                 return Err(Failure::Unreached(format!(
                     "not connected: nothing answers at {addresses} ({problem})\n\
                      Start a node that listens there (consort station --name s1 --listen tcp/127.0.0.1:7447), or name \
-                     one that runs: --connect tcp/HOST:PORT"
+                     one that runs: --connect tcp/HOST:PORT. A fleet whose nodes have certificates answers only those who \
+                     have one (--certs DIR, --connect tls/HOST:PORT); `consort doctor` says what it is that does not fit"
                 )));
             }
             waiting.say(format_args!("nothing answers at {addresses} yet; trying for {} s", timeout.as_secs_f64()));
@@ -150,6 +154,7 @@ impl Client {
         waiting.clear();
         let keys = Keys::new(&fleet);
         let plain: SharedBus = Arc::new(session.clone());
+        let person = trust.as_ref().map(|(keyring, _)| keyring.identity().bearer.clone());
         let bus = match trust {
             None => plain,
             Some((keyring, files)) => {
@@ -157,7 +162,7 @@ impl Client {
                 Arc::new(sealed.map_err(|problem| Failure::Unsuccessful(problem.to_string()))?)
             }
         };
-        Ok(Client { session, bus, keys, fleet, to: describe(&links), timeout, waiting })
+        Ok(Client { session, person, bus, keys, fleet, to: describe(&links), timeout, waiting })
     }
 
     /// Makes a request: of the coordinator, or of the nearest node if it changes nothing.
@@ -165,8 +170,20 @@ impl Client {
     /// # Errors
     /// [`Failure::Unsuccessful`] with what it refused; [`Failure::Unreached`] if nobody coordinates.
     pub async fn api(&mut self, call: ApiCall, request: &Value) -> Result<Value, Failure> {
+        self.may(call)?;
         let whom = if call.is_reading() { Whom::Nearest } else { Whom::All };
         self.ask(&Key::Api(call), request.to_string(), whom).await
+    }
+
+    /// Whether the person's certificate allows a call. Nodes do not let it in otherwise, and Zenoh does not say so.
+    fn may(&self, call: ApiCall) -> Result<(), Failure> {
+        let Some(Bearer::Person { name, scope }) = &self.person else { return Ok(()) };
+        let needed = access::needed(call);
+        if *scope >= needed {
+            return Ok(());
+        }
+        let word = call.word();
+        Err(Failure::Usage(format!("the certificate of {name} is for scope {scope}, and {word} needs scope {needed}")))
     }
 
     /// Looks at what the nearest node shows.

@@ -5,6 +5,7 @@
 //! killed when its handle is dropped, also when a test fails.
 
 mod by_hand;
+mod closed;
 mod crashes;
 mod demo;
 mod demo_on_virtual_time;

@@ -64,8 +64,11 @@ impl Fleet {
     pub(crate) fn start_by(&mut self, by: &[&str], kind: &str, mut node: Table, neighbours: &[&str]) {
         let name = node["name"].as_str().expect("a node has a name").to_owned();
         let connect: Vec<String> = neighbours.iter().map(|neighbour| self.address(neighbour)).collect();
-        let mut bus = Table::new();
-        bus.insert("listen".to_owned(), vec!["tcp/127.0.0.1:0"].into());
+        // A node with certificates says where they are.
+        let mut bus = node.get("bus").and_then(toml::Value::as_table).cloned().unwrap_or_default();
+        bus.retain(|key, _| key == "certs");
+        let listen = if bus.is_empty() { "tcp/127.0.0.1:0" } else { "tls/127.0.0.1:0" };
+        bus.insert("listen".to_owned(), vec![listen].into());
         bus.insert("connect".to_owned(), connect.into());
         node.insert("bus".to_owned(), bus.into());
         let file = self.folder.write(&format!("{name}.toml"), &node.to_string());
@@ -140,6 +143,12 @@ impl Fleet {
         let mut all = arguments.to_vec();
         all.extend(["--connect", &address, "--fleet", &fleet, "--timeout", "30"]);
         Program::start(&self.folder, &format!("command-{}", self.commands), &all)
+    }
+
+    /// Runs a command that asks nobody, to its end.
+    pub(crate) fn tool(&mut self, arguments: &[&str]) -> Ended {
+        self.commands += 1;
+        Program::start(&self.folder, &format!("tool-{}", self.commands), arguments).end(ANSWER_LIMIT)
     }
 
     /// Runs a command that asks the fleet, to its end.

@@ -1,0 +1,260 @@
+//! A fleet whose nodes have certificates: it works as any other, and whoever is not of it, or goes beyond what it may, gets
+//! nowhere and leaves a trace.
+
+use crate::support::{Fleet, example, until};
+use bytes::Bytes;
+use consort_actors::bus::zenoh_bus::{LinkTrust, Mode};
+use consort_actors::bus::{Bus, Delivery, Encoding, ZenohBus, ZenohSettings};
+use consort_actors::clock::Clock;
+use consort_actors::trust::SealedBus;
+use consort_nodes::config::trust_files;
+use consort_protocol::codec;
+use consort_protocol::ids::{FleetId, NodeId};
+use consort_protocol::keys::{Key, Keys};
+use consort_protocol::knowledge::Stamp;
+use consort_protocol::message::{Beacon, Statement, Within};
+use serde_json::{Value, json};
+use std::collections::BTreeSet;
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+use toml::Table;
+
+const LIMIT: Duration = Duration::from_secs(60);
+
+fn ward() -> FleetId {
+    FleetId::new("ward").expect("a name")
+}
+
+/// A fleet with an authority, which runs nothing yet.
+struct Closed {
+    fleet: Fleet,
+    certs: PathBuf,
+}
+
+impl Closed {
+    fn new() -> Closed {
+        let fleet = Fleet::new(&example("fleet"));
+        let certs = fleet.path("certs");
+        let mut closed = Closed { fleet, certs };
+        closed.cert(&["init", "--fleet", "ward"]);
+        for (name, roles) in
+            [("station-1", "voter"), ("world", "host"), ("ada", "robot,voter"), ("lab-arm", "robot,voter")]
+        {
+            closed.cert(&["node", name, "--roles", roles]);
+        }
+        for scope in ["read", "submit", "operate"] {
+            closed.cert(&["person", scope, "--scope", scope]);
+        }
+        closed
+    }
+
+    fn cert(&mut self, arguments: &[&str]) {
+        let dir = self.certs.display().to_string();
+        self.fleet.tool(&[&["cert", "--dir", &dir][..], arguments].concat()).expect(0);
+    }
+
+    fn of(&self, who: &str) -> PathBuf {
+        self.certs.join(who)
+    }
+
+    fn start(&mut self, kind: &str, mut node: Table, neighbours: &[&str]) {
+        let name = node["name"].as_str().expect("a name").to_owned();
+        let certs = self.of(&name).display().to_string();
+        node["bus"].as_table_mut().expect("the examples say where nodes are").insert("certs".to_owned(), certs.into());
+        self.fleet.start(kind, node, neighbours);
+    }
+
+    fn start_all(&mut self) {
+        self.start("station", example("station"), &[]);
+        let mut world = example("world");
+        world.insert("speed".to_owned(), 20.0.into());
+        self.start("world", world, &["station-1"]);
+        self.start("robot", example("robot"), &["station-1", "world"]);
+        self.start("robot", example("arm"), &["station-1", "world"]);
+    }
+
+    /// What a node has logged that it did not listen to.
+    fn refused(&mut self, by: &str) -> String {
+        let log = self.fleet.node(by).stderr();
+        log.lines().filter(|line| line.contains("not listened to")).collect::<Vec<_>>().join("\n")
+    }
+}
+
+/// A client of Zenoh's with somebody's certificate, or with none.
+fn session(address: &str, certs: Option<&Path>) -> Result<zenoh::Session, String> {
+    use zenoh::Wait;
+    let mut config = zenoh::Config::default();
+    let mut set =
+        |path: &str, value: Value| config.insert_json5(path, &value.to_string()).expect("a setting of Zenoh's");
+    set("mode", json!("client"));
+    set("connect/endpoints", json!([address]));
+    set("transport/link/tls/verify_name_on_connect", json!(false));
+    if let Some(certs) = certs {
+        set("transport/link/tls/root_ca_certificate", json!(certs.join("ca.pem")));
+        set("transport/link/tls/connect_certificate", json!(certs.join("cert.pem")));
+        set("transport/link/tls/connect_private_key", json!(certs.join("key.pem")));
+        set("transport/link/tls/enable_mtls", json!(true));
+    }
+    zenoh::open(config).wait().map_err(|problem| problem.to_string())
+}
+
+/// The answers to a question, by Zenoh itself.
+fn asked(session: &zenoh::Session, key: &str, payload: &str) -> Vec<Value> {
+    use zenoh::Wait;
+    use zenoh::query::QueryTarget;
+    let asked = session.get(key).payload(payload).target(QueryTarget::All).timeout(Duration::from_secs(5));
+    let answers = asked.wait().expect("a question can be asked");
+    let samples = std::iter::from_fn(|| answers.recv().ok()).filter_map(|answer| answer.into_result().ok());
+    samples.map(|sample| serde_json::from_slice(&sample.payload().to_bytes()).expect("JSON")).collect()
+}
+
+#[test]
+fn a_closed_fleet_carries_missions_out_through_the_death_of_its_coordinator() {
+    let mut closed = Closed::new();
+    closed.start_all();
+    let operator = closed.of("operate").display().to_string();
+    let submit = ["submit", "lab-samples", "--set", "room=IC Room 6", "--wait", "--certs", &operator];
+    let waiting = closed.fleet.begin(&submit, "world");
+    let coordinator = until("somebody holds a role", LIMIT, || {
+        let seen = closed.fleet.run(&["fleet", "--json", "--certs", &operator], "world").expect(0).json();
+        let nodes = seen["fleet"]["nodes"].as_array()?.clone();
+        nodes.iter().any(|node| node["holds"].is_object()).then(|| seen["coordinator"]["node"].clone())
+    });
+    closed.fleet.kill(coordinator.as_str().expect("a name"));
+    // A robot that coordinates takes its body with it; whoever is left carries on, or the mission waits for it.
+    closed.fleet.start_again(coordinator.as_str().expect("a name"));
+    let ended = waiting.end(Duration::from_secs(180)).expect(0);
+    assert!(ended.stdout.ends_with("completed\n"), "{}", ended.stdout);
+    for name in ["station-1", "world", "ada", "lab-arm"] {
+        assert_eq!(closed.refused(name), "", "{name} takes friends for foes");
+    }
+    closed.fleet.stop();
+}
+
+#[test]
+fn who_has_no_certificate_or_another_fleets_gets_no_link() {
+    let mut closed = Closed::new();
+    closed.start("station", example("station"), &[]);
+    let address = closed.fleet.address("station-1");
+    let mut other = Closed::new();
+    assert!(session(&address, None).is_err(), "no certificate");
+    assert!(session(&address, Some(&other.of("operate"))).is_err(), "another fleet's");
+    assert!(session(&address.replace("tls/", "tcp/"), None).is_err(), "no TLS");
+    let own = session(&address, Some(&closed.of("read"))).expect("the fleet's own");
+    until("the station answers", LIMIT, || asked(&own, "consort/ward/view/fleet", "").pop());
+    // The same with the commands: the one says that nothing answers, and where to ask why.
+    let stranger = other.of("operate").display().to_string();
+    let missions = ["missions", "--certs", &stranger, "--connect", &address, "--timeout", "2"];
+    let ended = other.fleet.tool(&missions).expect(3);
+    assert!(ended.stderr.contains("`consort doctor` says what it is that does not fit"), "{}", ended.stderr);
+    drop(own);
+    closed.fleet.stop();
+}
+
+#[test]
+fn a_persons_link_lets_in_what_the_scope_allows_and_nothing_else() {
+    use zenoh::Wait;
+    let mut closed = Closed::new();
+    closed.start_all();
+    let address = closed.fleet.address("station-1");
+    let [reads, submits] = ["read", "submit"].map(|scope| session(&address, Some(&closed.of(scope))).expect("a link"));
+    let heard = submits.declare_subscriber("consort/ward/events/**").wait().expect("events can be followed");
+    until("all are there", LIMIT, || {
+        let fleet = asked(&reads, "consort/ward/view/fleet", "").pop()?;
+        let nodes = fleet["nodes"].as_array()?;
+        (nodes.len() == 4 && fleet["coordinator"].is_string()).then_some(())
+    });
+    let request = json!({ "mission": "lab-samples", "parameters": { "room": "IC Room 6" } }).to_string();
+    assert_eq!(asked(&reads, "consort/ward/api/submit", &request), [] as [Value; 0], "who reads does not submit");
+    let commands = closed.of("read").display().to_string();
+    let refused = closed.fleet.run(&["submit", "lab-samples", "--certs", &commands], "station-1").expect(2);
+    assert!(refused.stderr.contains("read is for scope read, and submit needs scope submit"), "{}", refused.stderr);
+    let answer = until("the coordinator takes it", LIMIT, || {
+        asked(&submits, "consort/ward/api/submit", &request).into_iter().find(|answer| answer.get("mission").is_some())
+    });
+    assert_eq!(answer["mission"], "lab-samples-1");
+    assert_eq!(asked(&submits, "consort/ward/api/leave/ada", "{}"), [] as [Value; 0], "who submits does not operate");
+    until("an event of the mission is heard", LIMIT, || {
+        let event = heard.recv_timeout(Duration::from_secs(5)).ok()??;
+        let text = event.payload().try_to_string().ok()?.into_owned();
+        text.contains("lab-samples-1").then_some(())
+    });
+    // What a person says below wire/ does not even reach a node: nothing is there to be refused.
+    submits.put("consort/ward/wire/beacon", vec![1, 2, 3]).wait().expect("Zenoh stays silent");
+    assert_eq!(asked(&submits, "consort/ward/wire/live/ada", ""), [] as [Value; 0]);
+    assert_eq!(closed.refused("station-1"), "");
+    drop((heard, reads, submits));
+    closed.fleet.stop();
+}
+
+#[test]
+fn a_robot_that_speaks_in_the_name_of_others_is_not_listened_to_and_leaves_a_trace() {
+    let mut closed = Closed::new();
+    closed.cert(&["node", "eve", "--roles", "robot"]);
+    closed.start_all();
+    let address = closed.fleet.address("station-1");
+    let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build().expect("threads");
+    let files = trust_files(&closed.of("eve"));
+    let keys = Keys::new(&ward());
+    let eve = runtime.block_on(async {
+        let links = Some(LinkTrust { files: files.clone(), fleet: ward() });
+        let settings = ZenohSettings { mode: Mode::Client, connect: vec![address], links, ..ZenohSettings::default() };
+        let bus = ZenohBus::open(settings).await.expect("eve is of the fleet");
+        let clock = Clock::real();
+        let life = clock.wall_ms();
+        let keyring = files.open(&ward(), Duration::from_millis(life), life).expect("eve's files are right");
+        let sealed = SealedBus::open(std::sync::Arc::new(bus.clone()), keys.clone(), keyring, files, clock).await;
+        (bus, sealed.expect("eve shows her certificate"))
+    });
+    let arm = NodeId::new("lab-arm").expect("a name");
+    let knowledge = keys.write(&Key::Knowledge(arm.clone()));
+    let still = Statement::Still { stamp: Stamp { incarnation: u64::MAX, version: 1 }, since: 1 };
+    let beacon = Beacon { node: arm, term: 1_000_000, voters: BTreeSet::new(), since_ms: 0, cluster: None };
+    let beacon = Within { cluster: None, said: codec::encode(&beacon).expect("a beacon") };
+    let says = [
+        (knowledge.clone(), codec::encode(&still).expect("a statement"), "may not publish on wire/knowledge/lab-arm"),
+        (keys.write(&Key::Beacon), codec::encode(&beacon).expect("a message"), "may not publish on wire/beacon"),
+    ];
+    for (key, said, trace) in says {
+        until(&format!("the station notes it: {trace}"), LIMIT, || {
+            let said = Bytes::from(said.clone());
+            let published = eve.1.publish(&key, said, Encoding::Wire, Delivery::Block);
+            runtime.block_on(published).expect("eve says it");
+            std::thread::sleep(Duration::from_millis(200));
+            closed.refused("station-1").contains(&format!("node eve (robot) {trace}")).then_some(())
+        });
+    }
+    // Without a seal it is nobody's.
+    until("what bears no seal is noted", LIMIT, || {
+        let published = eve.0.publish(&knowledge, Bytes::from_static(b"?"), Encoding::Wire, Delivery::Block);
+        runtime.block_on(published).expect("eve says it");
+        std::thread::sleep(Duration::from_millis(200));
+        closed.refused("station-1").contains("somebody on wire/knowledge/lab-arm: it bears no seal").then_some(())
+    });
+    // Nobody follows her, and lab-arm is as it was.
+    let reads = closed.of("read").display().to_string();
+    let seen = closed.fleet.run(&["fleet", "--json", "--certs", &reads], "station-1").expect(0).json();
+    assert_ne!(seen["coordinator"]["term"], 1_000_000, "{seen}");
+    runtime.block_on(eve.0.close()).expect("a goodbye");
+    closed.fleet.stop();
+}
+
+#[test]
+fn a_node_that_has_not_the_certificate_of_what_it_is_to_be_says_so_and_does_not_start() {
+    let mut closed = Closed::new();
+    for (certs, says) in [
+        ("ada", "it is node ada's, and this is station-1"),
+        ("read", "it is person read (read)'s, and nodes have certificates of their own"),
+        ("nobody", "ca.pem: "),
+    ] {
+        let certs = closed.of(certs).display().to_string();
+        let ended = closed.fleet.tool(&["station", "--name", "station-1", "--certs", &certs]).expect(2);
+        assert!(ended.stderr.contains(says), "{}", ended.stderr);
+    }
+    let certs = closed.of("world").display().to_string();
+    let ended = closed.fleet.tool(&["station", "--name", "world", "--certs", &certs]).expect(2);
+    assert!(ended.stderr.contains("it does not let world be a voter, and may_vote is true"), "{}", ended.stderr);
+    let listens = ["station", "--name", "world", "--certs", &certs, "--listen", "tcp/127.0.0.1:0"];
+    let ended = closed.fleet.tool(&listens).expect(2);
+    assert!(ended.stderr.contains("the protocol is tls for a node that has certificates"), "{}", ended.stderr);
+}
