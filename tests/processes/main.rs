@@ -17,3 +17,4 @@ mod mistakes;
 mod recordings;
 mod stock_client;
 mod support;
+mod watch;
