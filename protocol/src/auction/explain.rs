@@ -108,12 +108,24 @@ struct Taken<'a> {
     parts: &'a [BidPart],
 }
 
+/// What a step is: a task by its name, a message by whom it goes to or comes from.
+fn step_in_words(part: &BidPart) -> String {
+    // As `Signal` is written: kind, task, sender, receiver.
+    let mut words = part.label.split(':').skip(2);
+    match (part.skill.as_str(), words.next(), words.next()) {
+        ("send_message", Some(_), Some(to)) => format!("telling {to}"),
+        ("wait_message", Some(from), _) => format!("waiting for {from}"),
+        _ => part.label.clone(),
+    }
+}
+
 impl RobotExplained {
     /// What each step of the bid takes, as far as it takes anything: `navto_room 37.0 s 2.2 %, approach_nurse 1.0 s 0.1 %`.
     /// `None` if the steps are not known.
     pub fn parts_in_words(&self) -> Option<String> {
         let takes = |part: &&BidPart| part.time.get() >= 0.05 || part.energy >= 0.0005;
-        let words = |part: &BidPart| format!("{} {:.1} s {:.1} %", part.label, part.time.get(), part.energy * 100.0);
+        let words =
+            |part: &BidPart| format!("{} {:.1} s {:.1} %", step_in_words(part), part.time.get(), part.energy * 100.0);
         let parts: Vec<String> = self.parts.iter().filter(takes).map(words).collect();
         (!parts.is_empty()).then(|| parts.join(", "))
     }
@@ -236,7 +248,8 @@ fn explain_robot(
                     let behind = bid.time_s - won.price.time_s;
                     let more = if behind < 0.0 { "less" } else { "more" };
                     let most = if behind < 0.0 { None } else { most_behind(&entry.parts, won.parts) };
-                    let most = most.map(|(label, more)| format!(", most of all in {label} ({more:.1} s more)"));
+                    let most =
+                        most.map(|(step, more)| format!(", most of all in {} ({more:.1} s more)", step_in_words(step)));
                     let most = most.unwrap_or_default();
                     (Outcome::Outbid, format!("{words}: outbid, {:.1} s {more} than {winner}{most}", behind.abs()))
                 }
@@ -259,10 +272,10 @@ fn explain_robot(
 }
 
 /// The step in which a bid falls behind another of the same plan the most, and by how many seconds.
-fn most_behind<'a>(parts: &'a [BidPart], won: &[BidPart]) -> Option<(&'a str, f64)> {
+fn most_behind<'a>(parts: &'a [BidPart], won: &[BidPart]) -> Option<(&'a BidPart, f64)> {
     let behind = |part: &'a BidPart| {
         let same = won.iter().find(|other| other.step == part.step)?;
-        Some((part.label.as_str(), part.time.get() - same.time.get()))
+        Some((part, part.time.get() - same.time.get()))
     };
     let most = parts.iter().filter_map(behind).max_by(|one, other| one.1.total_cmp(&other.1))?;
     (most.1 >= 0.05).then_some(most)
@@ -326,10 +339,12 @@ mod tests {
         };
         let parts = vec![
             part(0, "navto_room", "navigation", seconds),
-            part(1, "authenticate", "wait_message", 0.0),
-            part(2, "authenticate_nurse", "authenticate_person", 60.0),
+            part(1, "done:greet:r2:r1", "wait_message", 0.0),
+            part(2, "done:deposit:nurse:r1", "wait_message", 2.0),
+            part(3, "ready:deposit:r1:nurse", "send_message", 2.0),
+            part(4, "authenticate_nurse", "authenticate_person", 60.0),
         ];
-        AuctionEntry { parts, ..bid("r1", robot, seconds + 60.0) }
+        AuctionEntry { parts, ..bid("r1", robot, seconds + 64.0) }
     }
 
     fn no(role: &str, robot: &str, reason: RefusalReason) -> AuctionEntry {
@@ -397,10 +412,12 @@ mod tests {
 
     #[test]
     fn a_bid_is_told_step_by_step_and_where_a_rival_falls_behind() {
-        let entries = vec![drives("birch", 37.04), drives("flint", 92.1), bid("r1", "cedar", 99.0)];
+        let entries = vec![drives("birch", 37.04), drives("flint", 92.1), bid("r1", "cedar", 103.0)];
         let explained = explain(&record(entries, &[("r1", "birch")], None));
         let [birch, cedar, flint] = &explained.roles[0].robots[..] else { panic!("three robots") };
-        assert_eq!(birch.parts_in_words().as_deref(), Some("navto_room 37.0 s 3.7 %, authenticate_nurse 60.0 s 6.0 %"));
+        let steps = "navto_room 37.0 s 3.7 %, waiting for nurse 2.0 s 0.2 %, telling nurse 2.0 s 0.2 %, authenticate_nurse \
+                     60.0 s 6.0 %";
+        assert_eq!(birch.parts_in_words().as_deref(), Some(steps));
         assert!(cedar.why.ends_with(": outbid, 2.0 s more than birch"), "{}", cedar.why);
         assert_eq!(cedar.parts_in_words(), None);
         let most = ": outbid, 55.1 s more than birch, most of all in navto_room (55.1 s more)";

@@ -28,7 +28,7 @@ impl AuctionRecord {
     pub const ENTRIES_MAX: usize = 256;
 
     /// Most bytes that the parts of all bids in a record take up, near enough: the ledger keeps a record for each mission.
-    /// Some twenty bids of a dozen steps.
+    /// Some ten bids of a dozen steps.
     pub const PARTS_BYTES_MAX: usize = 8 * 1024;
 }
 
