@@ -276,13 +276,19 @@ async fn nearest(bus: &dyn Bus, key: &str) -> Vec<(String, String)> {
     replies
 }
 
-/// Answers on two keys with its own name.
-async fn complete_service(bus: &dyn Bus, below: &'static str, name: &'static str) -> tokio::task::JoinHandle<()> {
+/// Answers on two keys with its own name, on each after so many milliseconds.
+async fn complete_service(
+    bus: &dyn Bus,
+    below: &'static str,
+    name: &'static str,
+    after_ms: [u64; 2],
+) -> tokio::task::JoinHandle<()> {
     let stream = bus.serve_complete(&format!("{below}/**")).await.unwrap();
     answer_all(stream, move |question| async move {
-        let asked = zenoh_keyexpr::keyexpr::new(question.key.as_str()).unwrap();
-        for key in ["one", "two"].map(|key| format!("{below}/{key}")) {
+        let (asked, began) = (zenoh_keyexpr::keyexpr::new(question.key.as_str()).unwrap(), Instant::now());
+        for (key, after_ms) in ["one", "two"].map(|key| format!("{below}/{key}")).into_iter().zip(after_ms) {
             if asked.intersects(zenoh_keyexpr::keyexpr::new(key.as_str()).unwrap()) {
+                tokio::time::sleep_until(began + Duration::from_millis(after_ms)).await;
                 question.replier.reply(&key, bytes(name), Encoding::Wire).await.unwrap();
             }
         }
@@ -290,7 +296,8 @@ async fn complete_service(bus: &dyn Bus, below: &'static str, name: &'static str
 }
 
 async fn of_complete_services_one_answers_for_all([a, b, c]: Nodes<'_>) {
-    let (at_b, at_c) = (complete_service(b, "whole", "bob").await, complete_service(c, "whole", "cyd").await);
+    let (at_b, at_c) =
+        (complete_service(b, "whole", "bob", [0, 0]).await, complete_service(c, "whole", "cyd", [0, 0]).await);
     for bus in [a, b, c] {
         served(bus, "whole/one", 2).await;
     }
@@ -310,6 +317,20 @@ async fn of_complete_services_one_answers_for_all([a, b, c]: Nodes<'_>) {
         assert!(Instant::now() < end, "nobody took over");
         sleep(Duration::from_millis(20)).await;
     }
+    at_c.abort();
+}
+
+/// On Zenoh the node that asks is asked itself, and one elsewhere. Whichever comes last on each key is a mixture.
+async fn all_answers_to_one_question_are_from_one_node([a, b, c]: Nodes<'_>) {
+    let at_b = complete_service(b, "mixed", "bob", [0, 300]).await;
+    let at_c = complete_service(c, "mixed", "cyd", [100, 200]).await;
+    served(a, "mixed/one", 2).await;
+    for bus in [a, b, c, b, c] {
+        let replies = nearest(bus, "mixed/**").await;
+        let [(one, by), (two, also_by)] = &replies[..] else { panic!("two answers: {replies:?}") };
+        assert_eq!((one.as_str(), two.as_str(), by), ("mixed/one", "mixed/two", also_by));
+    }
+    at_b.abort();
     at_c.abort();
 }
 
@@ -476,6 +497,7 @@ stories! {
     a_selector_has_parameters,
     a_service_answers_only_what_it_was_asked,
     of_complete_services_one_answers_for_all,
+    all_answers_to_one_question_are_from_one_node,
     of_others_all_answer_and_one_answer_on_each_key_is_given,
     what_is_dropped_has_ended,
     tokens_show_first_what_is_there_and_then_each_change,

@@ -1,10 +1,10 @@
 //! A client of a fleet: asks whoever coordinates, and says what it waits for.
 
 use crate::asking::{AGAIN, Hindrance, Whom, once};
-use crate::config::{DEFAULT_FLEET, FleetConfig, load, trust_files};
+use crate::config::{DEFAULT_FLEET, FleetConfig, LogFormat, load, trust_files};
 use crate::exit::Failure;
 use crate::output::{self, Waiting};
-use crate::running::{LogFormat, describe, runtime, start_log};
+use crate::running::{describe, runtime, rust_log, start_log};
 use crate::wiring::link_trust;
 use consort_actors::bus::zenoh_bus::Mode;
 use consort_actors::bus::{SharedBus, ZenohBus, ZenohSettings};
@@ -113,7 +113,7 @@ impl Client {
     /// # Errors
     /// [`Failure::Unreached`] if nothing answers, [`Failure::Usage`] for wrong flags.
     pub async fn open(flags: &ClientFlags) -> Result<Client, Failure> {
-        start_log(None, LogFormat::Human, "off")?;
+        start_log(rust_log().as_deref().unwrap_or("off"), LogFormat::Human)?;
         let fleet = fleet_name(&flags.fleet)?;
         let timeout = Duration::try_from_secs_f64(flags.timeout)
             .map_err(|_| Failure::Usage(format!("--timeout: {} is not a number of seconds", flags.timeout)))?;

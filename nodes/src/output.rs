@@ -28,6 +28,8 @@ pub fn note(text: impl Display) {
 pub struct Waiting {
     /// What turns on a terminal while something is waited for.
     bar: Option<ProgressBar>,
+    /// Whether lines are written where there is no terminal.
+    in_lines: bool,
     said: String,
 }
 
@@ -40,7 +42,14 @@ impl Default for Waiting {
 impl Waiting {
     /// Says nothing yet.
     pub fn new() -> Waiting {
-        Waiting { bar: None, said: String::new() }
+        Waiting { bar: None, in_lines: true, said: String::new() }
+    }
+
+    /// Says nothing yet, and nothing at all where there is no terminal: for what changes all the time.
+    pub fn on_terminal() -> Waiting {
+        let mut waiting = Waiting::new();
+        waiting.in_lines = false;
+        waiting
     }
 
     /// Says what is waited for now.
@@ -51,7 +60,7 @@ impl Waiting {
         }
         if stderr().is_terminal() {
             self.bar.get_or_insert_with(spinner).set_message(text.clone());
-        } else {
+        } else if self.in_lines {
             note(&text);
         }
         self.said = text;

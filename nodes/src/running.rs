@@ -1,7 +1,6 @@
 //! A node on Zenoh, from its start until it is told to end.
 
-use crate::command::flags::RunFlags;
-use crate::config::{BusConfig, FleetConfig, Problems, trust_files};
+use crate::config::{BusConfig, FleetConfig, LogFormat, Problems, Surroundings, trust_files};
 use crate::dashboard::Dashboard;
 use crate::exit::Failure;
 use crate::metrics::{Metrics, Watched, serve};
@@ -45,23 +44,17 @@ pub fn runtime() -> Result<Runtime, Failure> {
     runtime.map_err(|problem| Failure::Unsuccessful(format!("the runtime could not start: {problem}")))
 }
 
-/// How lines of the log are written.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, clap::ValueEnum)]
-pub enum LogFormat {
-    /// For people, in colour on a terminal.
-    #[default]
-    Human,
-    /// For programs: an object a line.
-    Json,
+/// What is to be logged by the variable that programs in Rust share, if it is set.
+pub fn rust_log() -> Option<String> {
+    std::env::var("RUST_LOG").ok()
 }
 
-/// Sends the log to the standard error: by `filter`, else by the variable `RUST_LOG`, else `default`.
+/// Sends what passes a filter to the standard error.
 ///
 /// # Errors
 /// [`Failure::Usage`] if the filter is none.
-pub fn start_log(filter: Option<String>, format: LogFormat, default: &str) -> Result<(), Failure> {
-    let text = filter.or_else(|| std::env::var("RUST_LOG").ok()).unwrap_or_else(|| default.to_owned());
-    let filter = EnvFilter::try_new(&text).map_err(|problem| {
+pub fn start_log(text: &str, format: LogFormat) -> Result<(), Failure> {
+    let filter = EnvFilter::try_new(text).map_err(|problem| {
         let allowed = "allowed is error, warn, info, debug or trace, also by module, as info,consort_actors=debug";
         Failure::Usage(format!("{text:?} is not a filter for the log: {problem}; {allowed}"))
     })?;
@@ -77,38 +70,39 @@ pub fn start_log(filter: Option<String>, format: LogFormat, default: &str) -> Re
 }
 
 /// Runs a node until Ctrl-C or SIGTERM, until it has left the fleet, until its standard input closes if that is asked for,
-/// or until an actor of it fails. If it coordinates, it hands over before it goes. `settings` is called once, within the runtime.
+/// or until an actor of it fails. If it coordinates, it hands over before it goes. `settings` is called once, within the runtime;
+/// the fleet is the one that `surroundings` name.
 ///
 /// # Errors
 /// [`Failure::Usage`] if it cannot start as configured, [`Failure::Unsuccessful`] if it fails.
 pub fn node(
-    run: RunFlags,
-    bus: &BusConfig,
+    until_stdin_closes: bool,
+    surroundings: &Surroundings<'_>,
     fleet: &FleetConfig,
-    dashboard: Option<SocketAddr>,
     settings: impl FnOnce() -> Result<NodeSettings, Problems>,
 ) -> Result<(), Failure> {
-    start_log(run.log.clone(), run.log_format, LOG)?;
+    let telemetry = &surroundings.telemetry;
+    start_log(telemetry.log.as_deref().unwrap_or(LOG), telemetry.log_format)?;
     let runtime = runtime()?;
-    let ended = runtime.block_on(until_told(&run, bus, fleet, dashboard, settings));
+    let ended = runtime.block_on(until_told(until_stdin_closes, surroundings, fleet, settings));
     // Whatever still runs, or hangs, ends with the process.
     runtime.shutdown_background();
     ended
 }
 
 async fn until_told(
-    run: &RunFlags,
-    bus: &BusConfig,
+    until_stdin_closes: bool,
+    surroundings: &Surroundings<'_>,
     fleet: &FleetConfig,
-    dashboard: Option<SocketAddr>,
     settings: impl FnOnce() -> Result<NodeSettings, Problems>,
 ) -> Result<(), Failure> {
+    let Surroundings { telemetry: told, bus, dashboard, .. } = surroundings;
     // Before anything is started: a signal that comes early is not lost.
     let mut terminate = signal(SignalKind::terminate()).map_err(|problem| no_signal(&problem))?;
     let mut interrupt = signal(SignalKind::interrupt()).map_err(|problem| no_signal(&problem))?;
     let mut settings = settings()?;
-    let metrics = Metering::open(run.metrics, &settings).await?;
-    let (telemetry, mut observers) = Telemetry::open(run.otlp.as_deref(), &settings).map_err(Failure::Usage)?;
+    let metrics = Metering::open(told.metrics, &settings).await?;
+    let (telemetry, mut observers) = Telemetry::open(told.otlp.as_deref(), &settings).map_err(Failure::Usage)?;
     observers.extend(metrics.observer());
     settings.observer = Some(Arc::new(observers));
     let clock = settings.clock;
@@ -125,7 +119,7 @@ async fn until_told(
     let mut node = started.map_err(|problem| Failure::Unsuccessful(format!("{name} did not start: {problem}")))?;
     info!(node = %name, "started");
     let _dashboard = match dashboard {
-        Some(address) => Some(serve_dashboard(address, on_page, fleet, &name).await?),
+        Some(address) => Some(serve_dashboard(*address, on_page, fleet, &name).await?),
         None => None,
     };
     metrics.serve(&node, clock, &mut watch);
@@ -136,7 +130,7 @@ async fn until_told(
     let signal = tokio::select! {
         _ = terminate.recv() => Ok("SIGTERM"),
         _ = interrupt.recv() => Ok("Ctrl-C"),
-        () = stdin_closed(run.until_stdin_closes) => Ok("end of input"),
+        () = stdin_closed(until_stdin_closes) => Ok("end of input"),
         ended = ended => match ended {
             Ok(farewell) => {
                 left = Some(farewell);

@@ -157,10 +157,18 @@ fn auction() -> impl Strategy<Value = AuctionId> {
     (name(), any::<u64>(), any::<u32>()).prop_map(|(mission, term, round)| AuctionId { mission, term, round })
 }
 
+fn part() -> impl Strategy<Value = BidPart> {
+    (any::<u32>(), text(), name(), seconds(), 0.0..2.0).prop_map(|(step, label, skill, time, energy)| BidPart {
+        step,
+        label,
+        skill,
+        time,
+        energy,
+    })
+}
+
 fn bid() -> impl Strategy<Value = Bid> {
-    let part = (any::<u32>(), text(), name(), seconds(), 0.0..2.0)
-        .prop_map(|(step, label, skill, time, energy)| BidPart { step, label, skill, time, energy });
-    (name(), name(), seconds(), 0.0..2.0, -1.0..1.0, share(), place(), any::<u64>(), vec(part, 0..4)).prop_map(
+    (name(), name(), seconds(), 0.0..2.0, -1.0..1.0, share(), place(), any::<u64>(), vec(part(), 0..4)).prop_map(
         |(robot, role, time, energy, remaining, useful_charge, from, age_ms, parts)| Bid {
             robot,
             role,
@@ -200,7 +208,12 @@ fn auction_record() -> impl Strategy<Value = AuctionRecord> {
         }),
         reason().prop_map(|reason| Verdict::Refused { reason }),
     ];
-    let entry = (name(), name(), verdict).prop_map(|(role, robot, verdict)| AuctionEntry { role, robot, verdict });
+    let entry = (name(), name(), verdict, vec(part(), 0..3)).prop_map(|(role, robot, verdict, parts)| AuctionEntry {
+        role,
+        robot,
+        verdict,
+        parts,
+    });
     let chosen = btree_map(name(), name(), 0..3);
     (auction(), any::<u64>(), vec(entry, 0..4), any::<u32>(), chosen, option::of(text())).prop_map(
         |(auction, at_ms, entries, omitted, chosen, failure)| AuctionRecord {

@@ -16,5 +16,7 @@ mod holder;
 mod interruption;
 mod mistakes;
 mod recordings;
+mod rest;
 mod stock_client;
 mod support;
+mod watch;

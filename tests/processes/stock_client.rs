@@ -15,9 +15,21 @@ fn names(list: &Value, key: &str) -> Vec<String> {
 
 /// Three stations keep the ledger, so that whoever coordinates has nothing else to do and can be killed for it.
 pub(crate) fn hospital(name: &str) -> Fleet {
+    opened(Fleet::new(&named(name)))
+}
+
+/// The same, each of its nodes linked with a router that is none of ours, too.
+pub(crate) fn hospital_by(name: &str, router: &str) -> Fleet {
+    opened(Fleet::linked_with(router, &named(name)))
+}
+
+fn named(name: &str) -> toml::Table {
     let mut file = example("fleet");
     file.insert("name".to_owned(), name.into());
-    let mut fleet = Fleet::new(&file);
+    file
+}
+
+fn opened(mut fleet: Fleet) -> Fleet {
     let mut world = example("world");
     world.insert("speed".to_owned(), 20.0.into());
     fleet.start("world", world, &[]);

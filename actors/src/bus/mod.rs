@@ -216,7 +216,7 @@ pub trait Bus: Send + Sync + 'static {
 
     /// Asks for one answer on each key. If services that match are [complete](Self::serve_complete) for all that is asked,
     /// the nearest is asked instead of all (on Zenoh the nearest here and the nearest elsewhere). Of several answers on one key
-    /// one is given. All that was answered is given when the query ends, or at the limit. That is how Zenoh asks unless it is
+    /// one is given, and of two services that answer on the same keys those of one. All that was answered is given when the query ends, or at the limit. That is how Zenoh asks unless it is
     /// told otherwise.
     async fn query_nearest(&self, key_expr: &str, payload: Bytes, limit: Duration) -> Result<Stream<Reply>, BusError>;
 

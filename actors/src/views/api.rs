@@ -131,7 +131,10 @@ fn words(
     }];
     for role in explanation.iter().flat_map(|explanation| &explanation.roles) {
         lines.push(format!("{}: {}", role.role, role.why));
-        lines.extend(role.robots.iter().map(|robot| format!("  {}", robot.why)));
+        for robot in &role.robots {
+            lines.push(format!("  {}", robot.why));
+            lines.extend(robot.parts_in_words().map(|parts| format!("    {parts}")));
+        }
     }
     if let Some(omitted) = explanation.map(|explanation| explanation.omitted).filter(|omitted| *omitted > 0) {
         lines.push(format!("{omitted} more answers were not kept"));

@@ -1,6 +1,6 @@
 //! Missions and their auctions as people see them, from the ledger.
 
-use consort_protocol::auction::{AuctionRecord, explain};
+use consort_protocol::auction::{AuctionRecord, Explanation, explain};
 use consort_protocol::ids::{RoleId, TaskId};
 use consort_protocol::ledger::{Ledger, MissionEntry, MissionState, RoleEntry, RolePhase, Stranded};
 use consort_protocol::mission::{Body, Mission, RoleKind, TaskIndex, TaskSpec};
@@ -71,7 +71,7 @@ pub(super) fn mission(entry: &MissionEntry) -> Value {
         "done": done,
         "steps": steps,
         "auction": entry.auction,
-        "explanation": entry.auction.as_ref().map(explain),
+        "explanation": entry.auction.as_ref().map(explained),
         "submitted_at_ms": entry.submission.at_ms,
     })
 }
@@ -83,10 +83,15 @@ pub(super) fn auctions(ledger: &Ledger) -> Value {
     records.truncate(AUCTIONS_SHOWN);
     let shown = records.into_iter().map(|record| {
         let mut shown = json!(record);
-        shown["explanation"] = json!(explain(record));
+        shown["explanation"] = json!(explained(record));
         shown
     });
     json!({ "auctions": shown.collect::<Vec<_>>() })
+}
+
+/// Why it came out as it did; the bids' parts are in the record, beside which this stands.
+fn explained(record: &AuctionRecord) -> Explanation {
+    explain(record).without_parts()
 }
 
 /// What is in robots' keeping, or waits for a person.

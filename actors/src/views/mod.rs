@@ -8,7 +8,8 @@
 //! ```
 //!
 //! All nodes declare `view/**` as complete, so that whoever asks as Zenoh does by itself gets one answer, from the nearest;
-//! each says whose it is and how old. `seen/{node}/**` has the same views as this one node draws them by itself.
+//! each says whose it is and how old. A node that Zenoh asks beside itself answers too, and of two nodes' answers those of one are
+//! given: see `bus`. `seen/{node}/**` has the same views as this one node draws them by itself.
 //!
 //! Views are drawn when somebody asks, and cost nothing otherwise. The requests that change nothing (`get`, `list`, `explain`
 //! and `help`) are answered here too.

@@ -1,10 +1,10 @@
 //! `consort bench`: how quick the simulator is on this machine.
 
 use crate::exit::Failure;
-use crate::output;
+use crate::output::{self, Waiting};
 use clap::{Args as ClapArgs, Subcommand};
 use consort_sim::swarm::{HEADING, Swarm, fly};
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 /// Measures how quick the simulator is on this machine.
 #[derive(Debug, ClapArgs)]
@@ -51,6 +51,9 @@ struct SwarmArgs {
     json: bool,
 }
 
+/// How often it is said how far a flight is.
+const SAY: Duration = Duration::from_millis(500);
+
 /// Runs the command.
 ///
 /// # Errors
@@ -61,8 +64,20 @@ pub fn run(args: Args) -> Result<(), Failure> {
         output::line(HEADING)?;
     }
     for drones in drones {
-        let began = Instant::now();
-        let row = fly(Swarm { drones, seed }, || began.elapsed()).map_err(|why| Failure::Usage(why.to_string()))?;
+        let (began, mut asked, mut said) = (Instant::now(), 0_u32, Duration::ZERO);
+        let mut progress = Waiting::on_terminal();
+        // It asks for the time at the beginning and after each simulated second. To say so now and then costs next to nothing.
+        let clock = || {
+            let now = began.elapsed();
+            if now > said + SAY {
+                progress.say(format_args!("{drones} drones: {asked} s flown"));
+                said = now;
+            }
+            asked += 1;
+            now
+        };
+        let row = fly(Swarm { drones, seed }, clock).map_err(|why| Failure::Usage(why.to_string()))?;
+        drop(progress);
         if json {
             output::line(serde_json::to_string(&row).expect("numbers are JSON"))?;
         } else {

@@ -1,7 +1,7 @@
 //! `consort chaos`: whole fleets under generated faults, watched at every step.
 
 use crate::exit::Failure;
-use crate::output;
+use crate::output::{self, Waiting};
 use clap::{ArgGroup, Args as ClapArgs};
 use consort_protocol::mutants::{self, Mutant};
 use consort_tests::chaos::many::percentiles;
@@ -255,7 +255,10 @@ fn one(args: &Args, seed: u64) -> Result<(), Failure> {
         args.tell(format_args!("{schedule}"))?;
     }
     let order = args.order(seed);
+    let mut waiting = Waiting::on_terminal();
+    waiting.say(format_args!("seed {seed}: {} minutes of a fleet's time", args.minutes));
     let outcome = in_quiet(args, &order, &schedule);
+    waiting.clear();
     if args.json {
         json(&outcome)?;
     }

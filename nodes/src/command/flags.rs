@@ -1,8 +1,9 @@
 //! Flags that several commands share.
 
-use crate::config::{BusConfig, ConfigFile, FleetConfig, FleetRef, NodeFile, Problems, load, to_toml};
+use crate::config::{
+    BusConfig, ConfigFile, FleetConfig, FleetRef, LogFormat, NodeFile, Problems, TelemetryConfig, load, to_toml,
+};
 use crate::exit::Failure;
-use crate::running::LogFormat;
 use crate::wiring::Life;
 use crate::{output, running};
 use consort_actors::node::NodeSettings;
@@ -53,8 +54,8 @@ pub struct RunFlags {
     #[arg(long, env = "CONSORT_LOG", value_name = "FILTER")]
     pub log: Option<String>,
     /// How to write the log: for people, or an object a line for programs
-    #[arg(long, env = "CONSORT_LOG_FORMAT", value_enum, default_value_t, value_name = "FORMAT")]
-    pub log_format: LogFormat,
+    #[arg(long, env = "CONSORT_LOG_FORMAT", value_enum, value_name = "FORMAT")]
+    pub log_format: Option<LogFormat>,
     /// Serve metrics for Prometheus at this address, as 127.0.0.1:9464; the page is /metrics. Default: none
     #[arg(long, env = "CONSORT_METRICS", value_name = "ADDRESS")]
     pub metrics: Option<SocketAddr>,
@@ -68,6 +69,17 @@ pub struct RunFlags {
     /// End when the standard input is closed: for whoever starts nodes as children and must not leave any behind
     #[arg(long, hide = true)]
     pub until_stdin_closes: bool,
+}
+
+impl RunFlags {
+    /// Puts what was given in the place of what the file says.
+    fn apply(&self, telemetry: &mut TelemetryConfig) {
+        let TelemetryConfig { log, log_format, metrics, otlp } = telemetry;
+        *log = self.log.clone().or_else(running::rust_log).or(log.take());
+        set(log_format, self.log_format);
+        *metrics = self.metrics.or(*metrics);
+        *otlp = self.otlp.clone().or(otlp.take());
+    }
 }
 
 /// What the autopilot is told of a node.
@@ -112,7 +124,7 @@ impl NodeFlags {
     ///
     /// # Errors
     /// [`Failure::Usage`] for wrong configuration; [`Failure::Unsuccessful`] if the node fails.
-    pub(super) fn run<C: NodeFile>(
+    pub(super) fn run<C: NodeFile + Clone>(
         self,
         mut file: C,
         wire: impl FnOnce(&C, &FleetConfig, Life) -> Result<NodeSettings, Problems>,
@@ -120,6 +132,7 @@ impl NodeFlags {
         let surroundings = file.surroundings();
         self.store.apply(surroundings.data_dir);
         self.bus.apply(surroundings.bus);
+        self.run.apply(surroundings.telemetry);
         *surroundings.dashboard = self.page.dashboard.or(*surroundings.dashboard);
         let fleet = self.fleet.resolve(surroundings.fleet)?;
         *surroundings.fleet = FleetRef::from(fleet.clone());
@@ -127,11 +140,11 @@ impl NodeFlags {
         if self.run.print_config {
             return output::line(to_toml(&file).trim_end());
         }
+        let wired = file.clone();
         let surroundings = file.surroundings();
-        let (bus, data_dir) = (surroundings.bus.clone(), surroundings.data_dir.clone());
-        let dashboard = *surroundings.dashboard;
-        running::node(self.run, &bus, &fleet, dashboard, || {
-            wire(&file, &fleet, Life::real(&file.node(), &fleet, data_dir.as_deref())?)
+        running::node(self.run.until_stdin_closes, &surroundings, &fleet, || {
+            let data_dir = surroundings.data_dir.as_deref();
+            wire(&wired, &fleet, Life::real(&wired.node(), &fleet, data_dir)?)
         })
     }
 }

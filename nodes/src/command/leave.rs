@@ -34,7 +34,10 @@ pub struct Args {
 pub fn run(args: Args) -> Result<(), Failure> {
     let leave = Key::Leave(args.node.clone());
     args.ask.print(
-        async |client| client.ask_node(&leave, &args.node, LEAVES_WITHIN).await,
+        async |client| {
+            client.waiting().say(format_args!("{} is leaving: its robot's role and its vote go to others", args.node));
+            client.ask_node(&leave, &args.node, LEAVES_WITHIN).await
+        },
         |answer| words(&args.node, answer),
     )
 }

@@ -1,7 +1,7 @@
 //! `consort recover`: makes the store of one voter the whole ledger, when a majority is gone for good.
 
 use crate::exit::Failure;
-use crate::output;
+use crate::output::{self, Waiting};
 use consort_actors::replica::Holdings;
 use consort_actors::store::{DurableStore, OpenError, ledger_of, recover};
 use consort_protocol::ids::{ClusterId, NodeId};
@@ -42,6 +42,8 @@ pub struct Args {
 /// [`Failure::Usage`] if there is no store; [`Failure::Unsuccessful`] if it is in use or not whole, holds nothing, or cannot
 /// be written, and if nobody agreed.
 pub fn run(args: Args) -> Result<(), Failure> {
+    let mut waiting = Waiting::on_terminal();
+    waiting.say(format_args!("reading {}", args.from.display()));
     let store = DurableStore::open_existing(&args.from).map_err(|problem| match problem {
         OpenError::Absent { .. } => Failure::Usage(problem.to_string()),
         _ => Failure::Unsuccessful(problem.to_string()),
@@ -49,6 +51,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
     let file = store.path().display().to_string();
     let failed = |problem: io::Error| Failure::Unsuccessful(format!("{file}: {problem}"));
     let holdings = ledger_of(&store).map_err(failed)?;
+    waiting.clear();
     let node = store.owner().node.clone();
     output::line(format_args!("{file} is the store of {}.\n", store.owner()))?;
     output::line(contents(&holdings, &node))?;
@@ -69,7 +72,9 @@ pub fn run(args: Args) -> Result<(), Failure> {
     }
     let moment = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default().as_millis();
     let cluster = ClusterId(SysRng.try_next_u64().expect("the system has random numbers"));
+    waiting.say(format_args!("writing {file}"));
     let copies = recover(&store, u64::try_from(moment).unwrap_or(u64::MAX), cluster).map_err(failed)?;
+    waiting.clear();
     let copies: Vec<String> = copies.iter().map(|copy| copy.display().to_string()).collect();
     output::line(format_args!(
         "\nDone: {node} is the only voter. What was there before is kept in\n  {}\nStart {node} as usual, with --data-dir {}; \

@@ -13,6 +13,7 @@ mod problem;
 mod read;
 mod robot;
 mod station;
+mod telemetry;
 mod world;
 
 pub use bus::{BusConfig, trust_files};
@@ -22,6 +23,7 @@ pub use problem::{Problem, Problems};
 pub use read::{ConfigFile, from_text, load, to_toml};
 pub use robot::{RobotConfig, useful_charge};
 pub use station::StationConfig;
+pub use telemetry::{LogFormat, TelemetryConfig};
 pub use world::WorldConfig;
 
 fn yes() -> bool {

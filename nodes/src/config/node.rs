@@ -1,7 +1,7 @@
 //! What the files of all nodes have in common, whatever the node is for.
 
 use super::read::settle_path;
-use super::{BusConfig, ConfigFile, FleetRef};
+use super::{BusConfig, ConfigFile, FleetRef, TelemetryConfig};
 use consort_protocol::ids::NodeId;
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
@@ -21,6 +21,8 @@ pub struct Surroundings<'a> {
     pub data_dir: &'a mut Option<PathBuf>,
     /// Where it serves the dashboard, if it does.
     pub dashboard: &'a mut Option<SocketAddr>,
+    /// What it tells those who operate it.
+    pub telemetry: &'a mut TelemetryConfig,
     /// The fleet that it belongs to.
     pub fleet: &'a mut FleetRef,
     /// Where it is on the network.
@@ -36,9 +38,10 @@ impl Surroundings<'_> {
     }
 }
 
-/// What is wrong with the fleet or the bus of a node's file.
-pub(super) fn problems_around(fleet: &FleetRef, bus: &BusConfig) -> Vec<String> {
+/// What is wrong with the fleet, the bus or the telemetry of a node's file.
+pub(super) fn problems_around(fleet: &FleetRef, bus: &BusConfig, telemetry: &TelemetryConfig) -> Vec<String> {
     let mut problems = fleet.problems();
     problems.extend(bus.problems());
+    problems.extend(telemetry.problems());
     problems
 }

@@ -2,7 +2,7 @@
 
 use super::fleet::unknown_skill;
 use super::node::problems_around;
-use super::{BusConfig, ConfigFile, FleetRef, NodeFile, Surroundings, yes};
+use super::{BusConfig, ConfigFile, FleetRef, NodeFile, Surroundings, TelemetryConfig, yes};
 use consort_protocol::ids::{NodeId, PlaceId, RobotId, TaskType};
 use consort_protocol::mission::Domain;
 use consort_protocol::units::{BatteryShare, MetresPerSecond, SharePerSecond};
@@ -55,6 +55,9 @@ pub struct RobotConfig {
     /// Where it is on the network.
     #[serde(default)]
     pub bus: BusConfig,
+    /// What it tells those who operate it.
+    #[serde(default)]
+    pub telemetry: TelemetryConfig,
 }
 
 fn full() -> BatteryShare {
@@ -88,6 +91,7 @@ impl RobotConfig {
             dashboard: None,
             fleet: FleetRef::default(),
             bus: BusConfig::default(),
+            telemetry: TelemetryConfig::default(),
         }
     }
 }
@@ -109,7 +113,7 @@ impl ConfigFile for RobotConfig {
         if self.skills.iter().any(|skill| skill.as_str() == "navigation") && self.speed_mps.is_none() {
             problems.push("speed_mps: is missing, and the robot has the skill `navigation`".to_owned());
         }
-        problems.extend(problems_around(&self.fleet, &self.bus));
+        problems.extend(problems_around(&self.fleet, &self.bus, &self.telemetry));
         problems
     }
 }
@@ -123,6 +127,7 @@ impl NodeFile for RobotConfig {
         Surroundings {
             data_dir: &mut self.data_dir,
             dashboard: &mut self.dashboard,
+            telemetry: &mut self.telemetry,
             fleet: &mut self.fleet,
             bus: &mut self.bus,
         }

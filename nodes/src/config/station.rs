@@ -1,7 +1,7 @@
 //! The station file: a node without a robot, which keeps the ledger and may coordinate.
 
 use super::node::problems_around;
-use super::{BusConfig, ConfigFile, FleetRef, NodeFile, Surroundings, yes};
+use super::{BusConfig, ConfigFile, FleetRef, NodeFile, Surroundings, TelemetryConfig, yes};
 use consort_protocol::ids::NodeId;
 use serde::{Deserialize, Serialize};
 use std::net::SocketAddr;
@@ -35,6 +35,9 @@ pub struct StationConfig {
     /// Where it is on the network.
     #[serde(default)]
     pub bus: BusConfig,
+    /// What it tells those who operate it.
+    #[serde(default)]
+    pub telemetry: TelemetryConfig,
 }
 
 impl StationConfig {
@@ -49,6 +52,7 @@ impl StationConfig {
             dashboard: None,
             fleet: FleetRef::default(),
             bus: BusConfig::default(),
+            telemetry: TelemetryConfig::default(),
         }
     }
 }
@@ -61,7 +65,7 @@ impl ConfigFile for StationConfig {
     }
 
     fn problems(&self) -> Vec<String> {
-        problems_around(&self.fleet, &self.bus)
+        problems_around(&self.fleet, &self.bus, &self.telemetry)
     }
 }
 
@@ -74,6 +78,7 @@ impl NodeFile for StationConfig {
         Surroundings {
             data_dir: &mut self.data_dir,
             dashboard: &mut self.dashboard,
+            telemetry: &mut self.telemetry,
             fleet: &mut self.fleet,
             bus: &mut self.bus,
         }

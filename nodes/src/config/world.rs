@@ -2,7 +2,7 @@
 
 use super::node::problems_around;
 use super::read::under;
-use super::{BusConfig, ConfigFile, FleetRef, NodeFile, Surroundings};
+use super::{BusConfig, ConfigFile, FleetRef, NodeFile, Surroundings, TelemetryConfig};
 use crate::floor::is_shipped;
 use consort_protocol::ids::NodeId;
 use consort_sim::world::{
@@ -39,6 +39,8 @@ pub struct WorldConfig {
     pub fleet: FleetRef,
     /// Where it is on the network.
     pub bus: BusConfig,
+    /// What it tells those who operate it.
+    pub telemetry: TelemetryConfig,
     /// How long things take.
     pub durations: Durations,
     /// How much the world holds and remembers.
@@ -74,6 +76,7 @@ impl Default for WorldConfig {
             dashboard: None,
             fleet: FleetRef::default(),
             bus: BusConfig::default(),
+            telemetry: TelemetryConfig::default(),
             durations: Durations::default(),
             limits: WorldLimits::default(),
             systems: system_names().map(str::to_owned).collect(),
@@ -107,7 +110,7 @@ impl ConfigFile for WorldConfig {
             let (speed, least, most) = (self.speed, SPEED.start(), SPEED.end());
             problems.push(format!("speed is {speed}, allowed is {least} to {most}"));
         }
-        problems.extend(problems_around(&self.fleet, &self.bus));
+        problems.extend(problems_around(&self.fleet, &self.bus, &self.telemetry));
         problems
     }
 }
@@ -121,6 +124,7 @@ impl NodeFile for WorldConfig {
         Surroundings {
             data_dir: &mut self.data_dir,
             dashboard: &mut self.dashboard,
+            telemetry: &mut self.telemetry,
             fleet: &mut self.fleet,
             bus: &mut self.bus,
         }

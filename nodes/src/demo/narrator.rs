@@ -159,7 +159,7 @@ impl Narrator {
 
     fn closed(&self, at: Duration, record: &AuctionRecord) -> Result<(), Failure> {
         let mission = &record.auction.mission;
-        for AuctionEntry { role, robot, verdict } in &record.entries {
+        for AuctionEntry { role, robot, verdict, .. } in &record.entries {
             let price = |time: f64, energy: f64, remaining: f64| {
                 let (energy, remaining) = (energy * 100.0, remaining * 100.0);
                 format!("{time:.1} s, {energy:.1} % of its charge, {remaining:.1} % left")

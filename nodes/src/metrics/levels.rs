@@ -1,15 +1,13 @@
 //! What is measured when it is asked for: the fleet as this node knows it.
 
+use super::level::Level;
 use consort_actors::clock::Clock;
 use consort_actors::gossip::SharedKnowledge;
 use consort_actors::replica::Replica;
 use consort_protocol::knowledge::{Availability, Worker};
 use consort_protocol::ledger::Ledger;
 use prometheus_client::collector::Collector;
-use prometheus_client::encoding::{DescriptorEncoder, EncodeMetric};
-use prometheus_client::metrics::MetricType;
-use prometheus_client::metrics::counter::ConstCounter;
-use prometheus_client::metrics::gauge::ConstGauge;
+use prometheus_client::encoding::DescriptorEncoder;
 use std::collections::BTreeMap;
 use std::fmt;
 use std::sync::{Arc, OnceLock};
@@ -57,40 +55,6 @@ impl Collector for Levels {
         let Some(watched) = self.0.get() else { return Ok(()) };
         for level in watched.levels() {
             level.encode(&mut encoder)?;
-        }
-        Ok(())
-    }
-}
-
-/// One metric: a value for each set of labels.
-struct Level {
-    name: &'static str,
-    help: &'static str,
-    kind: MetricType,
-    values: Vec<(Vec<(&'static str, String)>, f64)>,
-}
-
-impl Level {
-    fn one(name: &'static str, help: &'static str, value: f64) -> Level {
-        Level { name, help, kind: MetricType::Gauge, values: vec![(vec![], value)] }
-    }
-
-    fn counted(name: &'static str, help: &'static str, value: u64) -> Level {
-        Level { kind: MetricType::Counter, ..Level::one(name, help, value as f64) }
-    }
-
-    fn by(name: &'static str, help: &'static str, values: Vec<(Vec<(&'static str, String)>, f64)>) -> Level {
-        Level { name, help, kind: MetricType::Gauge, values }
-    }
-
-    fn encode(&self, encoder: &mut DescriptorEncoder<'_>) -> fmt::Result {
-        let mut encoder = encoder.encode_descriptor(self.name, self.help, None, self.kind)?;
-        for (labels, value) in &self.values {
-            let encoder = encoder.encode_family(labels)?;
-            match self.kind {
-                MetricType::Counter => ConstCounter::new(*value).encode(encoder)?,
-                _ => ConstGauge::new(*value).encode(encoder)?,
-            }
         }
         Ok(())
     }
@@ -155,8 +119,12 @@ impl Watched {
             Level::by("robot_battery_ratio", "Charge left; 1 is full", batteries),
             Level::by("robot_age_seconds", "How old this node's knowledge of the robot is", ages),
             Level::by("robot_state", "1 for what the robot is", states),
-            Level::counted("gossip_malformed", "Messages of gossip that could not be read", counters.malformed),
-            Level::counted("gossip_returns", "Times that others wrongly judged this node down", counters.returned),
+            Level::counted("gossip_malformed", "Messages of gossip that could not be read", counters.malformed as f64),
+            Level::counted(
+                "gossip_returns",
+                "Times that others wrongly judged this node down",
+                counters.returned as f64,
+            ),
         ]
     }
 }

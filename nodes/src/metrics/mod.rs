@@ -1,6 +1,7 @@
 //! What a node counts and measures of itself and of the fleet as it knows it, for Prometheus.
 //!
-//! Every metric begins with `consort_` and has the labels `fleet` and `node`: who measured it. What a node *does* is
+//! Every metric has the labels `fleet` and `node`: who measured it. Names begin with `consort_`, but for those of the process,
+//! which are the ones that Prometheus' own libraries use. What a node *does* is
 //! counted by that node alone, so sums over nodes are right; what it *knows* of the fleet (missions, robots) every node
 //! tells, so take the one that coordinates (`… and on (node) consort_coordinates == 1`), or the maximum.
 //!
@@ -30,9 +31,15 @@
 //! | `consort_gossip_malformed_total` | messages of gossip that could not be read |
 //! | `consort_gossip_returns_total` | times that others wrongly judged the node down |
 //! | `consort_started_at_seconds` | when the node began, in seconds since 1970 |
+//! | `process_cpu_seconds_total` | processor time that the process has spent; this and what follows on Linux only |
+//! | `process_resident_memory_bytes`, `process_virtual_memory_bytes` | memory in use, and set aside |
+//! | `process_open_fds`, `process_max_fds` | files and connections that are open, and how many may be |
+//! | `process_start_time_seconds` | when the process began, in seconds since 1970 |
 
 mod counts;
+mod level;
 mod levels;
+mod process;
 mod serve;
 
 pub use levels::Watched;
@@ -47,7 +54,8 @@ use consort_protocol::lease::Epoch;
 use consort_protocol::ledger::Command;
 use counts::Counts;
 use levels::Levels;
-use prometheus_client::encoding::text::encode;
+use process::Process;
+use prometheus_client::encoding::text::{encode_eof, encode_registry};
 use prometheus_client::registry::Registry;
 use std::borrow::Cow;
 use std::sync::Arc;
@@ -55,6 +63,7 @@ use std::sync::Arc;
 /// The metrics of one node.
 pub struct Metrics {
     registry: Registry,
+    process: Registry,
     counts: Counts,
     levels: Levels,
 }
@@ -64,11 +73,13 @@ impl Metrics {
     pub fn new(fleet: &FleetId, node: &NodeId) -> Arc<Metrics> {
         let by = |name: &'static str, value: String| (Cow::Borrowed(name), Cow::Owned(value));
         let labels = [by("fleet", fleet.to_string()), by("node", node.to_string())];
-        let mut registry = Registry::with_prefix_and_labels("consort", labels.into_iter());
+        let mut registry = Registry::with_prefix_and_labels("consort", labels.clone().into_iter());
         let counts = Counts::new(&mut registry);
         let levels = Levels::default();
         registry.register_collector(Box::new(levels.clone()));
-        Arc::new(Metrics { registry, counts, levels })
+        let mut process = Registry::with_labels(labels.into_iter());
+        process.register_collector(Box::new(Process));
+        Arc::new(Metrics { registry, process, counts, levels })
     }
 
     /// From now on, what this node knows is measured too.
@@ -79,7 +90,8 @@ impl Metrics {
     /// All of it as it stands, as OpenMetrics text.
     pub fn text(&self) -> String {
         let mut text = String::new();
-        encode(&mut text, &self.registry).expect("a text takes in whatever is written");
+        let encoded = [&self.registry, &self.process].into_iter().try_for_each(|part| encode_registry(&mut text, part));
+        encoded.and_then(|()| encode_eof(&mut text)).expect("a text takes in whatever is written");
         text
     }
 }

@@ -3,7 +3,7 @@
 use super::fold::list;
 use super::parts::{AuctionShown, Offer};
 use super::{Picture, bounds};
-use consort_protocol::auction::{AuctionRecord, Bid, Verdict};
+use consort_protocol::auction::{AuctionEntry, AuctionRecord, Bid, Verdict};
 use serde_json::Value;
 
 /// Bids kept of a mission whose auction is open.
@@ -11,6 +11,13 @@ const TENDERS: usize = 512;
 
 /// Missions whose open auctions are kept.
 const OPEN: usize = 64;
+
+/// The parts of a bid: as it was heard, else as the record has them.
+fn parts(entry: &AuctionEntry, heard: Option<&Bid>) -> Option<Value> {
+    let parts = heard.map_or(&entry.parts, |bid| &bid.parts);
+    let known = heard.is_some() || !parts.is_empty();
+    known.then(|| serde_json::to_value(parts).ok()).flatten()
+}
 
 impl Picture {
     pub(super) fn take_auctions(&mut self, view: &Value) {
@@ -42,8 +49,9 @@ impl Picture {
         let mission = record.auction.mission.as_str();
         // In the order in which they came: of missions by when they were closed.
         let name = format!("{mission}#{}.{}", record.auction.term, record.auction.round);
-        let parts_known = |shown: &AuctionShown| shown.offers.iter().any(|offer| offer.parts.is_some());
-        if self.auctions.get(&name).is_some_and(parts_known) {
+        // Only the bids themselves say where they start.
+        let bids_heard = |shown: &AuctionShown| shown.offers.iter().any(|offer| offer.from.is_some());
+        if self.auctions.get(&name).is_some_and(bids_heard) {
             return;
         }
         let tenders = self.tenders.get(mission).map_or(&[][..], Vec::as_slice);
@@ -54,7 +62,7 @@ impl Picture {
                 robot: entry.robot.to_string(),
                 chosen: record.chosen.get(&entry.role) == Some(&entry.robot),
                 from: tender.map(|bid| bid.from.to_string()),
-                parts: tender.and_then(|bid| serde_json::to_value(&bid.parts).ok()),
+                parts: parts(entry, tender),
                 ..Offer::default()
             };
             let (word, price, why) = match &entry.verdict {

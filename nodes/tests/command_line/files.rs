@@ -99,10 +99,10 @@ fn a_value_that_a_flag_gives_is_checked_like_one_of_a_file() {
     assert!(ran.err.contains("lease.lease_ms is 1, allowed is 500 to 3600000"), "{}", ran.err);
 }
 
-/// The keys that a file may have there, as the message about an unknown one names them.
-fn allowed_keys(table: &str) -> Vec<String> {
-    let file = written("keys_wanted.toml", &format!("name = \"ward\"\n{table}\nnot_a_key = 1\n"));
-    let ran = run(&["check", "--kind", "fleet", &file]);
+/// The keys that a file of this kind may have there, as the message about an unknown one names them.
+fn allowed_keys(kind: &str, table: &str) -> Vec<String> {
+    let file = written(&format!("keys_wanted_of_{kind}.toml"), &format!("name = \"ward\"\n{table}\nnot_a_key = 1\n"));
+    let ran = run(&["check", "--kind", kind, &file]);
     let (_, list) = ran.out.split_once("; allowed: ").unwrap_or_else(|| panic!("{table}: {}{}", ran.out, ran.err));
     let list = list.split([';', '\n']).next().unwrap_or_default();
     list.split(", ").map(str::to_owned).collect()
@@ -124,9 +124,58 @@ fn the_example_of_a_fleet_file_has_every_key_that_there_is() {
         ("[auction]", part("auction")),
         ("[[ensemble]]", part("ensemble")),
     ] {
-        let keys = allowed_keys(heading);
+        let keys = allowed_keys("fleet", heading);
         assert!(!keys.is_empty(), "{heading}");
         missing.extend(keys.into_iter().filter(|key| !table.contains_key(key)).map(|key| format!("{heading} {key}")));
     }
     assert_eq!(missing, [""; 0]);
+}
+
+#[test]
+fn the_examples_of_node_files_name_every_key_that_all_nodes_have() {
+    for kind in ["robot", "station", "world"] {
+        let text = std::fs::read_to_string(own(&format!("examples/{kind}.toml"))).expect("an example");
+        // What is left out stands there behind a `#`.
+        let lines: Vec<&str> = text.lines().map(|line| line.trim_start_matches("# ")).collect();
+        let names = |key: &str| {
+            let forms = [format!("{key} = "), format!("[{key}]"), format!("[[{key}]]")];
+            lines.iter().any(|line| forms.iter().any(|form| line.starts_with(form)))
+        };
+        for table in ["", "[bus]", "[telemetry]"] {
+            let keys = allowed_keys(kind, table);
+            assert!(keys.len() > 1, "{kind} {table}: {keys:?}");
+            for key in keys {
+                assert!(names(&key), "{kind}.toml does not tell of {table} {key}");
+            }
+        }
+    }
+}
+
+#[test]
+fn what_a_node_tells_of_itself_is_said_by_files_variables_and_flags() {
+    let telemetry =
+        "log = \"warn\"\nlog_format = \"json\"\nmetrics = \"127.0.0.1:9464\"\notlp = \"http://127.0.0.1:4318\"\n";
+    let file = written("telemetry.toml", &format!("name = \"s\"\n[telemetry]\n{telemetry}"));
+    let printed = |args: &[&str], variables: &[(&str, &str)]| {
+        let mut command = consort(&[&["station", "--config", &file, "--print-config"], args].concat());
+        let output = command.envs(variables.iter().copied()).output().expect("the binary starts");
+        let printed: toml::Table = String::from_utf8_lossy(&output.stdout).parse().expect("TOML");
+        printed["telemetry"].as_table().expect("a table").clone()
+    };
+    assert_eq!(printed(&[], &[]), telemetry.parse::<toml::Table>().expect("TOML"));
+    let variables = [("CONSORT_LOG", "debug"), ("CONSORT_METRICS", "127.0.0.1:1"), ("CONSORT_LOG_FORMAT", "human")];
+    let by_variables = printed(&["--metrics", "127.0.0.1:2"], &variables);
+    let expected =
+        "log = \"debug\"\nlog_format = \"human\"\nmetrics = \"127.0.0.1:2\"\notlp = \"http://127.0.0.1:4318\"\n";
+    assert_eq!(by_variables, expected.parse::<toml::Table>().expect("TOML"));
+    // The variable that programs in Rust share prevails over the file, too.
+    assert_eq!(printed(&[], &[("RUST_LOG", "error")])["log"], "error".into());
+
+    let wrong = written("telemetry_wrong.toml", "name = \"s\"\n[telemetry]\notlp = \"127.0.0.1:4318\"\n");
+    let ran = run(&["check", "--kind", "station", &wrong]);
+    assert_eq!(ran.code, Some(1), "{}", ran.out);
+    assert!(ran.out.contains("telemetry.otlp: \"127.0.0.1:4318\" does not begin with http://"), "{}", ran.out);
+    let wrong = written("telemetry_format.toml", "name = \"s\"\n[telemetry]\nlog_format = \"xml\"\n");
+    let ran = run(&["check", "--kind", "station", &wrong]);
+    assert!(ran.out.contains(&format!("{wrong}:3:")) && ran.out.contains("`human`"), "{}", ran.out);
 }

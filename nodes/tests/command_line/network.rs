@@ -124,6 +124,7 @@ fn a_node_serves_metrics_and_logs_in_json_to_whoever_reads_it() {
         r#"consort_coordinates{fleet="ward",node="s1"} 1"#,
         r#"consort_missions{fleet="ward",node="s1",state="pending"} 1"#,
         r#"consort_missions_submitted_total{fleet="ward",node="s1"} 1"#,
+        r#"process_resident_memory_bytes{fleet="ward",node="s1"} "#,
     ] {
         assert!(answer.lines().any(|told| told.starts_with(line)), "{line} in {answer}");
     }

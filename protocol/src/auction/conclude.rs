@@ -1,9 +1,10 @@
 //! From answers to a decision.
 
-use super::bid::{Answer, Bid, CallForBids, Limits, RefusalReason, Tender};
+use super::bid::{Answer, Bid, BidPart, CallForBids, Limits, RefusalReason, Tender};
 use super::choice::{Ballot, Choice, Exact};
 use super::record::{AuctionEntry, AuctionRecord, Verdict};
 use crate::ids::{RobotId, RoleId};
+use crate::units::Seconds;
 use std::collections::{BTreeMap, BTreeSet};
 
 /// What an auction came to.
@@ -76,7 +77,7 @@ pub fn conclude_by(
                 Some(Answer::Refusal(refusal)) => Verdict::Refused { reason: refusal.reason.clone() },
                 None => Verdict::Refused { reason: RefusalReason::Silent { window_ms: circumstances.window_ms } },
             };
-            entries.push(AuctionEntry { role: role.clone(), robot: robot.clone(), verdict });
+            entries.push(AuctionEntry { role: role.clone(), robot: robot.clone(), verdict, parts: vec![] });
         }
     }
 
@@ -111,15 +112,46 @@ pub fn conclude_by(
         entries.sort_by_key(|entry| matches!(entry.verdict, Verdict::Refused { .. }));
         entries.truncate(AuctionRecord::ENTRIES_MAX);
     }
+    let chosen = holders.clone().unwrap_or_default();
+    keep_parts(&mut entries, &chosen, |role, robot| match answers.get(&(role, robot)) {
+        Some(Answer::Bid(bid)) => &bid.parts,
+        Some(Answer::Refusal(_)) | None => &[],
+    });
     let record = AuctionRecord {
         auction: call.auction.clone(),
         at_ms: circumstances.at_ms,
         entries,
         omitted: u32::try_from(omitted).unwrap_or(u32::MAX),
-        chosen: holders.clone().unwrap_or_default(),
+        chosen,
         failure,
     };
     Conclusion { holders, record, hopeless }
+}
+
+/// Writes the parts of bids into a record for as long as there is room: first the winners', then by time, and those that
+/// could not be taken at last.
+fn keep_parts<'a>(
+    entries: &mut [AuctionEntry],
+    chosen: &BTreeMap<RoleId, RobotId>,
+    parts_of: impl Fn(&RoleId, &RobotId) -> &'a [BidPart],
+) {
+    let mut order: Vec<(bool, bool, Seconds, &mut AuctionEntry)> = entries
+        .iter_mut()
+        .filter_map(|entry| match entry.verdict {
+            Verdict::Viable { time, .. } => Some((chosen.get(&entry.role) != Some(&entry.robot), false, time, entry)),
+            Verdict::Unviable { time, .. } => Some((true, true, time, entry)),
+            Verdict::Refused { .. } => None,
+        })
+        .collect();
+    order.sort_by(|one, other| (one.0, one.1).cmp(&(other.0, other.1)).then(one.2.get().total_cmp(&other.2.get())));
+    let mut room = AuctionRecord::PARTS_BYTES_MAX;
+    for (_, _, _, entry) in order {
+        let parts = parts_of(&entry.role, &entry.robot);
+        let bytes: usize = parts.iter().map(|part| part.label.len() + part.skill.as_str().len() + 24).sum();
+        let Some(left) = room.checked_sub(bytes) else { return };
+        room = left;
+        entry.parts = parts.to_vec();
+    }
 }
 
 /// Whether a robot may be given a role as far as the others are concerned: a rule other than ours may try its luck.
@@ -152,7 +184,7 @@ mod tests {
     use crate::auction::{AuctionId, Refusal};
     use crate::ids::{EnsembleId, MissionId, PlaceId};
     use crate::plan::LocalPlan;
-    use crate::units::{BatteryShare, Seconds};
+    use crate::units::BatteryShare;
 
     fn robot(name: &str) -> RobotId {
         RobotId::new(name).unwrap()
@@ -294,6 +326,36 @@ mod tests {
         let refuses = Tender { robot: robot("bob"), auction: call().auction, answers: vec![Answer::Refusal(refusal)] };
         let conclusion = conclude(&call(), &[bids("ada", 1.0, 0.5), refuses], &circumstances);
         assert_eq!((conclusion.holders, conclusion.hopeless), (None, [role()].into()));
+    }
+
+    #[test]
+    fn the_parts_of_the_winner_and_of_its_closest_rivals_are_kept_while_there_is_room() {
+        let part = |step: u32| BidPart {
+            step,
+            label: "x".repeat(40),
+            skill: crate::ids::TaskType::new("navigation").unwrap(),
+            time: Seconds::new(1.0).unwrap(),
+            energy: 0.001,
+        };
+        let tenders: Vec<Tender> = (0..20)
+            .map(|number| {
+                // Who bids last is the quickest of those that can be taken; the first of all would run out of charge.
+                let remaining = if number == 0 { 0.01 } else { 0.5 };
+                let mut tender = bids(&format!("robot-{number:02}"), 100.0 - f64::from(number), remaining);
+                let Answer::Bid(bid) = &mut tender.answers[0] else { panic!("it bids") };
+                bid.parts = (0..12).map(part).collect();
+                tender
+            })
+            .collect();
+        let expected = tenders.iter().map(|tender| tender.robot.clone()).collect();
+        let taken = BTreeMap::new();
+        let record = conclude(&call(), &tenders, &circumstances(&expected, &taken, &NOBODY)).record;
+        let kept: Vec<&str> =
+            record.entries.iter().filter(|entry| !entry.parts.is_empty()).map(|entry| entry.robot.as_str()).collect();
+        // 12 parts of 74 bytes: nine bids fit into 8 KiB.
+        let closest: Vec<String> = (11..20).map(|number| format!("robot-{number}")).collect();
+        assert_eq!(kept, closest);
+        assert!(record.entries.iter().all(|entry| [0, 12].contains(&entry.parts.len())), "whole or not at all");
     }
 
     #[test]

@@ -1,6 +1,6 @@
 //! Why each robot did or did not get each role, in words: from the record of an auction alone.
 
-use super::bid::RefusalReason;
+use super::bid::{BidPart, RefusalReason};
 use super::record::{AuctionEntry, AuctionRecord, Verdict};
 use crate::ids::{RobotId, RoleId};
 use crate::units::Seconds;
@@ -45,6 +45,9 @@ pub struct RobotExplained {
     pub why: String,
     /// What it bid, if it did.
     pub bid: Option<Price>,
+    /// The bid step by step, where the record has it.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub parts: Vec<BidPart>,
     /// How much longer than the winner it would take, in seconds; negative if it would be quicker.
     pub behind_s: Option<f64>,
 }
@@ -98,6 +101,46 @@ impl Price {
     }
 }
 
+/// The bid that was taken.
+#[derive(Clone, Copy)]
+struct Taken<'a> {
+    price: Price,
+    parts: &'a [BidPart],
+}
+
+/// What a step is: a task by its name, a message by whom it goes to or comes from.
+fn step_in_words(part: &BidPart) -> String {
+    // As `Signal` is written: kind, task, sender, receiver.
+    let mut words = part.label.split(':').skip(2);
+    match (part.skill.as_str(), words.next(), words.next()) {
+        ("send_message", Some(_), Some(to)) => format!("telling {to}"),
+        ("wait_message", Some(from), _) => format!("waiting for {from}"),
+        _ => part.label.clone(),
+    }
+}
+
+impl RobotExplained {
+    /// What each step of the bid takes, as far as it takes anything: `navto_room 37.0 s 2.2 %, approach_nurse 1.0 s 0.1 %`.
+    /// `None` if the steps are not known.
+    pub fn parts_in_words(&self) -> Option<String> {
+        let takes = |part: &&BidPart| part.time.get() >= 0.05 || part.energy >= 0.0005;
+        let words =
+            |part: &BidPart| format!("{} {:.1} s {:.1} %", step_in_words(part), part.time.get(), part.energy * 100.0);
+        let parts: Vec<String> = self.parts.iter().filter(takes).map(words).collect();
+        (!parts.is_empty()).then(|| parts.join(", "))
+    }
+}
+
+impl Explanation {
+    /// The same without the bids' parts, for where the record stands beside it.
+    pub fn without_parts(mut self) -> Explanation {
+        for robot in self.roles.iter_mut().flat_map(|role| &mut role.robots) {
+            robot.parts.clear();
+        }
+        self
+    }
+}
+
 /// Explains an auction.
 pub fn explain(record: &AuctionRecord) -> Explanation {
     let mut by_role: BTreeMap<&RoleId, Vec<&AuctionEntry>> = BTreeMap::new();
@@ -117,9 +160,11 @@ pub fn explain(record: &AuctionRecord) -> Explanation {
 
 fn explain_role(record: &AuctionRecord, role: &RoleId, entries: &[&AuctionEntry]) -> RoleExplained {
     let winner = record.chosen.get(role);
-    let price =
-        |robot: &RobotId| entries.iter().find(|entry| entry.robot == *robot).and_then(|entry| viable(&entry.verdict));
-    let won = winner.and_then(price);
+    let taken = |robot: &RobotId| {
+        let entry = entries.iter().find(|entry| entry.robot == *robot)?;
+        Some(Taken { price: viable(&entry.verdict)?, parts: &entry.parts })
+    };
+    let won = winner.and_then(taken);
     let mut robots: Vec<RobotExplained> =
         entries.iter().map(|entry| explain_robot(record, role, entry, winner, won)).collect();
     robots.sort_by(|one, other| {
@@ -133,7 +178,7 @@ fn explain_role(record: &AuctionRecord, role: &RoleId, entries: &[&AuctionEntry]
             .then(one.robot.cmp(&other.robot))
     });
     let why = match winner {
-        Some(winner) => why_won(record, winner, won, &robots),
+        Some(winner) => why_won(record, winner, won.map(|won| won.price), &robots),
         None => {
             let viable = robots.iter().filter(|robot| robot.outcome == Outcome::InVain).count();
             let cause = record.failure.as_deref().unwrap_or("the auction came to nothing");
@@ -186,7 +231,7 @@ fn explain_robot(
     role: &RoleId,
     entry: &AuctionEntry,
     winner: Option<&RobotId>,
-    won: Option<Price>,
+    won: Option<Taken<'_>>,
 ) -> RobotExplained {
     let robot = &entry.robot;
     let elsewhere = record.chosen.iter().find(|(other, chosen)| *other != role && *chosen == robot);
@@ -200,9 +245,13 @@ fn explain_robot(
                     (Outcome::ElsewhereInMission, format!("{words}; it gets {other} of this mission instead"))
                 }
                 (Some(winner), None, Some(won)) => {
-                    let behind = bid.time_s - won.time_s;
+                    let behind = bid.time_s - won.price.time_s;
                     let more = if behind < 0.0 { "less" } else { "more" };
-                    (Outcome::Outbid, format!("{words}: outbid, {:.1} s {more} than {winner}", behind.abs()))
+                    let most = if behind < 0.0 { None } else { most_behind(&entry.parts, won.parts) };
+                    let most =
+                        most.map(|(step, more)| format!(", most of all in {} ({more:.1} s more)", step_in_words(step)));
+                    let most = most.unwrap_or_default();
+                    (Outcome::Outbid, format!("{words}: outbid, {:.1} s {more} than {winner}{most}", behind.abs()))
                 }
                 (Some(winner), None, None) => (Outcome::Outbid, format!("{words}: {winner} was chosen")),
                 (None, ..) => (Outcome::InVain, format!("{words}, in vain")),
@@ -218,8 +267,18 @@ fn explain_robot(
             (outcome, None, why)
         }
     };
-    let behind_s = bid.zip(won).map(|(bid, won)| bid.time_s - won.time_s);
-    RobotExplained { robot: robot.clone(), outcome, why, bid, behind_s }
+    let behind_s = bid.zip(won).map(|(bid, won)| bid.time_s - won.price.time_s);
+    RobotExplained { robot: robot.clone(), outcome, why, bid, parts: entry.parts.clone(), behind_s }
+}
+
+/// The step in which a bid falls behind another of the same plan the most, and by how many seconds.
+fn most_behind<'a>(parts: &'a [BidPart], won: &[BidPart]) -> Option<(&'a BidPart, f64)> {
+    let behind = |part: &'a BidPart| {
+        let same = won.iter().find(|other| other.step == part.step)?;
+        Some((part, part.time.get() - same.time.get()))
+    };
+    let most = parts.iter().filter_map(behind).max_by(|one, other| one.1.total_cmp(&other.1))?;
+    (most.1 >= 0.05).then_some(most)
 }
 
 fn refused(robot: &RobotId, reason: &RefusalReason) -> (Outcome, String) {
@@ -265,11 +324,31 @@ mod tests {
 
     fn bid(role: &str, robot: &str, seconds: f64) -> AuctionEntry {
         let verdict = Verdict::Viable { time: Seconds::new(seconds).unwrap(), energy: 0.06, remaining: 0.84 };
-        AuctionEntry { role: slug(role), robot: slug(robot), verdict }
+        AuctionEntry { role: slug(role), robot: slug(robot), verdict, parts: vec![] }
+    }
+
+    /// A bid whose steps are a drive of so many seconds, which uses a thousandth of the charge in a second, a wait, and a
+    /// minute with the nurse.
+    fn drives(robot: &str, seconds: f64) -> AuctionEntry {
+        let part = |step, label: &str, skill, seconds| BidPart {
+            step,
+            label: label.to_owned(),
+            skill: slug(skill),
+            time: Seconds::new(seconds).unwrap(),
+            energy: seconds / 1000.0,
+        };
+        let parts = vec![
+            part(0, "navto_room", "navigation", seconds),
+            part(1, "done:greet:r2:r1", "wait_message", 0.0),
+            part(2, "done:deposit:nurse:r1", "wait_message", 2.0),
+            part(3, "ready:deposit:r1:nurse", "send_message", 2.0),
+            part(4, "authenticate_nurse", "authenticate_person", 60.0),
+        ];
+        AuctionEntry { parts, ..bid("r1", robot, seconds + 64.0) }
     }
 
     fn no(role: &str, robot: &str, reason: RefusalReason) -> AuctionEntry {
-        AuctionEntry { role: slug(role), robot: slug(robot), verdict: Verdict::Refused { reason } }
+        AuctionEntry { role: slug(role), robot: slug(robot), verdict: Verdict::Refused { reason }, parts: vec![] }
     }
 
     fn record(entries: Vec<AuctionEntry>, chosen: &[(&str, &str)], failure: Option<&str>) -> AuctionRecord {
@@ -304,7 +383,7 @@ mod tests {
             bid("r1", "birch", 99.7),
             bid("r1", "cedar", 176.9),
             no("r1", "dune", RefusalReason::MissingSkills { skills: vec![slug("navigation")] }),
-            AuctionEntry { role: slug("r1"), robot: slug("ember"), verdict: unviable },
+            AuctionEntry { role: slug("r1"), robot: slug("ember"), verdict: unviable, parts: vec![] },
             bid("r1", "flint", 160.3),
             no("r1", "gorse", RefusalReason::Busy { mission: slug("m-2"), role: slug("r1") }),
             no("r1", "hazel", RefusalReason::Silent { window_ms: 200 }),
@@ -329,6 +408,24 @@ mod tests {
         let outcomes: Vec<Outcome> = explained.roles[0].robots.iter().map(|robot| robot.outcome).collect();
         use Outcome::{NotMember, Outbid, Refused, Silent, Won};
         assert_eq!(outcomes, [Won, Outbid, Outbid, Refused, Refused, NotMember, Silent, Outcome::Unviable]);
+    }
+
+    #[test]
+    fn a_bid_is_told_step_by_step_and_where_a_rival_falls_behind() {
+        let entries = vec![drives("birch", 37.04), drives("flint", 92.1), bid("r1", "cedar", 103.0)];
+        let explained = explain(&record(entries, &[("r1", "birch")], None));
+        let [birch, cedar, flint] = &explained.roles[0].robots[..] else { panic!("three robots") };
+        let steps = "navto_room 37.0 s 3.7 %, waiting for nurse 2.0 s 0.2 %, telling nurse 2.0 s 0.2 %, authenticate_nurse \
+                     60.0 s 6.0 %";
+        assert_eq!(birch.parts_in_words().as_deref(), Some(steps));
+        assert!(cedar.why.ends_with(": outbid, 2.0 s more than birch"), "{}", cedar.why);
+        assert_eq!(cedar.parts_in_words(), None);
+        let most = ": outbid, 55.1 s more than birch, most of all in navto_room (55.1 s more)";
+        assert!(flint.why.ends_with(most), "{}", flint.why);
+        let seen = serde_json::to_value(birch).unwrap();
+        assert_eq!(seen["parts"][0]["skill"], "navigation", "{seen}");
+        let seen = serde_json::to_value(explained.without_parts()).unwrap();
+        assert_eq!(seen["roles"][0]["robots"][0].get("parts"), None, "{seen}");
     }
 
     #[test]

@@ -1,6 +1,6 @@
 //! What is kept of an auction, for people to look at.
 
-use super::bid::{AuctionId, RefusalReason, Unviable};
+use super::bid::{AuctionId, BidPart, RefusalReason, Unviable};
 use crate::ids::{RobotId, RoleId};
 use crate::units::Seconds;
 use serde::{Deserialize, Serialize};
@@ -26,6 +26,10 @@ pub struct AuctionRecord {
 impl AuctionRecord {
     /// Most answers that a record holds.
     pub const ENTRIES_MAX: usize = 256;
+
+    /// Most bytes that the parts of all bids in a record take up, near enough: the ledger keeps a record for each mission.
+    /// Some ten bids of a dozen steps.
+    pub const PARTS_BYTES_MAX: usize = 8 * 1024;
 }
 
 /// One robot's answer for one role, judged.
@@ -37,6 +41,10 @@ pub struct AuctionEntry {
     pub robot: RobotId,
     /// What came of it.
     pub verdict: Verdict,
+    /// The bid step by step. Empty if there is none, or if the record has no room for it: the winners' come first, then those
+    /// of the quickest.
+    #[serde(default)]
+    pub parts: Vec<BidPart>,
 }
 
 /// What came of a robot's answer.

@@ -43,6 +43,8 @@ pub(crate) struct Fleet {
     /// How each node was started.
     lines: BTreeMap<String, Line>,
     commands: u32,
+    /// Where each node connects to beside its neighbours.
+    router: Option<String>,
     folder: Folder,
 }
 
@@ -52,7 +54,15 @@ impl Fleet {
         let folder = Folder::new();
         folder.write("fleet.toml", &fleet.to_string());
         let name = fleet["name"].as_str().expect("a fleet has a name").to_owned();
-        Fleet { name, nodes: BTreeMap::new(), addresses: BTreeMap::new(), lines: BTreeMap::new(), commands: 0, folder }
+        let (nodes, addresses, lines) = (BTreeMap::new(), BTreeMap::new(), BTreeMap::new());
+        Fleet { name, nodes, addresses, lines, commands: 0, router: None, folder }
+    }
+
+    /// The same, each of whose nodes is linked with a router of somebody else's, too.
+    pub(crate) fn linked_with(router: &str, fleet: &Table) -> Fleet {
+        let mut linked = Fleet::new(fleet);
+        linked.router = Some(router.to_owned());
+        linked
     }
 
     /// Starts a node: `consort KIND --config FILE`, linked with nodes that run.
@@ -63,7 +73,8 @@ impl Fleet {
     /// The same by way of another program, which puts `consort` in its own place.
     pub(crate) fn start_by(&mut self, by: &[&str], kind: &str, mut node: Table, neighbours: &[&str]) {
         let name = node["name"].as_str().expect("a node has a name").to_owned();
-        let connect: Vec<String> = neighbours.iter().map(|neighbour| self.address(neighbour)).collect();
+        let mut connect: Vec<String> = neighbours.iter().map(|neighbour| self.address(neighbour)).collect();
+        connect.extend(self.router.clone());
         // A node with certificates says where they are.
         let mut bus = node.get("bus").and_then(toml::Value::as_table).cloned().unwrap_or_default();
         bus.retain(|key, _| key == "certs");

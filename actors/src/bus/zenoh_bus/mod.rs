@@ -16,13 +16,15 @@ use bytes::Bytes;
 use session::{Declaration, Life};
 use std::collections::BTreeSet;
 use std::sync::Arc;
-use std::time::Duration;
+use std::time::{Duration, SystemTime, UNIX_EPOCH};
 use tokio::runtime::{Handle, RuntimeFlavor};
 use tokio::sync::mpsc;
 use tokio::time::{Instant, sleep};
 use zenoh::bytes::{Encoding as ZenohEncoding, ZBytes};
 use zenoh::qos::CongestionControl;
 use zenoh::query::{ConsolidationMode, QueryTarget, ReplyError};
+use zenoh::session::ZenohId;
+use zenoh::time::{NTP64, Timestamp, TimestampId};
 use zenoh_keyexpr::OwnedKeyExpr;
 
 /// How often a condition is looked at while it is awaited.
@@ -234,15 +236,26 @@ impl Bus for ZenohBus {
     }
 }
 
-/// What Zenoh calls with questions: they go into a mailbox.
-fn questions(mailbox: mpsc::UnboundedSender<Query>, message_max: usize) -> impl Fn(zenoh::query::Query) + Send + Sync {
+/// What Zenoh calls with questions: they go into a mailbox. `own` is the id of the session.
+fn questions(
+    mailbox: mpsc::UnboundedSender<Query>,
+    own: ZenohId,
+    message_max: usize,
+) -> impl Fn(zenoh::query::Query) + Send + Sync {
     move |query| {
+        let since_1970 = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
+        let at = Timestamp::new(NTP64::from(since_1970), TimestampId::from(own));
         // Nobody answers any more: the declaration is about to end.
         let _ = mailbox.send(Query {
             key: query.key_expr().to_string(),
             parameters: query.parameters().to_string(),
             payload: query.payload().map(content).unwrap_or_default(),
-            replier: Box::new(ZenohReplier { asked: OwnedKeyExpr::from(query.key_expr().clone()), query, message_max }),
+            replier: Box::new(ZenohReplier {
+                asked: OwnedKeyExpr::from(query.key_expr().clone()),
+                query,
+                at,
+                message_max,
+            }),
         });
     }
 }
@@ -251,6 +264,9 @@ fn questions(mailbox: mpsc::UnboundedSender<Query>, message_max: usize) -> impl 
 struct ZenohReplier {
     query: zenoh::query::Query,
     asked: OwnedKeyExpr,
+    /// When it was asked, in the sense of Zenoh, for which two nodes' times are never the same. All its answers bear this one
+    /// time: of several answers on a key Zenoh gives the latest, and so, of two nodes that answer on the same keys, those of one.
+    at: Timestamp,
     message_max: usize,
 }
 
@@ -259,7 +275,7 @@ impl Replier for ZenohReplier {
     async fn reply(&self, key: &str, payload: Bytes, encoding: Encoding) -> Result<(), BusError> {
         let key = keys::answer(key, &self.asked)?;
         keys::fits("answer a query", &payload, self.message_max)?;
-        let reply = self.query.reply(key, payload).encoding(to_zenoh(encoding));
+        let reply = self.query.reply(key, payload).encoding(to_zenoh(encoding)).timestamp(self.at);
         reply.await.map_err(|problem| failed("answer a query", problem))
     }
 

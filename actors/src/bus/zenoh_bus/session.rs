@@ -117,7 +117,7 @@ impl Declaration {
             }
             Declaration::Questions { key, mailbox, complete } => {
                 let declared = session.declare_queryable(key.clone()).complete(*complete);
-                let declared = declared.callback(questions(mailbox.clone(), message_max)).await;
+                let declared = declared.callback(questions(mailbox.clone(), session.zid(), message_max)).await;
                 Ok(Box::new(declared.map_err(|problem| failed("serve", problem))?))
             }
             Declaration::Token(key) => {

@@ -81,7 +81,7 @@ function parts(offer, role) {
   }));
   const head = ['Step', 'Skill', 'Time', 'Charge'].map((text, index) => make('th', { scope: 'col', className: index > 1 ? 'number' : '' }, text));
   const table = make('table', { className: 'parts' }, make('caption', { className: 'unseen' }, `Parts of the bid of ${offer.robot}`), make('thead', {}, make('tr', {}, head)), body);
-  const fold = make('details', {}, make('summary', {}, `from ${offer.from}, in ${offer.parts.length} parts`), table);
+  const fold = make('details', {}, make('summary', {}, `${offer.from ? `from ${offer.from}, ` : ''}in ${offer.parts.length} parts`), table);
   fold.dataset.key = `parts-${role}-${offer.robot}`;
   fold.firstChild.dataset.key = `open-${role}-${offer.robot}`;
   return fold;
