@@ -3,6 +3,7 @@
 //! [`config`] reads files, [`wiring`] makes nodes of them, each command in [`command`] runs or asks nodes. What missions,
 //! auctions and worlds are is decided elsewhere; nothing here computes a plan or a price.
 
+pub mod address;
 mod asking;
 pub mod check;
 pub mod cli;

@@ -1,5 +1,6 @@
 //! A node on Zenoh, from its start until it is told to end.
 
+use crate::address::Taken;
 use crate::command::flags::RunFlags;
 use crate::config::{BusConfig, FleetConfig, Problems};
 use crate::dashboard::Dashboard;
@@ -13,12 +14,10 @@ use consort_actors::bus::{Bus, Link, MeteredBus, SharedBus, ZenohBus};
 use consort_actors::clock::Clock;
 use consort_actors::node::{NodeHandle, NodeSettings};
 use consort_actors::observe::SharedObserver;
-use consort_protocol::ids::NodeId;
 use std::io::IsTerminal;
 use std::net::SocketAddr;
 use std::sync::Arc;
 use std::time::Duration;
-use tokio::net::TcpListener;
 use tokio::runtime::{Builder, Runtime};
 use tokio::signal::unix::{SignalKind, signal};
 use tracing::{info, warn};
@@ -103,8 +102,16 @@ async fn until_told(
     // Before anything is started: a signal that comes early is not lost.
     let mut terminate = signal(SignalKind::terminate()).map_err(|problem| no_signal(&problem))?;
     let mut interrupt = signal(SignalKind::interrupt()).map_err(|problem| no_signal(&problem))?;
+    let page = match dashboard {
+        Some(at) => Some((take("--dashboard", at).await?, FloorPlan::new(&floor::load(&fleet.map)?))),
+        None => None,
+    };
+    let metrics = match run.metrics {
+        Some(at) => Some(take("--metrics", at).await?),
+        None => None,
+    };
     let mut settings = settings()?;
-    let metrics = Metering::open(run.metrics, &settings).await?;
+    let metrics = Metering::new(metrics, &settings);
     let (telemetry, mut observers) = Telemetry::open(run.otlp.as_deref(), &settings).map_err(Failure::Usage)?;
     observers.extend(metrics.observer());
     settings.observer = Some(Arc::new(observers));
@@ -119,8 +126,12 @@ async fn until_told(
     let started = NodeHandle::start(settings, bus).await;
     let mut node = started.map_err(|problem| Failure::Unsuccessful(format!("{name} did not start: {problem}")))?;
     info!(node = %name, "started");
-    let _dashboard = match dashboard {
-        Some(address) => Some(serve_dashboard(address, zenoh.clone(), fleet, &name).await?),
+    let _dashboard = match page {
+        Some((address, plan)) => {
+            let dashboard = Dashboard::open(address, Arc::new(zenoh.clone()), &fleet.name, name.as_str(), plan);
+            output::line(format_args!("dashboard: {}", dashboard.url()))?;
+            Some(dashboard)
+        }
         None => None,
     };
     metrics.serve(&node, clock, &mut watch);
@@ -162,32 +173,17 @@ async fn until_told(
     Ok(())
 }
 
-/// Serves the dashboard, and prints where.
-async fn serve_dashboard(
-    address: SocketAddr,
-    bus: ZenohBus,
-    fleet: &FleetConfig,
-    node: &NodeId,
-) -> Result<Dashboard, Failure> {
-    let plan = FloorPlan::new(&floor::load(&fleet.map)?);
-    let opened = Dashboard::open(address, Arc::new(bus), &fleet.name, node.as_str(), plan).await;
-    let dashboard = opened.map_err(Failure::Usage)?;
-    output::line(format_args!("dashboard: {}", dashboard.url()))?;
-    Ok(dashboard)
+async fn take(flag: &str, at: SocketAddr) -> Result<Taken, Failure> {
+    Taken::take(flag, at).await.map_err(Failure::Usage)
 }
 
 /// The metrics of a node, if they are asked for.
-struct Metering(Option<(TcpListener, Arc<Metrics>)>);
+struct Metering(Option<(Taken, Arc<Metrics>)>);
 
 impl Metering {
-    /// Takes the address before anything is started.
-    async fn open(at: Option<SocketAddr>, settings: &NodeSettings) -> Result<Metering, Failure> {
-        let Some(at) = at else { return Ok(Metering(None)) };
-        let listener = TcpListener::bind(at).await;
-        let listener =
-            listener.map_err(|problem| Failure::Usage(format!("metrics cannot be served at {at}: {problem}")))?;
-        let metrics = Metrics::new(&settings.fleet.fleet, &settings.node);
-        Ok(Metering(Some((listener, metrics))))
+    /// Those of this node, to be served at this address.
+    fn new(address: Option<Taken>, settings: &NodeSettings) -> Metering {
+        Metering(address.map(|address| (address, Metrics::new(&settings.fleet.fleet, &settings.node))))
     }
 
     fn observer(&self) -> Option<SharedObserver> {
@@ -202,15 +198,12 @@ impl Metering {
     }
 
     fn serve(self, node: &NodeHandle, clock: Clock, tasks: &mut tokio::task::JoinSet<()>) {
-        let Some((listener, metrics)) = self.0 else { return };
+        let Some((address, metrics)) = self.0 else { return };
         let (replica, knowledge) = (node.replica.clone(), node.knowledge.clone());
         metrics.watch(Watched { replica, knowledge, clock, since_ms: clock.wall_ms() });
-        match listener.local_addr() {
-            Ok(at) => info!("metrics at http://{at}/metrics"),
-            Err(problem) => warn!(%problem, "metrics are served, at an address that cannot be told"),
-        }
+        info!("metrics at http://{}/metrics", address.at());
         tasks.spawn(async move {
-            if let Err(problem) = serve(listener, metrics).await {
+            if let Err(problem) = serve(address.listener, metrics).await {
                 warn!(%problem, "metrics are no longer served");
             }
         });

@@ -3,6 +3,7 @@
 use crate::browser::Browser;
 use crate::support::Folder;
 use consort_actors::clock::Clock;
+use consort_nodes::address::Taken;
 use consort_nodes::dashboard::{Board, Dashboard};
 use consort_nodes::floor;
 use consort_nodes::picture::{FloorPlan, Picture};
@@ -94,8 +95,10 @@ fn two_hundred_robots_are_shown_and_drawn_in_every_frame() {
     picture.take_view(&Key::ViewFleet, &fleet(), clock.wall_ms());
     let board = Arc::new(Board::new(picture, clock));
     report(&board);
-    let dashboard = runtime.block_on(Dashboard::show(SocketAddr::from(([127, 0, 0, 1], 0)), Arc::clone(&board)));
-    let dashboard = dashboard.expect("a free port");
+    let dashboard = runtime.block_on(async {
+        let address = Taken::take("--dashboard", SocketAddr::from(([127, 0, 0, 1], 0))).await.expect("a free port");
+        Dashboard::show(address, Arc::clone(&board))
+    });
     runtime.spawn(async move {
         let mut ticks = tokio::time::interval(REPORTS);
         loop {
