@@ -25,3 +25,4 @@ pub mod screen;
 pub mod source;
 pub mod telemetry;
 pub mod wiring;
+pub mod words;
