@@ -159,7 +159,7 @@ mod tests {
 
     #[test]
     fn who_said_what_to_whom_is_told_of_signals() {
-        let signal = json!({ "kind": "Done", "task": "open", "from": "r1", "to": "nurse" });
+        let signal = json!({ "kind": "done", "task": "open", "from": "r1", "to": "nurse" });
         let sent = json!({ "event": "sent", "mission": "m-1", "signal": signal });
         assert_eq!(told(sent), ("sync", "r1 -> nurse: open is done".to_owned(), false));
         let heard = json!({ "event": "heard", "mission": "m-1", "signal": signal });

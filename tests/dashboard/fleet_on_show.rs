@@ -275,9 +275,16 @@ fn in_the_dark_and_on_a_phone(browser: &Browser) {
         browser.until("its panel", &format!("!document.querySelector('#panel-{tab}').hidden"));
         let width = browser.value("document.documentElement.scrollWidth");
         assert_eq!(width, 360, "{tab}: nothing is wider than the phone");
+        browser.value("document.querySelector('.tabs').scrollIntoView()");
         browser.picture(&format!("phone-{tab}"));
     }
     browser.value("document.querySelector('#tab-missions').click()");
+    browser.value("scrollTo(0, 0)");
+    browser.until(
+        "sharp on this screen",
+        "document.querySelector('#map').width === 2 * document.querySelector('#map').clientWidth",
+    );
+    browser.picture("phone");
     check_access(browser, "on a phone");
 }
 

@@ -78,7 +78,12 @@ function tick() {
   tickAges(line.now());
 }
 
-const showAll = () => line.picture && touch(...Object.keys(line.picture), 'log', 'auctions', 'missions');
+/** What is opened shows how things are now, and not for a moment how they were when it was closed. */
+const showAll = () => {
+  if (!line.picture) return;
+  for (const section of Object.keys(line.picture)) dirty.add(section);
+  draw();
+};
 
 theme.start(() => map.repaint());
 tabs.start(showAll);

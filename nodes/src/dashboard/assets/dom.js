@@ -29,7 +29,7 @@ export function redraw(element, ...children) {
 }
 
 /** Rows out of sight are brought up to date so many at a time, and after so many milliseconds the next: none is left behind. */
-const [UNSEEN, NEXT] = [10, 400];
+const [UNSEEN, NEXT] = [10, 1000];
 /** Rows that are not seen now. */
 const unseen = new WeakSet();
 const watch = new IntersectionObserver((entries) => {
@@ -92,11 +92,16 @@ export function rows(body, items, fill) {
   go();
 }
 
-/** Cells of a row: the first is its head. Texts or elements. */
+/** Cells of a row: the first is its head. Texts or elements. A cell that would be the same stays. */
 export function cells(row, head, ...others) {
   const focused = row.contains(document.activeElement);
-  row.replaceChildren(make('th', { scope: 'row' }, head), ...others.map((one) => (one instanceof HTMLTableCellElement ? one : make('td', {}, one))));
-  if (focused) row.querySelector('button')?.focus();
+  const next = [make('th', { scope: 'row' }, head), ...others.map((one) => (one instanceof HTMLTableCellElement ? one : make('td', {}, one)))];
+  for (const [index, cell] of next.entries()) {
+    const before = row.cells[index];
+    if (!before) row.append(cell);
+    else if (before !== cell && !before.isEqualNode(cell)) before.replaceWith(cell);
+  }
+  if (focused && !row.contains(document.activeElement)) row.querySelector('button')?.focus();
 }
 
 export const numberCell = (...children) => make('td', { className: 'number' }, ...children);

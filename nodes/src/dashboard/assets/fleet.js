@@ -30,7 +30,7 @@ export function ensembles(picture) {
   redraw(place, all.map(([name, { members = [], others = {}, membership = [], skills = [], stale_after_ms }]) => {
     const facts = make('dl', { className: 'notes' });
     const fact = (word, ...value) => facts.append(make('div', {}, make('dt', {}, word), make('dd', {}, ...value.flat())));
-    if (membership.length) fact('of a member is true', membership.map((one, index) => [index ? ' and ' : '', make('code', {}, one)]).flat());
+    if (membership.length) fact('asks that', membership.map((one, index) => [index ? ' and ' : '', make('code', {}, one)]).flat());
     if (skills.length) fact('skills', skills.map(words).join(', '));
     if (stale_after_ms) fact('not heard for', `${span(stale_after_ms)}: no member`);
     const rows = [

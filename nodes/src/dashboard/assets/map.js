@@ -39,6 +39,11 @@ let given = false;
 
 export function start(onChoose) {
   new ResizeObserver(() => lay()).observe(byId('floor'));
+  // Another screen, or another zoom, has other pixels.
+  const watchPixels = () => {
+    matchMedia(`(resolution: ${devicePixelRatio}dppx)`).addEventListener('change', () => { lay(); watchPixels(); }, { once: true });
+  };
+  watchPixels();
   byId('level').onchange = (event) => {
     level = event.target.value;
     lay();

@@ -89,7 +89,7 @@ function detail(article, id, mission, now, { cancel, rescue }) {
     make('h3', {}, 'Tasks'),
     mission.tasks ? make('ul', { className: 'tree' }, tree(mission, 0)) : make('p', { className: 'muted' }, 'Its tasks are not known here yet.'),
     make('h3', {}, 'Roles'),
-    roles(mission),
+    Object.keys(mission.roles ?? {}).length ? roles(mission) : make('p', { className: 'muted' }, 'Its roles are not known here yet.'),
   );
 }
 

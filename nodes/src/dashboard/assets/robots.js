@@ -30,7 +30,7 @@ export function update(picture, chosen, onChoose) {
     const does = make('td', { className: 'wrap' }, state(kind, text), detail ? make('span', { className: 'sub' }, detail) : null);
     if (item.chosen) row.setAttribute('aria-current', 'true');
     else row.removeAttribute('aria-current');
-    cells(row, choose, does, meter(item.battery, percent(item.battery), item.low ? 'bad' : 'good'), item.place ?? '–', numberCell(since(0)));
+    cells(row, choose, does, meter(item.battery, percent(item.battery), item.low ? 'bad' : 'good'), item.place ?? '–', row.cells[4] ?? numberCell(since(0)));
   });
   // No row is made anew for an age alone.
   for (const row of body.rows) {

@@ -8,8 +8,8 @@ import { frame, shape } from './gantt.js';
 const ROWS = 60;
 /** Robots without a role have a row of their own in fleets up to this size. */
 const IDLE = 24;
-/** Room behind the rows for how much of the time a robot was at work, and ahead of now for what is planned. */
-const [RIGHT, AHEAD] = [46, 0.12];
+/** Room behind the rows for how much of the time a robot was at work; and ahead of now for what is planned, as a share of what was. */
+const [RIGHT, AHEAD] = [46, 0.6];
 const KINDS = { 'at work': ['running', 'work', '▸'], suspended: ['halted', 'warn', '‖'], 'carried out': ['done', 'good', '✓'], 'given up': ['failed', 'bad', '✕'], 'broken off': ['broken', 'wait', '✕'] };
 const letter = 6.2;
 
