@@ -1,15 +1,16 @@
 //! A client of a fleet: asks whoever coordinates, and says what it waits for.
 
 use crate::asking::{AGAIN, Hindrance, Whom, once};
-use crate::config::{DEFAULT_FLEET, FleetConfig, LogFormat, load, trust_files};
+use crate::config::{DEFAULT_FLEET, FleetConfig, LogFormat, load};
 use crate::exit::Failure;
 use crate::output::{self, Waiting};
 use crate::running::{describe, runtime, rust_log, start_log};
+use crate::trust;
 use crate::wiring::link_trust;
 use consort_actors::bus::zenoh_bus::Mode;
 use consort_actors::bus::{SharedBus, ZenohBus, ZenohSettings};
 use consort_actors::clock::Clock;
-use consort_actors::trust::{Keyring, SealedBus, TrustFiles};
+use consort_actors::trust::SealedBus;
 use consort_protocol::ids::{FleetId, NodeId};
 use consort_protocol::keys::{ApiCall, Key, Keys};
 use consort_protocol::trust::{Bearer, access};
@@ -86,14 +87,6 @@ impl AskFlags {
     }
 }
 
-/// What a person proves himself with.
-fn keyring(certs: &Path, fleet: &FleetId, clock: Clock) -> Result<(Keyring, TrustFiles), Failure> {
-    let files = trust_files(certs);
-    let life = clock.wall_ms();
-    let keyring = files.open(fleet, Duration::from_millis(life), life);
-    Ok((keyring.map_err(|problem| Failure::Usage(problem.to_string()))?, files))
-}
-
 /// A client that is connected.
 pub struct Client {
     session: ZenohBus,
@@ -120,7 +113,7 @@ impl Client {
         let mut waiting = Waiting::new();
         let until = Instant::now() + timeout;
         let clock = Clock::real();
-        let trust = flags.certs.as_deref().map(|certs| keyring(certs, &fleet, clock)).transpose()?;
+        let proof = flags.certs.as_deref().map(|certs| trust::of_a_person(certs, &fleet, clock)).transpose()?;
         let settings = ZenohSettings {
             mode: Mode::Client,
             connect: flags.connect.clone(),
@@ -154,8 +147,8 @@ impl Client {
         waiting.clear();
         let keys = Keys::new(&fleet);
         let plain: SharedBus = Arc::new(session.clone());
-        let person = trust.as_ref().map(|(keyring, _)| keyring.identity().bearer.clone());
-        let bus = match trust {
+        let person = proof.as_ref().map(|(keyring, _)| keyring.identity().bearer.clone());
+        let bus = match proof {
             None => plain,
             Some((keyring, files)) => {
                 let sealed = SealedBus::open(plain, keys.clone(), keyring, files, clock).await;

@@ -25,8 +25,13 @@ impl Floor {
             json!({ "name": place, "kind": "other", "x_m": pose.x, "y_m": pose.y, "yaw_rad": pose.yaw, "level": GROUND })
         });
         let lanes = self.topology.edges.iter().map(|edge| json!({ "between": [edge.a, edge.b] }));
+        let poses = || self.topology.places.values();
+        let (west, south) = poses().fold((f64::INFINITY, f64::INFINITY), |(x, y), pose| (x.min(pose.x), y.min(pose.y)));
+        let least = f64::NEG_INFINITY;
+        let (east, north) = poses().fold((least, least), |(x, y), pose| (x.max(pose.x), y.max(pose.y)));
         json!({
             "name": "published",
+            "bounds_m": { "west": west, "south": south, "east": east, "north": north },
             "levels": [{ "name": GROUND, "elevation_m": 0.0 }],
             "places": places.collect::<Vec<_>>(),
             "lanes": lanes.collect::<Vec<_>>(),

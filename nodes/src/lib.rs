@@ -3,6 +3,7 @@
 //! [`config`] reads files, [`wiring`] makes nodes of them, each command in [`command`] runs or asks nodes. What missions,
 //! auctions and worlds are is decided elsewhere; nothing here computes a plan or a price.
 
+pub mod address;
 mod asking;
 pub mod certs;
 pub mod check;
@@ -24,4 +25,6 @@ pub mod running;
 pub mod screen;
 pub mod source;
 pub mod telemetry;
+pub mod trust;
 pub mod wiring;
+pub mod words;

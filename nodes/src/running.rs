@@ -1,26 +1,24 @@
 //! A node on Zenoh, from its start until it is told to end.
 
-use crate::config::{BusConfig, FleetConfig, LogFormat, Problems, Surroundings, trust_files};
+use crate::address::Taken;
+use crate::config::{BusConfig, FleetConfig, LogFormat, Problems, Surroundings};
 use crate::dashboard::Dashboard;
 use crate::exit::Failure;
 use crate::metrics::{Metrics, Watched, serve};
 use crate::picture::FloorPlan;
 use crate::telemetry::Telemetry;
+use crate::trust::NodeTrust;
 use crate::wiring::bus_settings;
 use crate::{floor, output};
 use consort_actors::bus::{Bus, Link, MeteredBus, SharedBus, ZenohBus};
 use consort_actors::clock::Clock;
 use consort_actors::node::{NodeHandle, NodeSettings};
 use consort_actors::observe::SharedObserver;
-use consort_actors::trust::{Keyring, SealedBus, TrustFiles};
 use consort_protocol::ids::NodeId;
-use consort_protocol::keys::Keys;
-use consort_protocol::trust::{Bearer, NodeRole};
 use std::io::IsTerminal;
 use std::net::SocketAddr;
 use std::sync::Arc;
 use std::time::Duration;
-use tokio::net::TcpListener;
 use tokio::runtime::{Builder, Runtime};
 use tokio::signal::unix::{SignalKind, signal};
 use tracing::{info, warn};
@@ -100,13 +98,21 @@ async fn until_told(
     // Before anything is started: a signal that comes early is not lost.
     let mut terminate = signal(SignalKind::terminate()).map_err(|problem| no_signal(&problem))?;
     let mut interrupt = signal(SignalKind::interrupt()).map_err(|problem| no_signal(&problem))?;
+    let page = match dashboard {
+        Some(at) => Some((take("--dashboard", at).await?, FloorPlan::new(&floor::load(&fleet.map)?))),
+        None => None,
+    };
+    let metrics = match run.metrics {
+        Some(at) => Some(take("--metrics", at).await?),
+        None => None,
+    };
     let mut settings = settings()?;
-    let metrics = Metering::open(told.metrics, &settings).await?;
+    let metrics = Metering::new(metrics, &settings);
     let (telemetry, mut observers) = Telemetry::open(told.otlp.as_deref(), &settings).map_err(Failure::Usage)?;
     observers.extend(metrics.observer());
     settings.observer = Some(Arc::new(observers));
     let clock = settings.clock;
-    let trust = Trust::open(bus, &settings)?;
+    let trust = NodeTrust::open(bus, &settings)?;
     let zenoh = ZenohBus::open(bus_settings(bus, fleet)).await;
     let zenoh = zenoh.map_err(|problem| Failure::Usage(problem.to_string()))?;
     let name = settings.node.clone();
@@ -118,8 +124,12 @@ async fn until_told(
     let started = NodeHandle::start(settings, bus).await;
     let mut node = started.map_err(|problem| Failure::Unsuccessful(format!("{name} did not start: {problem}")))?;
     info!(node = %name, "started");
-    let _dashboard = match dashboard {
-        Some(address) => Some(serve_dashboard(*address, on_page, fleet, &name).await?),
+    let _dashboard = match page {
+        Some((address, plan)) => {
+            let dashboard = Dashboard::open(address, on_page, &fleet.name, name.as_str(), plan);
+            output::line(format_args!("dashboard: {}", dashboard.url()))?;
+            Some(dashboard)
+        }
         None => None,
     };
     metrics.serve(&node, clock, &mut watch);
@@ -161,85 +171,17 @@ async fn until_told(
     Ok(())
 }
 
-/// Serves the dashboard, and prints where.
-async fn serve_dashboard(
-    address: SocketAddr,
-    bus: SharedBus,
-    fleet: &FleetConfig,
-    node: &NodeId,
-) -> Result<Dashboard, Failure> {
-    let plan = FloorPlan::new(&floor::load(&fleet.map)?);
-    let opened = Dashboard::open(address, bus, &fleet.name, node.as_str(), plan).await;
-    let dashboard = opened.map_err(Failure::Usage)?;
-    output::line(format_args!("dashboard: {}", dashboard.url()))?;
-    Ok(dashboard)
-}
-
-/// What a node proves itself with, if it has certificates.
-struct Trust(Option<(Keyring, TrustFiles)>);
-
-impl Trust {
-    /// Reads the files, and sees to it that they are this node's and let it be what it is configured to be.
-    fn open(bus: &BusConfig, node: &NodeSettings) -> Result<Trust, Failure> {
-        let Some(folder) = &bus.certs else { return Ok(Trust(None)) };
-        let files = trust_files(folder);
-        let now = Duration::from_millis(node.clock.wall_ms());
-        let keyring = files.open(&node.fleet.fleet, now, node.incarnation);
-        let keyring = keyring.map_err(|problem| Failure::Usage(problem.to_string()))?;
-        let wanted = needed_roles(node);
-        let problem = match &keyring.identity().bearer {
-            Bearer::Node { name, .. } if *name != node.node => {
-                Some(format!("it is node {name}'s, and this is {}", node.node))
-            }
-            Bearer::Node { roles, .. } => wanted.iter().find(|(role, _)| !roles.contains(role)).map(|(role, why)| {
-                format!(
-                    "it does not let {} be a {role}, and {why}; `consort cert node {0} --roles …` makes one",
-                    node.node
-                )
-            }),
-            person @ Bearer::Person { .. } => {
-                Some(format!("it is {person}'s, and nodes have certificates of their own"))
-            }
-        };
-        match problem {
-            Some(problem) => Err(Failure::Usage(format!("{}: {problem}", files.certificate.display()))),
-            None => {
-                info!(bearer = %keyring.identity().bearer, "links are encrypted, and messages signed");
-                Ok(Trust(Some((keyring, files))))
-            }
-        }
-    }
-
-    /// The bus on which messages are sealed, if they are.
-    async fn sealed(self, bus: SharedBus, node: &NodeSettings) -> Result<SharedBus, Failure> {
-        let Some((keyring, files)) = self.0 else { return Ok(bus) };
-        let sealed = SealedBus::open(bus, Keys::new(&node.fleet.fleet), keyring, files, node.clock).await;
-        Ok(Arc::new(sealed.map_err(|problem| Failure::Unsuccessful(problem.to_string()))?))
-    }
-}
-
-/// What a node is configured to be, and by what.
-fn needed_roles(node: &NodeSettings) -> Vec<(NodeRole, &'static str)> {
-    let all = [
-        (node.robot.is_some(), NodeRole::Robot, "it is a robot's"),
-        (node.may_vote, NodeRole::Voter, "may_vote is true"),
-        (node.host.is_some(), NodeRole::Host, "it hosts a world"),
-    ];
-    all.into_iter().filter(|(needed, ..)| *needed).map(|(_, role, why)| (role, why)).collect()
+async fn take(flag: &str, at: SocketAddr) -> Result<Taken, Failure> {
+    Taken::take(flag, at).await.map_err(Failure::Usage)
 }
 
 /// The metrics of a node, if they are asked for.
-struct Metering(Option<(TcpListener, Arc<Metrics>)>);
+struct Metering(Option<(Taken, Arc<Metrics>)>);
 
 impl Metering {
-    /// Takes the address before anything is started.
-    async fn open(at: Option<SocketAddr>, settings: &NodeSettings) -> Result<Metering, Failure> {
-        let Some(at) = at else { return Ok(Metering(None)) };
-        let listener = TcpListener::bind(at).await;
-        let listener =
-            listener.map_err(|problem| Failure::Usage(format!("metrics cannot be served at {at}: {problem}")))?;
-        let metrics = Metrics::new(&settings.fleet.fleet, &settings.node);
-        Ok(Metering(Some((listener, metrics))))
+    /// Those of this node, to be served at this address.
+    fn new(address: Option<Taken>, settings: &NodeSettings) -> Metering {
+        Metering(address.map(|address| (address, Metrics::new(&settings.fleet.fleet, &settings.node))))
     }
 
     fn observer(&self) -> Option<SharedObserver> {
@@ -254,15 +196,12 @@ impl Metering {
     }
 
     fn serve(self, node: &NodeHandle, clock: Clock, tasks: &mut tokio::task::JoinSet<()>) {
-        let Some((listener, metrics)) = self.0 else { return };
+        let Some((address, metrics)) = self.0 else { return };
         let (replica, knowledge) = (node.replica.clone(), node.knowledge.clone());
         metrics.watch(Watched { replica, knowledge, clock, since_ms: clock.wall_ms() });
-        match listener.local_addr() {
-            Ok(at) => info!("metrics at http://{at}/metrics"),
-            Err(problem) => warn!(%problem, "metrics are served, at an address that cannot be told"),
-        }
+        info!("metrics at http://{}/metrics", address.at());
         tasks.spawn(async move {
-            if let Err(problem) = serve(listener, metrics).await {
+            if let Err(problem) = serve(address.listener, metrics).await {
                 warn!(%problem, "metrics are no longer served");
             }
         });

@@ -10,8 +10,10 @@ const MISSION: Duration = Duration::from_secs(180);
 
 /// What the keys are called in WebDriver.
 const TAB: &str = "\u{e004}";
-const ENTER: &str = "\u{e007}";
+pub(crate) const ENTER: &str = "\u{e007}";
 const RIGHT: &str = "\u{e014}";
+const DOWN: &str = "\u{e015}";
+const HOME: &str = "\u{e011}";
 const END: &str = "\u{e010}";
 
 /// The address that a demo prints.
@@ -76,7 +78,7 @@ const CONTRAST: &str = r"(() => {
     return [...faults];
 })()";
 
-fn check_access(browser: &Browser, when: &str) {
+pub(crate) fn check_access(browser: &Browser, when: &str) {
     for check in [ACCESS, CONTRAST] {
         let faults = browser.value(check);
         assert_eq!(faults.as_array().map(Vec::len), Some(0), "{when}: {faults:#}");
@@ -84,7 +86,7 @@ fn check_access(browser: &Browser, when: &str) {
 }
 
 /// Presses Tab until something is focused, as a person does who has no mouse.
-fn tab_to(browser: &Browser, selector: &str) {
+pub(crate) fn tab_to(browser: &Browser, selector: &str) {
     for _ in 0..80 {
         if browser.value(&format!("document.activeElement.matches({selector:?})")) == true {
             let outline = browser.value("getComputedStyle(document.activeElement).outlineStyle");
@@ -130,8 +132,11 @@ fn the_demo_is_followed_and_asked_for_more_without_a_mouse() {
     browser.picture_for_readers("console");
     check_access(&browser, "missions");
 
+    look_at_the_schedule(&browser);
+
     // Tabs by arrows. The auction has every bid with its parts.
     tab_to(&browser, "#tab-missions");
+    browser.press(RIGHT);
     browser.press(RIGHT);
     browser.until("the auction", "document.querySelectorAll('#auction tr.won').length >= 1");
     browser.until("bids with parts", "document.querySelectorAll('#auction .parts tbody tr').length >= 5");
@@ -177,6 +182,45 @@ fn the_demo_is_followed_and_asked_for_more_without_a_mouse() {
     in_the_dark_and_on_a_phone(&browser);
     assert_eq!(browser.console(), Vec::<String>::new());
     assert_eq!(browser.value("window.loadedOnce"), true);
+}
+
+/// The chart of all missions: a bar for each role, one stop for Tab, and a table that says the same.
+fn look_at_the_schedule(browser: &Browser) {
+    tab_to(browser, "#tab-missions");
+    browser.press(RIGHT);
+    browser.until("four roles", "document.querySelectorAll('#schedule-chart .bar').length >= 4");
+    browser.until("the same as a table", "document.querySelectorAll('#schedule tbody tr').length === document.querySelectorAll('#schedule-chart .bar').length");
+    browser.until("what was planned", "document.querySelectorAll('#schedule-chart .planned').length >= 4");
+    browser.until(
+        "a row for each robot",
+        "document.querySelectorAll('#schedule-chart text[text-anchor=end]').length >= 8",
+    );
+    let bars =
+        "[...document.querySelectorAll('#schedule-chart .bar')].map((bar) => bar.getAttribute('aria-label')).join()";
+    let said = browser.value(bars);
+    let said = said.as_str().expect("text");
+    assert!(
+        said.contains("r1 of lab-samples-1: ") && said.contains("r1 of lab-samples-2: ") && said.contains(", planned "),
+        "{said}"
+    );
+    check_access(browser, "the schedule");
+    browser.picture_for_readers("schedule");
+    tab_to(browser, "#schedule-chart .bar");
+    assert_eq!(browser.value("document.querySelectorAll('#schedule-chart .bar[tabindex=\"0\"]').length"), 1);
+    browser.press(HOME);
+    let first = browser.value("document.activeElement.dataset.key");
+    browser.press(DOWN);
+    browser.until(
+        "another bar has the focus",
+        &format!("document.activeElement.matches('.bar') && document.activeElement.dataset.key !== {first}"),
+    );
+    let chosen = browser.value("document.activeElement.dataset.key.split('#')[0]");
+    browser.press(ENTER);
+    browser.until("its mission", &format!("document.querySelector('#mission h3').innerText === {chosen}"));
+    browser.until(
+        "its panel",
+        "!document.querySelector('#panel-missions').hidden && document.activeElement.id === 'mission'",
+    );
 }
 
 fn ask_for_one_by_keyboard_and_withdraw_it(browser: &Browser) {
@@ -226,14 +270,21 @@ fn in_the_dark_and_on_a_phone(browser: &Browser) {
     browser.until("light by the switch", "document.documentElement.dataset.theme === 'light'");
     browser.click("#theme");
     browser.screen(360, 740);
-    for tab in ["missions", "auctions", "ensembles", "coordination", "log", "history"] {
+    for tab in ["missions", "schedule", "auctions", "ensembles", "coordination", "log", "history"] {
         browser.value(&format!("document.querySelector('#tab-{tab}').click()"));
         browser.until("its panel", &format!("!document.querySelector('#panel-{tab}').hidden"));
         let width = browser.value("document.documentElement.scrollWidth");
         assert_eq!(width, 360, "{tab}: nothing is wider than the phone");
+        browser.value("document.querySelector('.tabs').scrollIntoView()");
         browser.picture(&format!("phone-{tab}"));
     }
     browser.value("document.querySelector('#tab-missions').click()");
+    browser.value("scrollTo(0, 0)");
+    browser.until(
+        "sharp on this screen",
+        "document.querySelector('#map').width === 2 * document.querySelector('#map').clientWidth",
+    );
+    browser.picture("phone");
     check_access(browser, "on a phone");
 }
 

@@ -38,6 +38,8 @@ assets! {
     "/robots.js" "text/javascript; charset=utf-8" "assets/robots.js",
     "/missions.js" "text/javascript; charset=utf-8" "assets/missions.js",
     "/gantt.js" "text/javascript; charset=utf-8" "assets/gantt.js",
+    "/sprites.js" "text/javascript; charset=utf-8" "assets/sprites.js",
+    "/schedule.js" "text/javascript; charset=utf-8" "assets/schedule.js",
     "/auctions.js" "text/javascript; charset=utf-8" "assets/auctions.js",
     "/fleet.js" "text/javascript; charset=utf-8" "assets/fleet.js",
     "/log.js" "text/javascript; charset=utf-8" "assets/log.js",

@@ -50,10 +50,15 @@ impl Desk {
         self.ask(ApiCall::Submit, &request).await
     }
 
-    /// Withdraws a mission.
-    pub(super) async fn cancel(&self, mission: &MissionId) -> Result<Value, Problem> {
-        let by = format!("the dashboard of {}", self.node);
-        self.ask(ApiCall::Cancel, &json!({ "mission": mission, "by": by })).await
+    /// Has something done to a mission by somebody's word: withdraws it, or closes it after a rescue.
+    pub(super) async fn on_word(
+        &self,
+        call: ApiCall,
+        mission: &MissionId,
+        by: Option<String>,
+    ) -> Result<Value, Problem> {
+        let by = by.filter(|by| !by.trim().is_empty()).unwrap_or_else(|| format!("the dashboard of {}", self.node));
+        self.ask(call, &json!({ "mission": mission, "by": by })).await
     }
 
     async fn ask(&self, call: ApiCall, request: &Value) -> Result<Value, Problem> {

@@ -3,7 +3,7 @@
 //! ```text
 //!  bus ──▶ Watcher ──▶ Board (a Picture) ──▶ frames, five a second ──▶ /ws: first the whole, then what has changed
 //!                        │                                             /api/picture, /api/events, /api/history.csv
-//!  bus ◀── Desk ◀────────┴──────────────────────────────────────────── POST /api/missions: submit, cancel
+//!  bus ◀── Desk ◀────────┴──────────────────────────────────────────── POST /api/missions: submit, cancel, rescued
 //! ```
 //!
 //! A frame replaces the one before it, whether or not everybody has seen that: a slow client misses frames, and then gets
@@ -23,6 +23,7 @@ mod watcher;
 pub use board::{Board, FRAME};
 pub(crate) use watcher::watch as follow;
 
+use crate::address::Taken;
 use crate::picture::{FloorPlan, Picture};
 use consort_actors::bus::SharedBus;
 use consort_actors::clock::Clock;
@@ -30,7 +31,6 @@ use consort_protocol::ids::FleetId;
 use consort_protocol::keys::Keys;
 use std::net::SocketAddr;
 use std::sync::Arc;
-use tokio::net::TcpListener;
 use tokio::task::JoinSet;
 
 /// A dashboard that is being served. Dropping it ends it.
@@ -40,40 +40,24 @@ pub struct Dashboard {
 }
 
 impl Dashboard {
-    /// Serves a fleet, as it is seen over `bus` at `node`, at this address; port 0 is any free one.
-    ///
-    /// # Errors
-    /// In words, with the address, if it cannot be had.
-    pub async fn open(
-        address: SocketAddr,
-        bus: SharedBus,
-        fleet: &FleetId,
-        node: &str,
-        plan: FloorPlan,
-    ) -> Result<Dashboard, String> {
+    /// Serves a fleet, as it is seen over `bus` at `node`. Called within a tokio runtime.
+    pub fn open(address: Taken, bus: SharedBus, fleet: &FleetId, node: &str, plan: FloorPlan) -> Dashboard {
         let clock = Clock::real();
         let picture = Picture::new(fleet.to_string(), node, plan, clock.wall_ms());
         let board = Arc::new(Board::new(picture, clock));
         let desk = desk::Desk::new(Arc::clone(&bus), Keys::new(fleet), node);
-        let mut dashboard = Dashboard::serve(address, Arc::clone(&board), Some(desk)).await?;
+        let mut dashboard = Dashboard::serve(address, Arc::clone(&board), Some(desk));
         watcher::watch(&mut dashboard.tasks, bus, Keys::new(fleet), board);
-        Ok(dashboard)
+        dashboard
     }
 
-    /// Serves a board that somebody else fills, and on which nothing can be asked for.
-    ///
-    /// # Errors
-    /// As [`open`](Self::open).
-    pub async fn show(address: SocketAddr, board: Arc<Board>) -> Result<Dashboard, String> {
-        Dashboard::serve(address, board, None).await
+    /// Serves a board that somebody else fills, and on which nothing can be asked for. Called within a tokio runtime.
+    pub fn show(address: Taken, board: Arc<Board>) -> Dashboard {
+        Dashboard::serve(address, board, None)
     }
 
-    async fn serve(address: SocketAddr, board: Arc<Board>, desk: Option<desk::Desk>) -> Result<Dashboard, String> {
-        let refused = |problem: std::io::Error| {
-            format!("--dashboard {address}: this address cannot be had: {problem}; with port 0 a free one is found")
-        };
-        let listener = TcpListener::bind(address).await.map_err(refused)?;
-        let address = listener.local_addr().map_err(refused)?;
+    fn serve(taken: Taken, board: Arc<Board>, desk: Option<desk::Desk>) -> Dashboard {
+        let (address, listener) = (taken.at(), taken.listener);
         let router = routes::router(Arc::clone(&board), desk, address);
         let mut tasks = JoinSet::new();
         tasks.spawn(async move {
@@ -82,7 +66,7 @@ impl Dashboard {
             }
         });
         tasks.spawn(async move { board.draw_for_ever().await });
-        Ok(Dashboard { address, tasks })
+        Dashboard { address, tasks }
     }
 
     /// Where it is.

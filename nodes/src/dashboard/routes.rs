@@ -11,8 +11,10 @@ use axum::http::{HeaderMap, StatusCode, header};
 use axum::response::{IntoResponse, Response};
 use axum::routing::{get, post};
 use consort_protocol::ids::MissionId;
+use consort_protocol::keys::ApiCall;
 use consort_protocol::mission::{FILE_BYTES_MAX, shipped};
 use serde::Deserialize;
+use serde::de::DeserializeOwned;
 use serde_json::{Value, json};
 use std::net::SocketAddr;
 use std::sync::Arc;
@@ -24,6 +26,8 @@ const SLOW: Duration = Duration::from_secs(20);
 
 /// Largest message of a client's over the WebSocket, in bytes: it has nothing to say.
 const SAID_MAX: usize = 1024;
+
+const JSON: [(header::HeaderName, &str); 1] = [(header::CONTENT_TYPE, "application/json")];
 
 /// Events given at once.
 const EVENTS: usize = 500;
@@ -47,6 +51,7 @@ pub(super) fn router(board: Arc<Board>, desk: Option<Desk>, address: SocketAddr)
         .route("/api/history.csv", get(history))
         .route("/api/missions", post(submit))
         .route("/api/missions/{id}/cancel", post(cancel))
+        .route("/api/missions/{id}/rescued", post(rescued))
         .route("/healthz", get(health))
         .layer(DefaultBodyLimit::max(FILE_BYTES_MAX))
         .layer(axum::middleware::from_fn_with_state(address, guard::guard))
@@ -55,12 +60,12 @@ pub(super) fn router(board: Arc<Board>, desk: Option<Desk>, address: SocketAddr)
 
 async fn follow(State(shared): State<Shared>, upgrade: WebSocketUpgrade) -> Response {
     let frames = shared.board.frames();
-    upgrade.max_message_size(SAID_MAX).on_upgrade(move |socket| send_frames(socket, frames))
+    upgrade.max_message_size(SAID_MAX).on_upgrade(move |socket| send_frames(socket, shared.board, frames))
 }
 
 /// Sends the whole, then what changes. Whoever is slow misses frames, and gets the whole again.
-async fn send_frames(mut socket: WebSocket, mut frames: watch::Receiver<Arc<Frame>>) {
-    let mut seen = None;
+async fn send_frames(mut socket: WebSocket, board: Arc<Board>, mut frames: watch::Receiver<Arc<Frame>>) {
+    let mut seen = 0;
     loop {
         tokio::select! {
             changed = frames.changed() => {
@@ -68,10 +73,19 @@ async fn send_frames(mut socket: WebSocket, mut frames: watch::Receiver<Arc<Fram
                     return;
                 }
                 let frame = frames.borrow_and_update().clone();
-                let text = frame.text_for(seen);
-                seen = Some(frame.number);
+                let text = match frame.number.checked_sub(seen) {
+                    // What the whole, of a later frame, had already.
+                    Some(0) | None => None,
+                    Some(1) if seen > 0 => frame.text.clone(),
+                    Some(_) => {
+                        let (number, whole) = board.whole();
+                        seen = number;
+                        Some(whole)
+                    }
+                };
+                seen = seen.max(frame.number);
                 let Some(text) = text else { continue };
-                let sent = tokio::time::timeout(SLOW, socket.send(Message::Text(text.into()))).await;
+                let sent = tokio::time::timeout(SLOW, socket.send(Message::Text(text))).await;
                 if !matches!(sent, Ok(Ok(()))) {
                     return;
                 }
@@ -86,7 +100,8 @@ async fn send_frames(mut socket: WebSocket, mut frames: watch::Receiver<Arc<Fram
 }
 
 async fn picture(State(shared): State<Shared>) -> Response {
-    answer(StatusCode::OK, &shared.board.whole())
+    let (_, whole) = shared.board.whole();
+    (StatusCode::OK, JSON, whole.to_string()).into_response()
 }
 
 /// Which events are wanted: those after a number, of a kind, mission or robot, with a text in them.
@@ -135,25 +150,56 @@ async fn history(State(shared): State<Shared>) -> Response {
 }
 
 async fn submit(State(shared): State<Shared>, headers: HeaderMap, body: Bytes) -> Response {
-    let kind = headers.get(header::CONTENT_TYPE).and_then(|kind| kind.to_str().ok()).unwrap_or("");
-    if kind.split(';').next().map(str::trim) != Some("application/json") {
-        return problem(StatusCode::UNSUPPORTED_MEDIA_TYPE, "a request is application/json");
-    }
     let Some(desk) = &shared.desk else { return no_desk() };
-    let request: Value = match serde_json::from_slice(&body) {
+    let request: Value = match read(&headers, &body) {
         Ok(request) => request,
-        Err(mistake) => return problem(StatusCode::BAD_REQUEST, &format!("the request is not JSON: {mistake}")),
+        Err(refusal) => return refusal.into_response(),
     };
     let now_ms = shared.board.with(|_, now_ms| now_ms);
     settled(desk.submit(request, now_ms).await)
 }
 
-async fn cancel(State(shared): State<Shared>, Path(id): Path<String>) -> Response {
+async fn cancel(State(shared): State<Shared>, Path(id): Path<String>, headers: HeaderMap, body: Bytes) -> Response {
+    on_word(&shared, ApiCall::Cancel, id, &headers, &body).await
+}
+
+async fn rescued(State(shared): State<Shared>, Path(id): Path<String>, headers: HeaderMap, body: Bytes) -> Response {
+    on_word(&shared, ApiCall::Rescued, id, &headers, &body).await
+}
+
+/// By whose word something is done; without one it is the dashboard's.
+#[derive(Default, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Word {
+    by: Option<String>,
+}
+
+/// Has something done to a mission that somebody says is to be done.
+async fn on_word(shared: &Shared, call: ApiCall, id: String, headers: &HeaderMap, body: &[u8]) -> Response {
     let Some(desk) = &shared.desk else { return no_desk() };
-    match MissionId::new(id) {
-        Ok(mission) => settled(desk.cancel(&mission).await),
-        Err(mistake) => problem(StatusCode::BAD_REQUEST, &mistake.to_string()),
+    let mission = match MissionId::new(id) {
+        Ok(mission) => mission,
+        Err(mistake) => return problem(StatusCode::BAD_REQUEST, &mistake.to_string()),
+    };
+    let word = if body.is_empty() { Ok(Word::default()) } else { read(headers, body) };
+    match word {
+        Ok(Word { by }) => settled(desk.on_word(call, &mission, by).await),
+        Err(refusal) => refusal.into_response(),
     }
+}
+
+/// Why a body is not taken.
+type Refusal = (StatusCode, [(header::HeaderName, &'static str); 1], String);
+
+/// What somebody sends, which is JSON.
+fn read<T: DeserializeOwned>(headers: &HeaderMap, body: &[u8]) -> Result<T, Refusal> {
+    let refusal = |status, what: &str| (status, JSON, json!({ "error": what }).to_string());
+    let kind = headers.get(header::CONTENT_TYPE).and_then(|kind| kind.to_str().ok()).unwrap_or("");
+    if kind.split(';').next().map(str::trim) != Some("application/json") {
+        return Err(refusal(StatusCode::UNSUPPORTED_MEDIA_TYPE, "a request is application/json"));
+    }
+    serde_json::from_slice(body)
+        .map_err(|mistake| refusal(StatusCode::BAD_REQUEST, &format!("the request is not as it should be: {mistake}")))
 }
 
 async fn health(State(shared): State<Shared>) -> Response {
@@ -178,5 +224,5 @@ fn problem(status: StatusCode, what: &str) -> Response {
 }
 
 fn answer(status: StatusCode, value: &Value) -> Response {
-    (status, [(header::CONTENT_TYPE, "application/json")], value.to_string()).into_response()
+    (status, JSON, value.to_string()).into_response()
 }

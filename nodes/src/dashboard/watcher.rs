@@ -93,6 +93,7 @@ async fn look_at_views(bus: SharedBus, keys: Keys, board: Arc<Board>) {
             look(Key::ViewMissions),
             look(Key::ViewAuctions),
             look(Key::ViewWorld),
+            look(Key::ViewHealth),
         );
         let wanted = board.with(|picture, _| picture.missions_to_ask_for());
         let wanted = wanted.iter().filter_map(|id| MissionId::new(id.clone()).ok()).take(MISSIONS);

@@ -21,6 +21,7 @@ pub use cast::{Cast, Request};
 pub use processes::Processes;
 pub use stage::Stage;
 
+use crate::address::Taken;
 use crate::dashboard::Dashboard;
 use crate::exit::Failure;
 use crate::picture::FloorPlan;
@@ -125,11 +126,11 @@ pub fn run(args: Args) -> Result<(), Failure> {
             let program = std::env::current_exe();
             let program =
                 program.map_err(|problem| Failure::Unsuccessful(format!("this program's own file: {problem}")))?;
-            let stage = Processes::set(&cast, &program, args.port).await?;
-            let floor = FloorPlan::new(&floor::load(&cast.fleet.map)?);
             let address = args.dashboard.unwrap_or(SocketAddr::from(([127, 0, 0, 1], 0)));
-            let opened = Dashboard::open(address, stage.bus(), &cast.fleet.name, "demo", floor).await;
-            let dashboard = opened.map_err(Failure::Usage)?;
+            let address = Taken::take("--dashboard", address).await.map_err(Failure::Usage)?;
+            let plan_of_floor = FloorPlan::new(&floor::load(&cast.fleet.map)?);
+            let stage = Processes::set(&cast, &program, args.port).await?;
+            let dashboard = Dashboard::open(address, stage.bus(), &cast.fleet.name, "demo", plan_of_floor);
             Director::new(plan, cast, stage, narrator, Some(dashboard)).play().await
         })
     }

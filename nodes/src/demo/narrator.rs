@@ -3,11 +3,10 @@
 use super::cast::Cast;
 use crate::exit::Failure;
 use crate::output;
+use crate::words::{Words, words};
 use consort_protocol::auction::{AuctionEntry, AuctionRecord, Verdict};
 use consort_protocol::event::{Event, Happening};
-use consort_protocol::ids::{MissionId, NodeId, TaskId};
-use consort_protocol::ledger::MissionState;
-use consort_protocol::plan::{Signal, SignalKind};
+use consort_protocol::ids::{MissionId, RoleId, TaskId};
 use indicatif::{MultiProgress, ProgressBar, ProgressStyle};
 use serde_json::{Value, json};
 use std::collections::BTreeMap;
@@ -54,84 +53,26 @@ impl Narrator {
             return self.say(value.to_string());
         }
         let node = &event.node;
+        let task = |role: &RoleId, told: String| self.tell(at, "task", format!("{node:10} {role:8} {told}"));
         match &event.what {
-            Happening::Elected { term, voters } => {
-                let voters = voters.iter().map(NodeId::as_str).collect::<Vec<_>>().join(", ");
-                self.tell(at, "elected", format!("{node} coordinates in term {term}; the ledger is kept by {voters}"))
-            }
-            Happening::SteppedDown { term } => {
-                self.tell(at, "steps down", format!("{node} no longer coordinates (term {term})"))
-            }
-            Happening::Foreign { foreign, member, .. } => {
-                self.tell(at, "foreign", format!("{member} belongs to cluster {foreign}, which was founded apart"))
-            }
-            Happening::Voters { voters, reason } => {
-                let voters = voters.iter().map(NodeId::as_str).collect::<Vec<_>>().join(", ");
-                self.tell(at, "voters", format!("{reason}; the ledger is kept by {voters}"))
-            }
-            Happening::Joined { ensemble, member } => self.tell(at, "member", format!("+ {member} in {ensemble}")),
-            Happening::Left { ensemble, member, reason } => {
-                self.tell(at, "member", format!("- {member} in {ensemble}: {reason}"))
-            }
-            Happening::Submitted { mission, parameters } => {
-                let given = parameters.iter().map(|(name, value)| format!("{name} = {value}"));
-                self.tell(at, "mission", format!("{mission} acknowledged; {}", given.collect::<Vec<_>>().join(", ")))
-            }
-            Happening::Called { mission, roles, round, asked } => {
-                let roles = roles.iter().map(ToString::to_string).collect::<Vec<_>>().join(", ");
-                self.tell(
-                    at,
-                    "auction",
-                    format!("{mission}: bids for {roles} asked of {asked} members (round {round})"),
-                )
-            }
             Happening::Closed { record, .. } => self.closed(at, record),
-            Happening::Awarded { mission, holders, epoch, after_ms } => {
-                let holders = holders.iter().map(|(role, robot)| format!("{role} to {robot}")).collect::<Vec<_>>();
-                let after = after_ms.map_or_else(String::new, |ms| format!(", {ms:.1} ms after the request"));
-                self.tell(at, "award", format!("{mission}: {} (epoch {epoch}){after}", holders.join(", ")))
-            }
-            Happening::Released { mission, role, cause } => {
-                self.tell(at, "released", format!("{mission}: {role}: {cause}"))
-            }
-            Happening::Mission { mission, state, .. } => self.state(at, mission, state),
             Happening::Progress { mission, done, steps } => self.progress(at, mission, *done, *steps),
-            Happening::Started { mission, role, epoch } => {
-                self.tell(at, "begins", format!("{node} as {role} of {mission} (epoch {epoch})"))
+            Happening::TaskBegan { role, task: id, .. } => task(role, format!("{id} …")),
+            Happening::TaskEnded { role, task: id, .. } => task(role, format!("{id} done")),
+            Happening::TaskFailed { role, task: id, cause, .. } => task(role, format!("{id} FAILED: {cause}")),
+            Happening::TaskRetried { role, task: id, attempt, cause, .. } => {
+                task(role, format!("{id} failed {attempt} times, once more: {cause}"))
             }
-            Happening::TaskBegan { role, task, .. } => self.tell(at, "task", format!("{node:10} {role:8} {task} …")),
-            Happening::TaskEnded { role, task, .. } => self.tell(at, "task", format!("{node:10} {role:8} {task} done")),
-            Happening::TaskFailed { role, task, cause, .. } => {
-                self.tell(at, "task", format!("{node:10} {role:8} {task} FAILED: {cause}"))
-            }
-            Happening::TaskRetried { role, task, attempt, cause, .. } => {
-                self.tell(at, "task", format!("{node:10} {role:8} {task} failed {attempt} times, once more: {cause}"))
-            }
-            Happening::Alternative { role, task, tasks, cause, .. } => {
+            Happening::Alternative { role, task: id, tasks, cause, .. } => {
                 let tasks = tasks.iter().map(TaskId::as_str).collect::<Vec<_>>().join(", ");
-                self.tell(at, "task", format!("{node:10} {role:8} {tasks} instead of {task}: {cause}"))
-            }
-            Happening::GaveUp { mission, role, cause, .. } => {
-                self.tell(at, "gives up", format!("{node} as {role} of {mission}: {cause}"))
-            }
-            Happening::ChargeShort { mission, role, cause } => {
-                self.tell(at, "charge", format!("{node} goes on as {role} of {mission} all the same: {cause}"))
-            }
-            Happening::Outdated { signal, epoch, known, .. } => {
-                let text = format!("{node} does not listen to {} of epoch {epoch}: now it is {known}", said(signal));
-                self.tell(at, "sync", text)
-            }
-            Happening::Sent { signal, .. } => self.tell(at, "sync", said(signal)),
-            Happening::Heard { signal, .. } => self.tell(at, "sync", format!("{} (heard)", said(signal))),
-            Happening::Suspended { mission, role } => {
-                self.tell(at, "suspends", format!("{node} as {role} of {mission}: its lease ran out"))
-            }
-            Happening::Resumed { mission, role } => self.tell(at, "resumes", format!("{node} as {role} of {mission}")),
-            Happening::Halted { mission, role, reason } => {
-                self.tell(at, "ends", format!("{node} as {role} of {mission}: {reason:?}").to_lowercase())
+                task(role, format!("{tasks} instead of {id}: {cause}"))
             }
             // The auction's close tells of all bids, judged.
             Happening::Bid { .. } => Ok(()),
+            _ => {
+                let Words { word, text, .. } = words(event);
+                self.tell(at, word, text)
+            }
         }
     }
 
@@ -184,18 +125,6 @@ impl Narrator {
         }
     }
 
-    fn state(&self, at: Duration, mission: &MissionId, state: &MissionState) -> Result<(), Failure> {
-        let text = match state {
-            MissionState::Failed { cause } => format!("{mission} failed: {cause}"),
-            MissionState::Canceled { by } => format!("{mission} canceled by {by}"),
-            MissionState::NeedsRescue { cause, .. } => format!("{mission} needs rescue: {cause}"),
-            MissionState::Pending | MissionState::Running | MissionState::Completed => {
-                format!("{mission} is {}", state.word())
-            }
-        };
-        self.tell(at, "mission", text)
-    }
-
     fn progress(&mut self, at: Duration, mission: &MissionId, done: usize, steps: usize) -> Result<(), Failure> {
         if let Some(bars) = &self.bars {
             let bar = self.missions.entry(mission.clone()).or_insert_with(|| {
@@ -225,12 +154,4 @@ impl Narrator {
 
 fn seconds(at: Duration) -> f64 {
     (at.as_secs_f64() * 1000.0).round() / 1000.0
-}
-
-fn said(signal: &Signal) -> String {
-    let Signal { kind, task, from, to } = signal;
-    match kind {
-        SignalKind::Done => format!("{from} -> {to}: {task} is done"),
-        SignalKind::Ready => format!("{from} -> {to}: ready for {task}"),
-    }
 }

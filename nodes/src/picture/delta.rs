@@ -24,6 +24,18 @@ pub fn between(before: &Value, after: &Value) -> Option<Value> {
     }
 }
 
+/// Puts a member into `drawn`, and what has changed of it by that into `patch`.
+pub fn renew(drawn: &mut Map<String, Value>, patch: &mut Map<String, Value>, name: String, value: Value) {
+    let change = match drawn.get(&name) {
+        Some(before) => between(before, &value),
+        None => Some(value.clone()),
+    };
+    if let Some(change) = change {
+        drawn.insert(name.clone(), value);
+        patch.insert(name, change);
+    }
+}
+
 /// Changes a value by a patch.
 pub fn apply(value: &mut Value, patch: &Value) {
     let Value::Object(changes) = patch else {

@@ -1,7 +1,9 @@
 //! What is heard of the fleet, taken in.
 
-use super::parts::{CoordinatorShown, EnsembleShown, NodeShown, PersonShown, ReachState, Takeover};
-use super::{Picture, SILENT_AFTER_MS, bounds, keep_last};
+use super::parts::{
+    CoordinatorShown, EnsembleShown, FindingShown, NodeShown, PersonShown, ReachState, RobotShown, Takeover,
+};
+use super::{Picture, SILENT_AFTER_MS, bounds};
 use consort_protocol::ids::NodeId;
 use consort_protocol::keys::Key;
 use consort_protocol::message::Beacon;
@@ -20,6 +22,7 @@ impl Picture {
             Key::ViewMission(id) => self.take_mission(id.as_str(), view, now_ms),
             Key::ViewAuctions => self.take_auctions(view),
             Key::ViewWorld => self.take_world(view),
+            Key::ViewHealth => self.take_health(view),
             _ => return,
         }
         // Each mission has its time with the list of all.
@@ -45,6 +48,7 @@ impl Picture {
     /// Takes in how many other nodes are linked, and what has become old. To be called some times in a second.
     pub fn take_links(&mut self, links: usize, now_ms: u64) {
         self.use_of_robots.pass(&self.robots, now_ms);
+        self.foresee();
         let state = match (self.is_silent(now_ms), links) {
             (false, _) => ReachState::Whole,
             (true, 0) => ReachState::Alone,
@@ -62,13 +66,18 @@ impl Picture {
         if !self.robots.contains_key(robot) && self.robots.len() >= bounds::NODES {
             return;
         }
-        let shown = self.robots.entry(robot.to_owned()).or_default();
+        self.pace.hear(robot, telemetry.time.as_secs(), now_ms);
+        let shown = self.robots.entry_or(robot.to_owned(), RobotShown::default);
         (shown.x, shown.y, shown.yaw) = (round(telemetry.pose.x), round(telemetry.pose.y), round(telemetry.pose.yaw));
+        let passed = shown.place != telemetry.place.as_str();
         shown.place = telemetry.place.to_string();
         shown.battery = round(telemetry.battery.get());
         shown.able = telemetry.able;
         shown.body_ms = Some(now_ms);
-        self.lay_route(robot);
+        // Between two places the way that is left leads over the same ones.
+        if passed {
+            self.lay_route(robot);
+        }
     }
 
     fn is_silent(&self, now_ms: u64) -> bool {
@@ -142,9 +151,15 @@ impl Picture {
             self.nodes.retain(|name, _| present.contains(name));
             self.robots.retain(|name, _| present.contains(name));
         }
+        let mut ensembles = BTreeMap::new();
         for ensemble in list(&view["ensembles"]) {
             let Some(name) = text(ensemble, "name") else { continue };
-            let mut shown = EnsembleShown::default();
+            let mut shown = EnsembleShown {
+                membership: texts(&ensemble["membership"]),
+                skills: texts(&ensemble["skills"]),
+                stale_after_ms: number(ensemble, "stale_after_ms"),
+                ..EnsembleShown::default()
+            };
             for node in list(&ensemble["nodes"]) {
                 let Some(name) = text(node, "node") else { continue };
                 match flag(node, "member") {
@@ -155,12 +170,13 @@ impl Picture {
                     }
                 }
             }
-            self.ensembles.insert(name.to_owned(), shown);
+            ensembles.insert(name.to_owned(), shown);
         }
+        self.ensembles.replace(ensembles);
     }
 
     fn take_worker(&mut self, name: &str, worker: &Value, node: &NodeShown) {
-        let shown = self.robots.entry(name.to_owned()).or_default();
+        let shown = self.robots.entry_or(name.to_owned(), RobotShown::default);
         shown.alive = node.alive;
         shown.heard_ms = node.heard_ms;
         shown.skills = texts(&worker["skills"]);
@@ -185,11 +201,14 @@ impl Picture {
         let of = |key: &str| holding.and_then(|holding| text(holding, key)).map(str::to_owned);
         word.clone_into(&mut shown.availability);
         shown.problem = problem;
-        (shown.mission, shown.role) = (of("mission"), of("role"));
+        let before = std::mem::replace(&mut shown.mission, of("mission"));
+        shown.role = of("role");
         if shown.mission.is_none() {
             shown.task = None;
         }
-        self.lay_route(name);
+        if shown.mission != before {
+            self.lay_route(name);
+        }
     }
 
     fn take_world(&mut self, view: &Value) {
@@ -207,10 +226,21 @@ impl Picture {
             };
             people.insert(name.to_owned(), shown);
         }
-        self.people = people;
+        self.people.replace(people);
         let doors = list(&view["doors"]).filter_map(|door| Some((text(door, "name")?, text(door, "state")?)));
-        self.doors = doors.map(|(name, state)| (name.to_owned(), state.to_owned())).collect();
-        keep_last(&mut self.doors, bounds::NODES);
+        self.doors
+            .replace(doors.take(bounds::NODES).map(|(name, state)| (name.to_owned(), state.to_owned())).collect());
+    }
+
+    fn take_health(&mut self, view: &Value) {
+        let own = |finding: &Value, key: &str| text(finding, key).unwrap_or("").to_owned();
+        let shown = |finding: &Value| FindingShown {
+            level: own(finding, "level"),
+            about: own(finding, "about"),
+            name: text(finding, "name").map(str::to_owned),
+            says: own(finding, "says"),
+        };
+        self.health = list(&view["findings"]).take(bounds::FINDINGS).map(shown).collect();
     }
 
     /// Finds where a robot is going, and the way there.
@@ -222,7 +252,9 @@ impl Picture {
         });
         let pose = Pose::new(shown.x, shown.y, shown.yaw);
         let route = destination.as_ref().map_or(vec![], |to| self.plan.route(&shown.place, pose, to));
-        if let Some(shown) = self.robots.get_mut(robot) {
+        if (&shown.destination, &shown.route) != (&destination, &route)
+            && let Some(shown) = self.robots.change(&robot.to_owned())
+        {
             (shown.destination, shown.route) = (destination, route);
         }
     }

@@ -20,7 +20,14 @@ impl Picture {
     pub(super) fn take_missions(&mut self, view: &Value, now_ms: u64) {
         for (index, brief) in (1..).zip(list(&view["missions"])) {
             let Some(id) = text(brief, "mission") else { continue };
-            let mission = self.missions.entry(id.to_owned()).or_default();
+            // Nothing changes any more of what has ended, but that a rescue is closed.
+            let is_known = |known: &MissionShown| {
+                known.ended && known.number > 0 && text(brief, "state") == Some(known.state.as_str())
+            };
+            if self.missions.get(id).is_some_and(is_known) {
+                continue;
+            }
+            let mission = self.missions.entry_or(id.to_owned(), MissionShown::default);
             mission.take_brief(brief, now_ms);
             if mission.number == 0 {
                 mission.number = index;
@@ -30,7 +37,7 @@ impl Picture {
     }
 
     pub(super) fn take_mission(&mut self, id: &str, view: &Value, now_ms: u64) {
-        let mission = self.missions.entry(id.to_owned()).or_default();
+        let mission = self.missions.entry_or(id.to_owned(), MissionShown::default);
         mission.take_brief(view, now_ms);
         if let Some(number) = number(view, "number") {
             mission.number = number;
@@ -42,6 +49,7 @@ impl Picture {
             let held = roles.iter().filter_map(|(role, shown)| Some((role.clone(), shown.holder.clone()?)));
             mission.holders = held.collect();
             mission.roles = roles;
+            mission.take_holders(now_ms);
         }
         let auction = view.get("auction").filter(|auction| auction.is_object()).cloned();
         let robots: Vec<String> = mission.holders.values().cloned().collect();
@@ -117,6 +125,7 @@ impl MissionShown {
                 bar.to_ms = Some(at_ms);
                 "broken off".clone_into(&mut bar.state);
             }
+            self.end_tenures(at_ms, *state == MissionState::Completed);
         }
         self.ended = state.is_end();
     }

@@ -17,16 +17,21 @@ mod kpi;
 mod missions;
 mod parts;
 mod plan;
+mod tenures;
+mod tracked;
 
 pub use kpi::Kpis;
 pub use parts::{
-    AuctionShown, Bar, CoordinatorShown, EnsembleShown, Logged, MissionShown, NodeShown, Offer, PersonShown, Reach,
-    ReachState, RobotShown, RoleShown, Takeover,
+    AuctionShown, Bar, CoordinatorShown, EnsembleShown, FindingShown, Logged, MissionShown, NodeShown, Offer,
+    PersonShown, Reach, ReachState, RobotShown, RoleShown, Takeover, Tenure,
 };
 pub use plan::FloorPlan;
 
-use serde_json::Value;
+use serde::Serialize;
+use serde_json::{Map, Value, json};
 use std::collections::BTreeMap;
+use std::fmt::Display;
+use tracked::Tracked;
 
 /// How much a picture holds.
 pub mod bounds {
@@ -40,6 +45,8 @@ pub mod bounds {
     pub const BARS: usize = 200;
     /// Changes of the coordinator.
     pub const TAKEOVERS: usize = 50;
+    /// What is the matter.
+    pub const FINDINGS: usize = 50;
     /// Nodes, robots and people, each; a fleet of more is shown in part.
     pub const NODES: usize = 2000;
 }
@@ -58,21 +65,24 @@ pub struct Picture {
     reach: Reach,
     coordinator: Option<CoordinatorShown>,
     takeovers: Vec<Takeover>,
-    nodes: BTreeMap<String, NodeShown>,
-    robots: BTreeMap<String, RobotShown>,
-    people: BTreeMap<String, PersonShown>,
-    doors: BTreeMap<String, String>,
-    missions: BTreeMap<String, MissionShown>,
-    auctions: BTreeMap<String, AuctionShown>,
+    nodes: Tracked<String, NodeShown>,
+    robots: Tracked<String, RobotShown>,
+    people: Tracked<String, PersonShown>,
+    doors: Tracked<String, String>,
+    missions: Tracked<String, MissionShown>,
+    auctions: Tracked<String, AuctionShown>,
     /// Bids heard of auctions that have not been closed, with their parts, by mission.
     tenders: BTreeMap<String, Vec<consort_protocol::auction::Bid>>,
-    ensembles: BTreeMap<String, EnsembleShown>,
-    log: BTreeMap<u64, Logged>,
+    ensembles: Tracked<String, EnsembleShown>,
+    /// What is the matter, the worst first.
+    health: Vec<FindingShown>,
+    log: Tracked<u64, Logged>,
     /// Events logged so far.
     logged: u64,
     /// When each view was last heard, by its name.
     views: BTreeMap<String, u64>,
     use_of_robots: kpi::Use,
+    pace: tenures::Pace,
 }
 
 impl Picture {
@@ -82,32 +92,56 @@ impl Picture {
         Picture { fleet: fleet.into(), node: node.into(), plan, since_ms: now_ms, reach, ..Picture::default() }
     }
 
-    /// The whole, as JSON: objects, named by ids wherever there are several of a kind, and no nulls, so that
-    /// [`delta::between`] two of them is small.
+    /// The whole, as JSON: objects, named by ids wherever there are several of a kind, and no nulls.
     pub fn value(&self) -> Value {
-        let log: BTreeMap<String, &Logged> =
-            self.log.iter().map(|(number, event)| (number.to_string(), event)).collect();
-        let mut value = serde_json::json!({
-            "fleet": self.fleet,
-            "node": self.node,
-            "since_ms": self.since_ms,
+        let mut drawn = Value::Null;
+        self.clone().redraw(&mut drawn);
+        drawn
+    }
+
+    /// Brings `drawn`, which this was drawn to before, up to date, and says what has changed since, as a patch (see
+    /// [`delta`]). Anything but an object counts as drawn never before. Only what has been touched since is looked at.
+    pub fn redraw(&mut self, drawn: &mut Value) -> Option<Value> {
+        if !drawn.is_object() {
+            *drawn =
+                json!({ "fleet": self.fleet, "node": self.node, "since_ms": self.since_ms, "map": self.plan.value() });
+            delta::strip(drawn);
+            self.touch_all();
+        }
+        let Value::Object(drawn) = drawn else { return None };
+        let mut patch = Map::new();
+        let mut small = json!({
             "reach": self.reach,
             "coordinator": self.coordinator,
             "takeovers": self.takeovers,
-            "nodes": self.nodes,
-            "robots": self.robots,
-            "people": self.people,
-            "doors": self.doors,
-            "missions": self.missions,
-            "auctions": self.auctions,
-            "ensembles": self.ensembles,
-            "log": log,
+            "health": self.health,
             "views": self.views,
             "kpis": self.kpis(),
-            "map": self.plan.value(),
         });
-        delta::strip(&mut value);
-        value
+        delta::strip(&mut small);
+        if let Value::Object(small) = small {
+            small.into_iter().for_each(|(name, value)| delta::renew(drawn, &mut patch, name, value));
+        }
+        section("nodes", &mut self.nodes, drawn, &mut patch);
+        section("robots", &mut self.robots, drawn, &mut patch);
+        section("people", &mut self.people, drawn, &mut patch);
+        section("doors", &mut self.doors, drawn, &mut patch);
+        section("missions", &mut self.missions, drawn, &mut patch);
+        section("auctions", &mut self.auctions, drawn, &mut patch);
+        section("ensembles", &mut self.ensembles, drawn, &mut patch);
+        section("log", &mut self.log, drawn, &mut patch);
+        (!patch.is_empty()).then_some(Value::Object(patch))
+    }
+
+    fn touch_all(&mut self) {
+        self.nodes.touch_all();
+        self.robots.touch_all();
+        self.people.touch_all();
+        self.doors.touch_all();
+        self.missions.touch_all();
+        self.auctions.touch_all();
+        self.ensembles.touch_all();
+        self.log.touch_all();
     }
 
     /// The missions, by id.
@@ -145,15 +179,28 @@ impl Picture {
         &self.auctions
     }
 
+    /// What is the matter with the fleet, as the nearest node judges, the worst first.
+    pub fn health(&self) -> &[FindingShown] {
+        &self.health
+    }
+
     /// The ensembles, by name.
     pub fn ensembles(&self) -> &BTreeMap<String, EnsembleShown> {
         &self.ensembles
     }
 }
 
-/// Keeps the last `most` of a map in the order of its keys.
-fn keep_last<K: Ord + Clone, V>(map: &mut BTreeMap<K, V>, most: usize) {
-    while map.len() > most {
-        map.pop_first();
+/// Draws one section anew, where something in it was touched.
+fn section<K: Ord + Clone + Display, V: Serialize>(
+    name: &str,
+    members: &mut Tracked<K, V>,
+    drawn: &mut Map<String, Value>,
+    patch: &mut Map<String, Value>,
+) {
+    let section = drawn.entry(name).or_insert_with(|| json!({}));
+    if let Value::Object(section) = section
+        && let Some(change) = members.redraw(section)
+    {
+        patch.insert(name.to_owned(), change);
     }
 }

@@ -188,6 +188,8 @@ pub struct MissionShown {
     pub tasks: Option<Value>,
     /// What was done when, as far as it was heard.
     pub bars: Vec<Bar>,
+    /// Who had which role when, as far as it was heard.
+    pub tenures: Vec<Tenure>,
 }
 
 /// A role of a mission.
@@ -220,6 +222,36 @@ pub struct Bar {
     pub to_ms: Option<u64>,
     /// `running`, `done`, `failed`, or `broken off`.
     pub state: String,
+}
+
+/// A robot's time in a role.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
+pub struct Tenure {
+    /// The role.
+    pub role: String,
+    /// The robot.
+    pub by: String,
+    /// When it got the role, or when that was first heard.
+    pub from_ms: u64,
+    /// When it no longer had it.
+    pub to_ms: Option<u64>,
+    /// `at work`, `suspended`, `carried out`, `given up` or `broken off`.
+    pub state: String,
+    /// How long the robot had said it would take, in milliseconds at the pace of its world, if both are known.
+    pub planned_ms: Option<u64>,
+}
+
+/// Something that is the matter with the fleet, or that nothing is.
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize)]
+pub struct FindingShown {
+    /// `ok`, `warning` or `error`.
+    pub level: String,
+    /// What it is about.
+    pub about: String,
+    /// The node, robot or mission, if it is about one.
+    pub name: Option<String>,
+    /// What, in words.
+    pub says: String,
 }
 
 /// A round of an auction.
@@ -269,8 +301,14 @@ pub struct Offer {
 }
 
 /// An ensemble: each node and, if it is none, why it is no member.
-#[derive(Debug, Clone, Default, PartialEq, Serialize)]
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize)]
 pub struct EnsembleShown {
+    /// What must be true of a member, as expressions of the fleet file.
+    pub membership: Vec<String>,
+    /// Skills of which it asks.
+    pub skills: Vec<String>,
+    /// Whoever was heard longer ago than this is no member, in milliseconds.
+    pub stale_after_ms: Option<u64>,
     /// Members.
     pub members: Vec<String>,
     /// Those who are none, each with the reason.

@@ -3,6 +3,7 @@
 
 use super::Membership;
 use super::ids::TraceId;
+use crate::words::words;
 use consort_actors::observe::Observer;
 use consort_protocol::event::{Event, Happening};
 use consort_protocol::ids::NodeId;
@@ -21,7 +22,7 @@ impl Observer for Log {
     fn told(&self, event: &Event) {
         let write = || {
             let what = &event.what;
-            match level(what) {
+            match level(event) {
                 Level::WARN => warn!(target: TARGET, event = what.word(), "{}", fields(what)),
                 Level::INFO => info!(target: TARGET, event = what.word(), "{}", fields(what)),
                 _ => debug!(target: TARGET, event = what.word(), "{}", fields(what)),
@@ -48,29 +49,13 @@ fn fields(what: &Happening) -> String {
 }
 
 /// Few lines a mission for whoever only looks whether all is well; troubles stand out; the rest is there if asked for.
-fn level(what: &Happening) -> Level {
-    match what {
-        Happening::Foreign { .. }
-        | Happening::TaskFailed { .. }
-        | Happening::Suspended { .. }
-        | Happening::GaveUp { .. }
-        | Happening::ChargeShort { .. } => Level::WARN,
-        Happening::Elected { .. }
-        | Happening::SteppedDown { .. }
-        | Happening::Voters { .. }
-        | Happening::Submitted { .. }
-        | Happening::Awarded { .. }
-        | Happening::Released { .. }
-        | Happening::Mission { .. }
-        | Happening::Started { .. }
-        | Happening::Resumed { .. }
-        | Happening::Halted { .. }
-        | Happening::TaskRetried { .. }
-        | Happening::Alternative { .. } => Level::INFO,
+fn level(event: &Event) -> Level {
+    match &event.what {
         Happening::Joined { .. }
         | Happening::Left { .. }
         | Happening::Called { .. }
         | Happening::Bid { .. }
+        // Whoever waits for robots has one of these after the other.
         | Happening::Closed { .. }
         | Happening::Progress { .. }
         | Happening::TaskBegan { .. }
@@ -78,12 +63,30 @@ fn level(what: &Happening) -> Level {
         | Happening::Sent { .. }
         | Happening::Heard { .. }
         | Happening::Outdated { .. } => Level::DEBUG,
+        Happening::Elected { .. }
+        | Happening::SteppedDown { .. }
+        | Happening::Foreign { .. }
+        | Happening::Voters { .. }
+        | Happening::Submitted { .. }
+        | Happening::Awarded { .. }
+        | Happening::Released { .. }
+        | Happening::Mission { .. }
+        | Happening::Started { .. }
+        | Happening::Suspended { .. }
+        | Happening::Resumed { .. }
+        | Happening::Halted { .. }
+        | Happening::TaskFailed { .. }
+        | Happening::TaskRetried { .. }
+        | Happening::Alternative { .. }
+        | Happening::GaveUp { .. }
+        | Happening::ChargeShort { .. } => if words(event).alarm { Level::WARN } else { Level::INFO },
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use consort_protocol::ledger::MissionState;
 
     #[test]
     fn a_line_has_what_its_kind_and_its_span_do_not_say() {
@@ -91,6 +94,10 @@ mod tests {
         let (role, task) = ("r1".parse().unwrap(), "go".parse().unwrap());
         let what = Happening::TaskFailed { mission, role, task, cause: "the door is \"shut\"".to_owned() };
         assert_eq!(fields(&what), r#"cause="the door is \"shut\"" role="r1" task="go""#);
-        assert_eq!(level(&what), Level::WARN);
+        let told = |what| level(&Event { node: "ada".parse().unwrap(), sequence: 1, at_ms: 0, what });
+        assert_eq!(told(what), Level::WARN);
+        let state = |state| Happening::Mission { mission: "m-1".parse().unwrap(), state, submitted_at_ms: 0 };
+        assert_eq!(told(state(MissionState::Completed)), Level::INFO);
+        assert_eq!(told(state(MissionState::Failed { cause: "no robots".to_owned() })), Level::WARN);
     }
 }

@@ -1,6 +1,6 @@
 use super::support::{Running, consort, free_address, run};
 use std::io::{BufRead, BufReader, Read, Write};
-use std::net::TcpStream;
+use std::net::{TcpListener, TcpStream};
 use std::process::{Command, Stdio};
 use std::time::{Duration, Instant};
 
@@ -130,11 +130,24 @@ fn a_node_serves_metrics_and_logs_in_json_to_whoever_reads_it() {
     }
     assert!(answer.contains(r#"kind="people",direction="received"}"#), "the request was counted: {answer}");
     assert!(get(&at, "/other").starts_with("HTTP/1.1 404"));
+}
 
-    // The address is taken: a second node says so at once.
-    let ran = run(&["station", "--name", "s2", "--metrics", &at]);
-    assert_eq!(ran.code, Some(2), "{}", ran.err);
-    assert!(ran.err.contains(&format!("metrics cannot be served at {at}: ")), "{}", ran.err);
+#[test]
+fn an_address_that_somebody_else_has_is_said_to_be_before_anything_is_started() {
+    let taken = TcpListener::bind("127.0.0.1:0").expect("a free port");
+    let at = taken.local_addr().expect("its address").to_string();
+    for line in [
+        &["station", "--name", "s2", "--metrics", &at][..],
+        &["station", "--name", "s2", "--dashboard", &at],
+        &["demo", "--json", "--dashboard", &at],
+    ] {
+        let ran = run(line);
+        assert_eq!(ran.code, Some(2), "{line:?}: {}", ran.err);
+        let flag = line[line.len() - 2];
+        let said = format!("consort: {flag} {at}: this address cannot be had: ");
+        assert!(ran.err.starts_with(&said), "{line:?}: {}", ran.err);
+        assert_eq!((ran.err.lines().count(), ran.out.as_str()), (1, ""), "nothing was opened before: {}", ran.err);
+    }
 }
 
 #[cfg(not(feature = "otlp"))]

@@ -7,6 +7,7 @@ use consort_protocol::ids::NodeId;
 use consort_protocol::keys::Key;
 use consort_protocol::message::Beacon;
 use consort_protocol::mission::{Domain, shipped};
+use consort_protocol::units::WorldTime;
 use consort_skills::actions::Telemetry;
 use serde_json::{Value, json};
 use std::collections::BTreeMap;
@@ -36,7 +37,8 @@ fn worker(availability: Value) -> Value {
 }
 
 fn fleet(nodes: Value) -> Value {
-    json!({ "nodes": nodes, "ensembles": [{ "name": "logistics", "nodes": [
+    json!({ "nodes": nodes, "ensembles": [{ "name": "logistics", "membership": ["member.robot"], "skills": ["navigation"],
+        "stale_after_ms": 10_000, "nodes": [
         { "node": "ada", "member": true, "reason": "", "age_ms": 5 },
         { "node": "bob", "member": false, "reason": "lacks navigation", "age_ms": null },
     ] }] })
@@ -70,8 +72,10 @@ fn a_robot_is_where_its_body_says_and_goes_where_its_task_leads() {
     assert_eq!((ada.availability.as_str(), ada.task.as_deref()), ("holding", Some("navto_room")));
     assert_eq!(ada.heard_ms, NOW - 300);
     assert_eq!(ada.destination.as_deref(), Some("IC Room 6"));
-    let room = &picture.value()["map"]["places"]["IC Room 6"];
-    assert_eq!(json!(ada.route.last()), json!([room["x"], room["y"]]));
+    let map = picture.value()["map"].clone();
+    let mut places = map["places"].as_array().unwrap().iter();
+    let room = places.find(|place| place["name"] == "IC Room 6").unwrap();
+    assert_eq!(json!(ada.route.last()), json!([room["x_m"], room["y_m"]]));
     assert!(ada.route.len() > 2, "along the corridor: {:?}", ada.route);
 
     // What its node knows of it is older than what its body said.
@@ -86,6 +90,10 @@ fn a_robot_is_where_its_body_says_and_goes_where_its_task_leads() {
     let logistics = &picture.ensembles()["logistics"];
     assert_eq!(logistics.members, ["ada"]);
     assert_eq!(logistics.others["bob"], "lacks navigation");
+    assert_eq!(
+        (logistics.membership.as_slice(), logistics.stale_after_ms),
+        (&["member.robot".to_owned()][..], Some(10_000))
+    );
 
     picture.take_view(&Key::ViewFleet, &fleet(json!([{ "node": "cyd", "alive": true }])), NOW + 30);
     assert!(picture.robots().is_empty(), "who is no longer known is no longer shown");
@@ -210,6 +218,127 @@ fn robots_at_work_count_for_the_time_in_which_they_were() {
     picture.take_links(1, NOW + 1000);
     let kpis = picture.kpis();
     assert_eq!((kpis.busy, kpis.in_service, kpis.utilisation), (1, 2, Some(0.5)));
+}
+
+/// Who had which role from when to when, after the start, and how that stands or ended.
+fn tenures(picture: &Picture) -> Vec<(&str, u64, Option<u64>, &str)> {
+    let all = picture.missions()["m-1"].tenures.iter();
+    let since = |ms: u64| ms - NOW;
+    all.map(|one| (one.by.as_str(), since(one.from_ms), one.to_ms.map(since), one.state.as_str())).collect()
+}
+
+#[test]
+fn a_role_passes_from_robot_to_robot_and_each_has_its_time_and_what_was_planned() {
+    let mut picture = picture();
+    let tell = |picture: &mut Picture, node: &str, at: u64, what: Value| {
+        picture.take_event(&event(node, 1, NOW + at, what), NOW + at);
+    };
+    let of = |what: &str| json!({ "event": what, "mission": "m-1", "role": "r1" });
+    let auction = |round: u32, robot: &str, time: f64| {
+        let auction = json!({ "mission": "m-1", "term": 1, "round": round });
+        let record = json!({ "auction": auction, "at_ms": NOW, "omitted": 0, "chosen": { "r1": robot }, "failure": null, "entries": [
+            { "role": "r1", "robot": robot, "verdict": { "viable": { "time": time, "energy": 0.06, "remaining": 0.84 } } }] });
+        json!({ "event": "closed", "mission": "m-1", "record": record })
+    };
+    let award = |index: u64, robot: &str| json!({ "event": "awarded", "mission": "m-1", "holders": { "r1": robot }, "epoch": { "term": 1, "index": index }, "after_ms": 6.5 });
+    tell(&mut picture, "s1", 0, auction(1, "ada", 60.0));
+    tell(&mut picture, "s1", 1, award(3, "ada"));
+    tell(
+        &mut picture,
+        "ada",
+        2,
+        json!({ "event": "started", "mission": "m-1", "role": "r1", "epoch": { "term": 1, "index": 3 } }),
+    );
+    assert_eq!(tenures(&picture), [("ada", 1, None, "at work")], "begun once");
+    // World time goes by five times as fast: 60 s are planned as 12.
+    let at = |world_s: f64| Telemetry { time: WorldTime::from_secs(world_s), ..telemetry(1.0, 1.0) };
+    for (world_s, at_ms) in [(100.0, 10), (102.0, 410), (115.0, 3010)] {
+        picture.take_body("ada", &at(world_s), NOW + at_ms);
+        picture.take_links(1, NOW + at_ms);
+    }
+    assert_eq!(picture.missions()["m-1"].tenures[0].planned_ms, Some(12_000));
+
+    tell(&mut picture, "ada", 4000, of("suspended"));
+    assert_eq!(tenures(&picture), [("ada", 1, None, "suspended")]);
+    tell(&mut picture, "s1", 5000, json!({ "event": "released", "mission": "m-1", "role": "r1", "cause": "silent" }));
+    tell(&mut picture, "s1", 5100, auction(2, "bob", 40.0));
+    tell(&mut picture, "s1", 5200, award(9, "bob"));
+    // Whoever lost the role says so late: it is nobody's business any more.
+    tell(&mut picture, "ada", 6000, json!({ "event": "halted", "mission": "m-1", "role": "r1", "reason": "replaced" }));
+    picture.take_links(1, NOW + 6100);
+    let completed = json!({ "event": "mission", "mission": "m-1", "state": "completed", "submitted_at_ms": NOW });
+    tell(&mut picture, "s1", 9000, completed);
+    assert_eq!(tenures(&picture), [("ada", 1, Some(5000), "given up"), ("bob", 5200, Some(9000), "carried out")]);
+    assert_eq!(picture.missions()["m-1"].tenures[1].planned_ms, Some(8000));
+}
+
+#[test]
+fn who_comes_late_learns_from_the_ledger_who_has_which_role() {
+    let mut picture = picture();
+    let mission = |phase: &str, holder: &str| {
+        json!({ "mission": "m-1", "detail": "running", "done": 1, "steps": 3, "roles": [
+            { "role": "r1", "kind": "managed", "phase": phase, "holder": holder },
+            { "role": "nurse", "kind": "unmanaged", "phase": "open", "holder": null },
+        ] })
+    };
+    let key = Key::ViewMission("m-1".parse().unwrap());
+    picture.take_view(&key, &mission("active", "ada"), NOW + 100);
+    assert_eq!(tenures(&picture), [("ada", 100, None, "at work")]);
+    let released = json!({ "event": "released", "mission": "m-1", "role": "r1", "cause": "silent" });
+    picture.take_event(&event("s1", 1, NOW + 5000, released), NOW + 5000);
+    // A view that was drawn before the release does not bring its holder back.
+    picture.take_view(&key, &mission("active", "ada"), NOW + 5100);
+    assert_eq!(tenures(&picture), [("ada", 100, Some(5000), "given up")]);
+    picture.take_view(&key, &mission("active", "bob"), NOW + 8000);
+    picture.take_view(&key, &mission("ended", "bob"), NOW + 12_000);
+    assert_eq!(tenures(&picture)[1..], [("bob", 8000, Some(12_000), "carried out")]);
+}
+
+#[test]
+fn what_is_the_matter_is_taken_from_the_nearest_node() {
+    let mut picture = picture();
+    let view = json!({ "level": "warning", "findings": [
+        { "level": "warning", "about": "node", "name": "bob", "says": "bob is down; it was last heard 9.0 s ago" }] });
+    picture.take_view(&Key::ViewHealth, &view, NOW);
+    let [finding] = picture.health() else { panic!("{:?}", picture.health()) };
+    assert_eq!((finding.level.as_str(), finding.name.as_deref()), ("warning", Some("bob")));
+    assert_eq!(picture.value()["health"], view["findings"]);
+}
+
+#[test]
+fn patches_one_after_the_other_come_to_the_whole() {
+    let mut picture = picture();
+    let (mut drawn, mut seen) = (Value::Null, Value::Null);
+    picture.redraw(&mut drawn);
+    delta::apply(&mut seen, &drawn);
+    let holding = json!({ "holding": { "mission": "m-1", "role": "r1", "suspended": false } });
+    let node = |name: &str, availability: &Value| json!({ "node": name, "alive": true, "robot": worker(availability.clone()) });
+    let steps: [&dyn Fn(&mut Picture); 6] = [
+        &|picture| {
+            picture.take_view(&Key::ViewFleet, &fleet(json!([node("ada", &holding), node("bob", &json!("free"))])), NOW)
+        },
+        &|picture| picture.take_body("ada", &telemetry(3.0, 4.0), NOW + 1),
+        &|picture| {
+            picture.take_view(
+                &Key::ViewMissions,
+                &json!({ "missions": [{ "mission": "m-1", "detail": "running" }] }),
+                NOW,
+            )
+        },
+        &|picture| {
+            picture.take_view(&Key::ViewWorld, &json!({ "doors": [{ "name": "Narrow", "state": "open" }] }), NOW)
+        },
+        &|picture| picture.take_view(&Key::ViewFleet, &fleet(json!([node("bob", &holding)])), NOW),
+        &|picture| picture.take_view(&Key::ViewWorld, &json!({ "doors": [] }), NOW),
+    ];
+    for (number, step) in steps.iter().enumerate() {
+        step(&mut picture);
+        let patch = picture.redraw(&mut drawn).unwrap_or_else(|| panic!("step {number} changes something"));
+        delta::apply(&mut seen, &patch);
+        assert_eq!(delta::between(&seen, &picture.value()), None, "after step {number}");
+        assert_eq!(delta::between(&drawn, &seen), None, "after step {number}");
+    }
+    assert_eq!(picture.redraw(&mut drawn), None);
 }
 
 #[test]

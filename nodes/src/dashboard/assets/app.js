@@ -8,6 +8,7 @@ import * as log from './log.js';
 import * as map from './map.js';
 import * as missions from './missions.js';
 import * as robots from './robots.js';
+import * as schedule from './schedule.js';
 import * as status from './status.js';
 import * as submit from './submit.js';
 import * as tabs from './tabs.js';
@@ -57,14 +58,15 @@ function draw() {
   const any = (...sections) => sections.some((section) => dirty.has(section));
   status.update(picture);
   if (any('log')) log.alarms(picture);
-  if (any('robots', 'people')) robots.update(picture, chosen.robot, chooseRobot);
+  if (any('robots', 'people', 'doors')) robots.update(picture, chosen.robot, chooseRobot);
   if ((isOpen('missions') || isOpen('history')) && any('missions')) {
-    missions.update(picture, line.now(), { mission: chosen.mission, choose: chooseMission, cancel: submit.cancel });
+    missions.update(picture, line.now(), { mission: chosen.mission, choose: chooseMission, cancel: submit.cancel, rescue: submit.rescue });
     dirty.delete('missions');
   }
+  if (isOpen('schedule') && any('missions', 'robots')) schedule.update(picture, line.now());
   if (isOpen('auctions') && any('auctions')) auctions.update(picture);
-  if (isOpen('ensembles') && any('ensembles')) fleet.ensembles(picture);
-  if (isOpen('coordination') && any('coordinator', 'takeovers', 'nodes')) fleet.coordination(picture);
+  if (isOpen('ensembles') && any('ensembles', 'nodes')) fleet.ensembles(picture);
+  if (isOpen('coordination') && any('coordinator', 'takeovers', 'nodes', 'health')) fleet.coordination(picture);
   if (isOpen('log') && any('log')) log.update(picture);
   dirty.clear();
   tick();
@@ -76,21 +78,32 @@ function tick() {
   tickAges(line.now());
 }
 
-const showAll = () => line.picture && touch(...Object.keys(line.picture), 'log', 'auctions', 'missions');
+/** What is opened shows how things are now, and not for a moment how they were when it was closed. */
+const showAll = () => {
+  if (!line.picture) return;
+  for (const section of Object.keys(line.picture)) dirty.add(section);
+  draw();
+};
 
 theme.start(() => map.repaint());
 tabs.start(showAll);
 map.start(chooseRobot);
 auctions.start(showAll);
 log.start(showAll);
-submit.start((mission) => {
+const openMission = (mission) => {
   chosen.mission = mission;
   byId('tab-missions').click();
+};
+schedule.start(showAll, (mission) => {
+  openMission(mission);
+  byId('mission').focus();
 });
+submit.start(openMission);
+byId('health').onclick = () => byId('tab-coordination').click();
 setInterval(() => {
   tick();
   // A chart grows although nothing is heard.
-  if (line.picture && isOpen('missions') && !document.body.classList.contains('stale')) touch('missions');
+  if (line.picture && (isOpen('missions') || isOpen('schedule')) && !document.body.classList.contains('stale')) touch('missions');
 }, 1000);
 
 // For tests: what the page knows, and how well it draws.

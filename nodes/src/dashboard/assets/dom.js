@@ -28,36 +28,80 @@ export function redraw(element, ...children) {
   if (key) [...element.querySelectorAll('[data-key]')].find((one) => one.dataset.key === key)?.focus();
 }
 
+/** Rows out of sight are brought up to date so many at a time, and after so many milliseconds the next: none is left behind. */
+const [UNSEEN, NEXT] = [10, 1000];
+/** Rows that are not seen now. */
+const unseen = new WeakSet();
+const watch = new IntersectionObserver((entries) => {
+  for (const { target, isIntersecting } of entries) {
+    if (!isIntersecting) unseen.add(target);
+    else if (unseen.delete(target)) target.due?.();
+  }
+});
+
 /**
  * Brings the rows of a table in line with `items`, which have a `key`. `fill(row, item)` makes or changes the row's cells and
- * is called only where the item is not equal to what was shown.
+ * is called only where the item is not equal to what was shown: at once for what is seen, and in turns for the rest, so that
+ * hundreds of rows never hold up the map.
  */
 export function rows(body, items, fill) {
+  clearTimeout(body.turn);
   const known = new Map([...body.rows].map((row) => [row.dataset.row, row]));
   let place = body.firstElementChild;
+  const waiting = [];
   for (const item of items) {
     let row = known.get(item.key);
     const shown = JSON.stringify(item);
-    if (!row) {
+    const isNew = !row;
+    if (isNew) {
       row = make('tr');
       row.dataset.row = item.key;
+      watch.observe(row);
     }
     known.delete(item.key);
+    row.due = undefined;
     if (row.shown !== shown) {
-      fill(row, item);
-      row.shown = shown;
+      const change = () => {
+        row.due = undefined;
+        fill(row, item);
+        row.shown = shown;
+      };
+      if (isNew || !unseen.has(row)) change();
+      else {
+        row.due = change;
+        waiting.push(row);
+      }
     }
     if (row === place) place = place.nextElementSibling;
     else body.insertBefore(row, place);
   }
-  for (const row of known.values()) row.remove();
+  for (const row of known.values()) {
+    watch.unobserve(row);
+    row.remove();
+  }
+  // Where it ended last time, so that each has its turn although all change all the time.
+  const after = waiting.findIndex((row) => row.dataset.row === body.last) + 1;
+  const inTurn = waiting.slice(after).concat(waiting.slice(0, after));
+  const go = () => {
+    for (const row of inTurn.splice(0, UNSEEN)) {
+      row.due?.();
+      body.last = row.dataset.row;
+    }
+    if (inTurn.length) body.turn = setTimeout(go, NEXT);
+  };
+  go();
 }
 
-/** Cells of a row: the first is its head. Texts or elements. */
+/** Cells of a row: the first is its head. Texts or elements. A cell that would be the same stays. */
 export function cells(row, head, ...others) {
   const focused = row.contains(document.activeElement);
-  row.replaceChildren(make('th', { scope: 'row' }, head), ...others.map((one) => (one instanceof HTMLTableCellElement ? one : make('td', {}, one))));
-  if (focused) row.querySelector('button')?.focus();
+  const next = [make('th', { scope: 'row' }, head), ...others.map((one) => (one instanceof HTMLTableCellElement ? one : make('td', {}, one)))];
+  for (const [index, cell] of next.entries()) {
+    const before = row.cells[index];
+    if (!before) row.append(cell);
+    else if (before !== cell && !before.isEqualNode(cell)) before.replaceWith(cell);
+  }
+  if (focused && !row.contains(document.activeElement)) row.querySelector('button')?.focus();
 }
 
 export const numberCell = (...children) => make('td', { className: 'number' }, ...children);
@@ -83,8 +127,12 @@ export const since = (instant, before = '', after = '') => {
   return element;
 };
 
+/** Ages that are seen change each second; those out of sight in turns. */
+let round = 0;
 export function tickAges(now) {
-  for (const one of document.querySelectorAll('[data-since]')) {
+  round += 1;
+  for (const [index, one] of document.querySelectorAll('[data-since]').entries()) {
+    if (one.textContent && unseen.has(one.closest('tr')) && (index + round) % 8) continue;
     say(one, one.dataset.before + age(now - Number(one.dataset.since)) + one.dataset.after);
   }
 }

@@ -6,7 +6,9 @@ const PATIENCE = { least: 250, most: 8000 };
 const SILENCE = 5000;
 
 export function open({ onChange, onLine }) {
-  const line = { picture: null, ahead: 0, state: 'connecting', since: Date.now(), now: () => Date.now() + line.ahead };
+  // What was heard is counted, to be looked at by tests.
+  const heardOf = { number: 0, wholes: 0, patches: 0, bytes: 0 };
+  const line = { picture: null, ahead: 0, state: 'connecting', since: Date.now(), now: () => Date.now() + line.ahead, heard: heardOf };
   let wait = PATIENCE.least;
   let heard = Date.now();
 
@@ -29,11 +31,15 @@ export function open({ onChange, onLine }) {
       heard = Date.now();
       line.ahead = said.now_ms - heard;
       wait = PATIENCE.least;
+      heardOf.number = said.number;
+      heardOf.bytes += data.length;
       if (said.whole) {
+        heardOf.wholes += 1;
         line.picture = said.whole;
         enter('open');
         onChange(line.picture, null);
       } else if (said.patch) {
+        heardOf.patches += 1;
         merge(line.picture, said.patch);
         onChange(line.picture, said.patch);
       }

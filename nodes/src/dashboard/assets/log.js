@@ -1,6 +1,6 @@
 // The event log with its filter. Alarms are said aloud.
 
-import { byId, clock, make, rows, say } from './dom.js';
+import { byId, clock, make, rows, say, words } from './dom.js';
 import { announce } from './status.js';
 
 const SHOWN = 200;
@@ -31,7 +31,7 @@ export function alarms(picture) {
 export function update(picture) {
   const all = Object.entries(picture.log ?? {}).map(([key, event]) => ({ key, ...event }));
   all.sort((a, b) => b.key - a.key);
-  options('kind', all.map((event) => [event.kind, event.word]));
+  options('kind', all.map((event) => [event.kind, words(event.kind)]));
   options('mission', all.map((event) => [event.mission, event.mission]));
   options('robot', all.map((event) => [event.robot, event.robot]));
   const text = filter.text.toLowerCase();

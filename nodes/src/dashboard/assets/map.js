@@ -1,6 +1,7 @@
 // The map: what stands still is drawn once, robots in each frame of the browser, filled in between two reports.
 
 import { byId, make } from './dom.js';
+import { sheet } from './sprites.js';
 
 const canvas = byId('map');
 const pen = canvas.getContext('2d');
@@ -12,9 +13,12 @@ const GLIDE = 700;
 const TASKS = 40;
 
 let plan;
+/** Places of the plan by name, and ways and walls of each level. */
+let places = {};
+let lanes = [];
 let people = {};
 let doors = {};
-let level = 0;
+let level;
 let scale = 1;
 let offset = [0, 0];
 let size = [0, 0];
@@ -23,13 +27,25 @@ let chosen;
 let stale = false;
 let moving = new Map();
 let wanted = false;
-/** Frames drawn, and the longest time that drawing one took: to be looked at by tests. */
-export const drawn = { frames: 0, worst: 0 };
+/** Robots as they look, for a crowd; painted anew when sizes or colours change. */
+let sprites;
+/**
+ * To be looked at by tests: frames drawn, the time that drawing took, in all and at most, in milliseconds; what the node reported of
+ * robots and was drawn, and what was overtaken by the next report before it could be, with a frame of the browser's in between or not.
+ */
+export const drawn = { frames: 0, took: 0, worst: 0, reports: 0, missed: 0, missed_with_a_frame_between: 0 };
+let fresh = false;
+let given = false;
 
 export function start(onChoose) {
   new ResizeObserver(() => lay()).observe(byId('floor'));
+  // Another screen, or another zoom, has other pixels.
+  const watchPixels = () => {
+    matchMedia(`(resolution: ${devicePixelRatio}dppx)`).addEventListener('change', () => { lay(); watchPixels(); }, { once: true });
+  };
+  watchPixels();
   byId('level').onchange = (event) => {
-    level = Number(event.target.value);
+    level = event.target.value;
     lay();
   };
   canvas.onclick = (event) => {
@@ -63,13 +79,25 @@ export function update(picture, patch) {
     plan = picture.map;
     const levels = plan?.levels ?? [];
     byId('level-choice').hidden = levels.length < 2;
-    byId('level').replaceChildren(...levels.map((name, index) => make('option', { value: String(index) }, name)));
+    byId('level').replaceChildren(...levels.map(({ name }) => make('option', { value: name }, name)));
+    byId('door-sign').hidden = !plan?.doors?.length;
+    if (!levels.some(({ name }) => name === level)) level = levels[0]?.name;
+    byId('level').value = level;
+    places = Object.fromEntries((plan?.places ?? []).map((place) => [place.name, place]));
+    const end = (name) => [places[name].x_m, places[name].y_m];
+    lanes = (plan?.lanes ?? []).map(({ between: [a, b] }) => ({ line: [end(a), end(b)], level: places[a].level }));
     lay();
   }
   people = picture.people ?? {};
   doors = picture.doors ?? {};
   const robots = picture.robots ?? {};
   const changed = patch ? patch.robots ?? {} : robots;
+  if (patch?.robots) {
+    drawn.missed += fresh;
+    drawn.missed_with_a_frame_between += fresh && given;
+    [fresh, given] = [true, false];
+    requestAnimationFrame(() => { given = true; });
+  }
   const now = performance.now();
   for (const name of moving.keys()) if (!robots[name]) moving.delete(name);
   for (const name of Object.keys(changed)) {
@@ -114,8 +142,8 @@ function nearest(x, y) {
 
 /** Lays the floor out anew: another size, plan, level or colours. */
 function lay() {
-  if (!plan?.bounds) return;
-  const [[x0, y0], [x1, y1]] = plan.bounds;
+  if (plan?.bounds_m?.west === undefined) return;
+  const { west: x0, south: y0, east: x1, north: y1 } = plan.bounds_m;
   const width = byId('floor').clientWidth;
   if (!width) return;
   const [w, h] = [Math.max(x1 - x0, 1), Math.max(y1 - y0, 1)];
@@ -131,6 +159,7 @@ function lay() {
   }
   canvas.style.height = `${height}px`;
   drawGround(ground.getContext('2d'));
+  sprites = undefined;
   ask();
 }
 
@@ -140,16 +169,16 @@ function drawGround(pen) {
   pen.lineCap = 'round';
   pen.strokeStyle = colours.lane;
   pen.lineWidth = 3;
-  for (const [from, to, on] of plan.lanes ?? []) if (on === level) path(pen, [from, to]);
+  for (const lane of lanes) if (lane.level === level) path(pen, lane.line);
   pen.strokeStyle = colours.wall;
   pen.lineWidth = 2;
-  for (const wall of plan.walls?.[level] ?? []) path(pen, wall);
+  for (const wall of plan.walls ?? []) if (wall.level === level) path(pen, wall.line);
   const font = Math.min(Math.max(scale * 0.55, 9), 12);
   pen.font = `${font}px system-ui, sans-serif`;
   pen.textAlign = 'center';
-  for (const [name, place] of Object.entries(plan.places ?? {})) {
+  for (const [name, place] of Object.entries(places)) {
     if (place.level !== level) continue;
-    const [x, y] = at(place.x, place.y);
+    const [x, y] = at(place.x_m, place.y_m);
     pen.fillStyle = colours.lane;
     dot(pen, x, y, 3);
     if (place.kind === 'corridor' || scale < 9) continue;
@@ -185,8 +214,8 @@ function draw(now) {
   pen.setTransform(1, 0, 0, 1, 0, 0);
   pen.drawImage(ground, 0, 0);
   pen.restore();
-  for (const [name, door] of Object.entries(plan?.doors ?? {})) if (door.level === level) drawDoor(door.posts, doors[name]);
-  const here = [...moving].filter(([, { robot }]) => (plan?.places?.[robot.place]?.level ?? level) === level);
+  for (const door of plan?.doors ?? []) if (door.level === level) for (const posts of door.posts) drawDoor(posts, doors[door.name]);
+  const here = [...moving].filter(([, { robot }]) => isHere(robot));
   let gliding = false;
   const poses = here.map(([name, one]) => {
     gliding ||= now - one.at < one.time;
@@ -194,22 +223,32 @@ function draw(now) {
   });
   for (const [name, robot, pose] of poses) if (robot.route?.length) drawRoute(robot, pose, name === chosen);
   const crowd = crowded();
-  for (const [name, person] of Object.entries(people)) if (person.x !== undefined) drawPerson(person, name);
-  const radius = Math.min(Math.max(scale * 0.45, 5), 11);
-  for (const [name, robot, pose] of poses) drawRobot(name, robot, pose, radius);
+  for (const person of Object.values(people)) if (person.x !== undefined && isHere(person)) drawPerson(person);
+  const radius = radiusOf();
+  if (crowd) sprites ??= sheet(LOOKS, radius * 1.7 + 2, devicePixelRatio || 1, (pen, look, x, y, yaw) => paintRobot(pen, look, x, y, yaw, radius));
+  for (const [name, robot, pose] of poses) drawRobot(name, robot, pose, radius, crowd);
   const taken = [];
   for (const [name, robot, pose] of poses) label(name, robot, pose, radius, crowd, taken);
+  const took = performance.now() - began;
   drawn.frames += 1;
-  drawn.worst = Math.max(drawn.worst, performance.now() - began);
+  drawn.took += took;
+  drawn.worst = Math.max(drawn.worst, took);
+  drawn.reports += fresh;
+  fresh = false;
   if (gliding && !stale) ask();
 }
+
+const isHere = (one) => (places[one.place]?.level ?? level) === level;
+
+const radiusOf = () => Math.min(Math.max(scale * 0.45, 5), 11);
 
 const crowded = () => moving.size > TASKS;
 
 function drawDoor([from, to], state) {
   pen.strokeStyle = state === 'open' ? colours.good : colours.warn;
   pen.lineWidth = 4;
-  pen.setLineDash(state === 'open' ? [3, 6] : []);
+  // What stands open is a way through, what moves is neither.
+  pen.setLineDash({ open: [3, 6], opening: [6, 3], closing: [6, 3] }[state] ?? []);
   path(pen, [from, to]);
   pen.setLineDash([]);
 }
@@ -241,11 +280,15 @@ function drawPerson(person) {
 
 const isOut = (robot) => !robot.alive || robot.availability === 'out_of_service' || robot.able === false;
 
-function drawRobot(name, robot, [x, y, yaw], radius) {
+const LOOKS = ['busy', 'free', 'suspended', 'out'];
+
+const lookOf = (robot) => {
+  if (isOut(robot)) return 'out';
+  return { holding: 'busy', suspended: 'suspended' }[robot.availability] ?? 'free';
+};
+
+function drawRobot(name, robot, [x, y, yaw], radius, crowd) {
   const [px, py] = at(x, y);
-  const out = isOut(robot);
-  const busy = robot.availability === 'holding' || robot.availability === 'suspended';
-  const colour = out ? colours.bad : robot.availability === 'suspended' ? colours.warn : colours.accent;
   if (name === chosen) {
     pen.strokeStyle = colours.text;
     pen.lineWidth = 2;
@@ -253,6 +296,12 @@ function drawRobot(name, robot, [x, y, yaw], radius) {
     pen.arc(px, py, radius + 5, 0, 7);
     pen.stroke();
   }
+  if (crowd) sprites.stamp(pen, lookOf(robot), px, py, yaw);
+  else paintRobot(pen, lookOf(robot), px, py, yaw, radius);
+}
+
+function paintRobot(pen, look, px, py, yaw, radius) {
+  const colour = { out: colours.bad, suspended: colours.warn }[look] ?? colours.accent;
   // The nose tells the heading.
   pen.fillStyle = colour;
   pen.beginPath();
@@ -262,11 +311,11 @@ function drawRobot(name, robot, [x, y, yaw], radius) {
   pen.fill();
   pen.beginPath();
   pen.arc(px, py, radius, 0, 7);
-  pen.fillStyle = busy && !out ? colour : colours.floor;
+  pen.fillStyle = look === 'busy' || look === 'suspended' ? colour : colours.floor;
   pen.fill();
   pen.strokeStyle = colour;
   pen.lineWidth = 2;
-  if (out) pen.setLineDash([3, 3]);
+  if (look === 'out') pen.setLineDash([3, 3]);
   pen.stroke();
   pen.setLineDash([]);
 }

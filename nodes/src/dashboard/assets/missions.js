@@ -11,7 +11,7 @@ export const badge = (mission) => state(KINDS[mission.state] ?? 'wait', words(mi
 const latestFirst = (picture) => Object.entries(picture.missions ?? {}).sort(([, a], [, b]) => b.number - a.number);
 
 /** Shows the list, and the chosen mission; by itself the latest that is under way is chosen. */
-export function update(picture, now, { mission: chosen, choose, cancel }) {
+export function update(picture, now, { mission: chosen, choose, cancel, rescue }) {
   const all = latestFirst(picture);
   byId('missions-none').hidden = all.length > 0;
   byId('missions').hidden = all.length === 0;
@@ -40,12 +40,12 @@ export function update(picture, now, { mission: chosen, choose, cancel }) {
   history(all.filter(([, mission]) => mission.ended));
   const article = byId('mission');
   article.hidden = !current;
-  if (current) detail(article, ...current, now, cancel);
+  if (current) detail(article, ...current, now, { cancel, rescue });
 }
 
 const holders = (holders) => Object.entries(holders ?? {}).map(([role, robot]) => `${robot} (${role})`).join(', ') || '–';
 
-function detail(article, id, mission, now, cancel) {
+function detail(article, id, mission, now, { cancel, rescue }) {
   const shown = JSON.stringify([id, mission]);
   const figure = article.querySelector('.gantt');
   if (article.shown === shown && figure) {
@@ -58,6 +58,12 @@ function detail(article, id, mission, now, cancel) {
     const button = make('button', { type: 'button', className: 'danger' }, 'Cancel mission');
     button.dataset.key = 'cancel';
     button.onclick = () => cancel(id, button);
+    head.append(button);
+  }
+  if (mission.state === 'needs_rescue') {
+    const button = make('button', { type: 'button', className: 'primary' }, 'Close after rescue');
+    button.dataset.key = 'rescue';
+    button.onclick = () => rescue(id, mission);
     head.append(button);
   }
   const notes = make('dl', { className: 'notes' });
@@ -76,15 +82,20 @@ function detail(article, id, mission, now, cancel) {
     head,
     notes,
     cause,
+    mission.items?.length ? [make('h3', {}, 'In robots’ hands'), make('ul', { className: 'items' }, mission.items.map((item) => make('li', {}, whereabouts(item))))] : null,
     make('h3', {}, 'Chart'),
     chart(id, mission, now),
     bars.length === 0 ? make('p', { className: 'muted' }, 'Nothing of it was begun while this page’s node was listening.') : null,
     make('h3', {}, 'Tasks'),
     mission.tasks ? make('ul', { className: 'tree' }, tree(mission, 0)) : make('p', { className: 'muted' }, 'Its tasks are not known here yet.'),
     make('h3', {}, 'Roles'),
-    roles(mission),
+    Object.keys(mission.roles ?? {}).length ? roles(mission) : make('p', { className: 'muted' }, 'Its roles are not known here yet.'),
   );
 }
+
+/** Where an item is, in words. */
+export const whereabouts = ({ item, role, robot, place, certain }) =>
+  `${words(item)}: ${certain ? `${robot} has it` : `${robot} may have it`}, as ${role}${place ? `; last at ${place}` : ''}`;
 
 function tree(mission, index) {
   const { id, body } = mission.tasks[index];

@@ -20,6 +20,7 @@ export function update(picture) {
     if (coordinator && coordinator !== name) announce(`${now.node} coordinates now, in term ${now.term}`);
     coordinator = name;
   }
+  health(picture.health);
   figures(picture.kpis);
 }
 
@@ -52,6 +53,16 @@ export function tick(line) {
   say(byId('banner-what'), trouble);
   say(byId('banner-age'), trouble ? old : '');
   document.body.classList.toggle('stale', Boolean(trouble));
+}
+
+/** What is the matter, in a word; the panel of coordination has it in full. */
+function health(findings) {
+  if (!findings?.length) return;
+  const count = (level) => findings.filter((one) => one.level === level).length;
+  const some = (number, word) => (number ? `${number} ${word}${number > 1 ? 's' : ''}` : '');
+  const [errors, warnings] = [count('error'), count('warning')];
+  say(byId('health'), [some(errors, 'error'), some(warnings, 'warning')].filter(Boolean).join(', ') || 'well');
+  byId('health').className = `state ${errors ? 'bad' : warnings ? 'warn' : 'good'}`;
 }
 
 function figures(kpis) {

@@ -1,6 +1,7 @@
-// Asking for a mission, and withdrawing one.
+// Asking for a mission, withdrawing one, and closing one after a rescue.
 
 import { byId, make, say, words } from './dom.js';
+import { whereabouts } from './missions.js';
 import { announce } from './status.js';
 
 let shipped = [];
@@ -8,6 +9,7 @@ let places = [];
 let request;
 
 export function start(onSubmitted) {
+  startRescue();
   const dialog = byId('order');
   byId('new-mission').onclick = async () => {
     trouble('');
@@ -55,7 +57,7 @@ export function start(onSubmitted) {
 }
 
 export function setPlaces(picture) {
-  places = Object.entries(picture.map?.places ?? {}).filter(([, place]) => place.kind !== 'corridor').map(([name]) => name);
+  places = (picture.map?.places ?? []).filter((place) => place.kind !== 'corridor').map(({ name }) => name);
 }
 
 export async function cancel(id, button) {
@@ -69,6 +71,39 @@ export async function cancel(id, button) {
     announce(problem.message);
     alert(problem.message);
   }
+}
+
+/** Asks who took care of what a mission left in robots' hands, and closes it then. */
+export function rescue(id, mission) {
+  const dialog = byId('rescue');
+  dialog.dataset.mission = id;
+  say(byId('rescue-head'), `Close ${id} after a rescue`);
+  say(byId('rescue-cause'), mission.cause ?? '');
+  byId('rescue-items').replaceChildren(...(mission.items ?? []).map((item) => make('li', {}, whereabouts(item))));
+  trouble('', 'rescue');
+  dialog.showModal();
+  byId('rescue-by').focus();
+}
+
+function startRescue() {
+  const dialog = byId('rescue');
+  byId('rescue-back').onclick = () => dialog.close();
+  byId('rescue-form').onsubmit = async (event) => {
+    event.preventDefault();
+    const { mission } = dialog.dataset;
+    const send = byId('rescue-send');
+    send.disabled = true;
+    trouble('', 'rescue');
+    try {
+      await ask('POST', `/api/missions/${encodeURIComponent(mission)}/rescued`, { by: byId('rescue-by').value });
+      dialog.close();
+      announce(`${mission} is closed`);
+    } catch (problem) {
+      trouble(problem.message, 'rescue');
+    } finally {
+      send.disabled = false;
+    }
+  };
 }
 
 function fill() {
@@ -95,9 +130,9 @@ function parameters() {
   byId('order-parameters').replaceChildren(...fields);
 }
 
-function trouble(text) {
-  byId('order-problem').hidden = !text;
-  say(byId('order-problem'), text);
+function trouble(text, form = 'order') {
+  byId(`${form}-problem`).hidden = !text;
+  say(byId(`${form}-problem`), text);
 }
 
 async function ask(method, path, value) {

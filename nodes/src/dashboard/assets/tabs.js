@@ -10,6 +10,7 @@ export function start(onShow) {
       document.getElementById(tab.getAttribute('aria-controls')).hidden = !is;
     }
     if (focus) chosen.focus();
+    chosen.scrollIntoView({ block: 'nearest', inline: 'nearest' });
     onShow();
   };
   for (const [index, tab] of tabs.entries()) {

@@ -1,0 +1,139 @@
+//! Maps that know which of their members may have changed since they were last drawn: a fleet of hundreds is drawn some times
+//! in a second, and of most of it nothing new is heard in between.
+
+use super::delta;
+use serde::Serialize;
+use serde_json::{Map, Value};
+use std::collections::{BTreeMap, BTreeSet};
+use std::fmt::Display;
+use std::ops::Deref;
+
+/// A map to be looked at as any other; whatever may change a member takes a note of it.
+#[derive(Debug, Clone)]
+pub(super) struct Tracked<K, V> {
+    members: BTreeMap<K, V>,
+    touched: BTreeSet<K>,
+}
+
+impl<K, V> Default for Tracked<K, V> {
+    fn default() -> Tracked<K, V> {
+        Tracked { members: BTreeMap::new(), touched: BTreeSet::new() }
+    }
+}
+
+impl<K, V> Deref for Tracked<K, V> {
+    type Target = BTreeMap<K, V>;
+
+    fn deref(&self) -> &BTreeMap<K, V> {
+        &self.members
+    }
+}
+
+impl<K: Ord + Clone, V> Tracked<K, V> {
+    pub(super) fn insert(&mut self, name: K, value: V) {
+        self.touched.insert(name.clone());
+        self.members.insert(name, value);
+    }
+
+    pub(super) fn remove(&mut self, name: &K) {
+        self.touched.insert(name.clone());
+        self.members.remove(name);
+    }
+
+    /// A member, to be changed; made if it is not there.
+    pub(super) fn entry_or(&mut self, name: K, make: impl FnOnce() -> V) -> &mut V {
+        self.touched.insert(name.clone());
+        self.members.entry(name).or_insert_with(make)
+    }
+
+    /// A member, to be changed if it is there.
+    pub(super) fn change(&mut self, name: &K) -> Option<&mut V> {
+        let member = self.members.get_mut(name)?;
+        self.touched.insert(name.clone());
+        Some(member)
+    }
+
+    pub(super) fn retain(&mut self, mut keep: impl FnMut(&K, &V) -> bool) {
+        let gone: Vec<K> =
+            self.members.iter().filter(|(name, value)| !keep(name, value)).map(|(n, _)| n.clone()).collect();
+        gone.iter().for_each(|name| self.remove(name));
+    }
+
+    /// Puts other members in the place of all there are.
+    pub(super) fn replace(&mut self, members: BTreeMap<K, V>)
+    where
+        V: PartialEq,
+    {
+        self.retain(|name, _| members.contains_key(name));
+        for (name, value) in members {
+            if self.members.get(&name) != Some(&value) {
+                self.insert(name, value);
+            }
+        }
+    }
+
+    /// Keeps the last `most` in the order of their names.
+    pub(super) fn keep_last(&mut self, most: usize) {
+        while self.members.len() > most {
+            let Some((first, _)) = self.members.pop_first() else { return };
+            self.touched.insert(first);
+        }
+    }
+
+    /// Counts every member as changed.
+    pub(super) fn touch_all(&mut self) {
+        self.touched.extend(self.members.keys().cloned());
+    }
+}
+
+impl<K: Ord + Clone + Display, V: Serialize> Tracked<K, V> {
+    /// Brings what was drawn up to date, and says what has changed, as a patch. From here on nothing counts as changed.
+    pub(super) fn redraw(&mut self, drawn: &mut Map<String, Value>) -> Option<Value> {
+        let mut patch = Map::new();
+        for name in std::mem::take(&mut self.touched) {
+            let (shown, key) = (self.members.get(&name), name.to_string());
+            let Some(mut value) = shown.map(|member| serde_json::to_value(member).unwrap_or_default()) else {
+                if drawn.remove(&key).is_some() {
+                    patch.insert(key, Value::Null);
+                }
+                continue;
+            };
+            delta::strip(&mut value);
+            delta::renew(drawn, &mut patch, key, value);
+        }
+        (!patch.is_empty()).then_some(Value::Object(patch))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use serde_json::json;
+
+    #[test]
+    fn only_what_was_touched_is_drawn_and_only_what_differs_is_told() {
+        let mut tracked = Tracked::default();
+        let mut drawn = Map::new();
+        tracked.insert("ada", json!({ "x": 1, "y": 2, "gone": null }));
+        tracked.insert("bob", json!({ "x": 3 }));
+        assert_eq!(tracked.redraw(&mut drawn), Some(json!({ "ada": { "x": 1, "y": 2 }, "bob": { "x": 3 } })));
+        assert_eq!(tracked.redraw(&mut drawn), None);
+
+        *tracked.change(&"ada").unwrap() = json!({ "x": 1, "y": 5 });
+        tracked.remove(&"bob");
+        tracked.entry_or("cyd", || json!({}));
+        assert!(tracked.change(&"nobody").is_none());
+        assert_eq!(tracked.redraw(&mut drawn), Some(json!({ "ada": { "y": 5 }, "bob": null, "cyd": {} })));
+        assert_eq!(Value::Object(drawn.clone()), json!({ "ada": { "x": 1, "y": 5 }, "cyd": {} }));
+
+        // Touched, and as before.
+        tracked.change(&"ada");
+        assert_eq!(tracked.redraw(&mut drawn), None);
+        tracked.replace([("ada", json!({ "x": 1, "y": 5 })), ("dot", json!(1))].into());
+        assert_eq!(tracked.redraw(&mut drawn), Some(json!({ "cyd": null, "dot": 1 })));
+        tracked.keep_last(1);
+        assert_eq!(tracked.redraw(&mut drawn), Some(json!({ "ada": null })));
+        tracked.touch_all();
+        assert_eq!(tracked.redraw(&mut Map::new()), Some(json!({ "dot": 1 })));
+    }
+}
