@@ -1,7 +1,7 @@
 //! A node on Zenoh, from its start until it is told to end.
 
 use crate::address::Taken;
-use crate::config::{BusConfig, FleetConfig, LogFormat, Problems, Surroundings};
+use crate::config::{FleetConfig, LogFormat, Problems, Surroundings};
 use crate::dashboard::Dashboard;
 use crate::exit::Failure;
 use crate::metrics::{Metrics, Watched, serve};
@@ -14,7 +14,6 @@ use consort_actors::bus::{Bus, Link, MeteredBus, SharedBus, ZenohBus};
 use consort_actors::clock::Clock;
 use consort_actors::node::{NodeHandle, NodeSettings};
 use consort_actors::observe::SharedObserver;
-use consort_protocol::ids::NodeId;
 use std::io::IsTerminal;
 use std::net::SocketAddr;
 use std::sync::Arc;
@@ -99,10 +98,10 @@ async fn until_told(
     let mut terminate = signal(SignalKind::terminate()).map_err(|problem| no_signal(&problem))?;
     let mut interrupt = signal(SignalKind::interrupt()).map_err(|problem| no_signal(&problem))?;
     let page = match dashboard {
-        Some(at) => Some((take("--dashboard", at).await?, FloorPlan::new(&floor::load(&fleet.map)?))),
+        Some(at) => Some((take("--dashboard", *at).await?, FloorPlan::new(&floor::load(&fleet.map)?))),
         None => None,
     };
-    let metrics = match run.metrics {
+    let metrics = match told.metrics {
         Some(at) => Some(take("--metrics", at).await?),
         None => None,
     };
