@@ -99,6 +99,10 @@ pub(crate) struct Mark {
     pub(crate) coordinator: Option<String>,
     /// In which term.
     pub(crate) term: u64,
+    /// What time it is by its clock, in milliseconds since 1970.
+    pub(crate) at_ms: u64,
+    /// Which version of the program it is.
+    pub(crate) version: String,
 }
 
 /// Missions, briefly.

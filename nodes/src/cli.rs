@@ -1,8 +1,8 @@
 //! The command line.
 
 use crate::command::{
-    bench, cancel, cert, chaos, check, dry_run, experiment, explain, fleet, keys, leave, map, missions, recover,
-    rescue, robot, station, submit, test, watch, world,
+    bench, cancel, cert, chaos, check, doctor, dry_run, experiment, explain, fleet, keys, leave, map, missions,
+    recover, rescue, robot, station, submit, test, watch, world,
 };
 use crate::demo;
 use crate::exit::Failure;
@@ -63,6 +63,7 @@ enum Command {
     Keys(keys::Args),
     Leave(leave::Args),
     Check(check::Args),
+    Doctor(doctor::Args),
     Map(map::Args),
     DryRun(dry_run::Args),
     Recover(recover::Args),
@@ -90,6 +91,7 @@ pub fn run() -> ExitCode {
         Command::Keys(args) => keys::run(args),
         Command::Leave(args) => leave::run(args),
         Command::Check(args) => check::run(args),
+        Command::Doctor(args) => doctor::run(args),
         Command::Map(args) => map::run(args),
         Command::DryRun(args) => dry_run::run(args),
         Command::Recover(args) => recover::run(args),

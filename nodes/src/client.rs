@@ -48,6 +48,30 @@ pub struct ClientFlags {
 }
 
 impl ClientFlags {
+    /// Where nodes are looked for.
+    pub fn addresses(&self) -> &[String] {
+        &self.connect
+    }
+
+    /// The folder with certificates, if there is one.
+    pub fn certs(&self) -> Option<&PathBuf> {
+        self.certs.as_ref()
+    }
+
+    /// The fleet's name.
+    ///
+    /// # Errors
+    /// [`Failure::Usage`] if it is none, or names a file that is not right.
+    pub fn fleet(&self) -> Result<FleetId, Failure> {
+        fleet_name(&self.fleet)
+    }
+
+    /// The same for other addresses, certificates and another fleet.
+    #[must_use]
+    pub fn instead(&self, connect: Vec<String>, certs: Option<PathBuf>, fleet: &FleetId) -> ClientFlags {
+        ClientFlags { fleet: fleet.to_string(), connect, certs, timeout: self.timeout }
+    }
+
     /// Connects, has something done with the connection, and closes it.
     ///
     /// # Errors

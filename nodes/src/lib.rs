@@ -13,6 +13,7 @@ pub mod command;
 pub mod config;
 pub mod dashboard;
 pub mod demo;
+pub mod doctor;
 pub mod dry_run;
 pub mod exit;
 pub mod floor;

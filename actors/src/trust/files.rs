@@ -34,7 +34,7 @@ pub struct TrustError {
 }
 
 impl TrustError {
-    fn of<E: Display>(file: &Path) -> impl Fn(E) -> TrustError {
+    pub(super) fn of<E: Display>(file: &Path) -> impl Fn(E) -> TrustError {
         move |problem| TrustError { file: file.to_owned(), problem: problem.to_string() }
     }
 }
@@ -77,7 +77,7 @@ impl TrustFiles {
     }
 }
 
-fn pem<T: PemObject>(file: &Path, what: &str) -> Result<T, TrustError> {
+pub(super) fn pem<T: PemObject>(file: &Path, what: &str) -> Result<T, TrustError> {
     let text = std::fs::read(file).map_err(TrustError::of(file))?;
     T::from_pem_slice(&text).map_err(|problem| TrustError::of(file)(format!("there is no {what} in it: {problem}")))
 }

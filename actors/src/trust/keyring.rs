@@ -70,6 +70,7 @@ fn fingerprint(certificate: &CertificateDer<'_>) -> Fingerprint {
 }
 
 /// What certificates are judged by.
+#[derive(Debug)]
 pub(super) struct Authority {
     pub(super) fleet: FleetId,
     anchor: TrustAnchor<'static>,
@@ -83,9 +84,24 @@ impl Authority {
         Ok(Authority { fleet, anchor: anchor.to_owned() })
     }
 
-    /// Judges a certificate at an instant, in time since 1970.
+    /// Judges the certificate of somebody who speaks, at an instant in time since 1970.
     pub(super) fn judge(
         &self,
+        certificate: CertificateDer<'static>,
+        revoked: Option<&[u8]>,
+        now: Duration,
+    ) -> Result<Card, Distrust> {
+        self.judge_as(KeyUsage::client_auth(), certificate, revoked, now)
+    }
+
+    /// The same of somebody to whom a link is opened: a node.
+    pub(super) fn judge_listener(&self, certificate: CertificateDer<'static>, now: Duration) -> Result<Card, Distrust> {
+        self.judge_as(KeyUsage::server_auth(), certificate, None, now)
+    }
+
+    fn judge_as(
+        &self,
+        usage: KeyUsage,
         certificate: CertificateDer<'static>,
         revoked: Option<&[u8]>,
         now: Duration,
@@ -121,8 +137,7 @@ impl Authority {
             let read = EndEntityCert::try_from(&certificate).map_err(refused)?;
             let anchors = [self.anchor.clone()];
             let at = UnixTime::since_unix_epoch(now);
-            read.verify_for_usage(&[ED25519], &anchors, &[], at, KeyUsage::client_auth(), revocation, None)
-                .map_err(refused)?;
+            read.verify_for_usage(&[ED25519], &anchors, &[], at, usage, revocation, None).map_err(refused)?;
             whose(&read)?
         };
         if identity.fleet != self.fleet {

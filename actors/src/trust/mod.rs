@@ -17,8 +17,10 @@ mod cards;
 mod files;
 pub mod issue;
 mod keyring;
+mod probe;
 mod refusals;
 
 pub use bus::SealedBus;
 pub use files::{TrustError, TrustFiles};
 pub use keyring::{Card, Distrust, Keyring};
+pub use probe::ProbeError;

@@ -80,7 +80,7 @@ impl Looks {
             "releases": seen["releases"],
             "words": words,
         });
-        for mark in ["seen_by", "age_ms", "coordinator", "term"] {
+        for mark in ["seen_by", "age_ms", "coordinator", "term", "at_ms", "version"] {
             answer[mark] = seen[mark].clone();
         }
         Ok(answer)

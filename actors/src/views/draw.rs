@@ -73,7 +73,7 @@ impl Window<'_> {
     /// A view with who has it, and how old what it knows may be. What a view says of itself under these names stays.
     pub(super) fn marked(&self, value: Value) -> Value {
         let Value::Object(own) = value else { return value };
-        let mark = serde_json::to_value(self.standing.mark(&self.of.node)).unwrap_or_default();
+        let mark = serde_json::to_value(self.standing.mark(&self.of.node, self.of.clock.wall_ms())).unwrap_or_default();
         let Value::Object(mut marked) = mark else { return Value::Object(own) };
         marked.extend(own);
         Value::Object(marked)

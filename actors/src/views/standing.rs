@@ -41,13 +41,15 @@ pub(super) struct Standing {
 }
 
 impl Standing {
-    /// What an answer is marked with.
-    pub(super) fn mark(&self, node: &NodeId) -> Mark {
+    /// What an answer is marked with, at a time since 1970.
+    pub(super) fn mark(&self, node: &NodeId, at_ms: u64) -> Mark {
         Mark {
             seen_by: node.to_string(),
             age_ms: self.age_ms,
             coordinator: self.coordinator.as_ref().map(NodeId::to_string),
             term: self.term,
+            at_ms,
+            version: env!("CARGO_PKG_VERSION").to_owned(),
         }
     }
 }

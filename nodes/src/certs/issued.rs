@@ -47,7 +47,10 @@ pub enum State {
 
 impl Holder {
     /// Reads a certificate, with what is revoked.
-    pub(super) fn read(file: &Path, revoked: &[Revoked]) -> Result<Holder, Problem> {
+    ///
+    /// # Errors
+    /// [`Problem`] if it is none, or does not say whose it is.
+    pub fn read(file: &Path, revoked: &[Revoked]) -> Result<Holder, Problem> {
         let pem = pem(file)?;
         let certificate = pem.parse_x509().map_err(|problem| of(file, problem))?;
         let (identity, addresses) = names(&certificate).map_err(|problem| of(file, problem))?;

@@ -307,6 +307,11 @@ impl Keys {
         format!("{}/seen/**", self.prefix)
     }
 
+    /// Key expression for what each node believes of the coordinator.
+    pub fn any_seen_coordinator(&self) -> String {
+        format!("{}/seen/*/coordinator", self.prefix)
+    }
+
     /// Key expression that asks nodes to leave.
     pub fn any_leave(&self) -> String {
         format!("{}/api/leave/*", self.prefix)
