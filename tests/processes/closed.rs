@@ -152,6 +152,56 @@ fn who_has_no_certificate_or_another_fleets_gets_no_link() {
 }
 
 #[test]
+fn the_doctor_says_why_a_link_does_not_come_about_and_what_to_do() {
+    let mut closed = Closed::new();
+    closed.start("station", example("station"), &[]);
+    let (address, mut other) = (closed.fleet.address("station-1"), Closed::new());
+    closed.cert(&["person", "late", "--days", "1"]);
+    closed.cert(&["revoke", "late"]);
+    let mut examined = |certs: Option<PathBuf>, address: &str| -> (i32, Vec<(String, String, String)>) {
+        let certs = certs.map(|certs| certs.display().to_string());
+        let mut flags = vec!["doctor", "--json", "--timeout", "5", "--connect", address];
+        flags.extend(certs.iter().flat_map(|certs| ["--certs", certs]));
+        let ended = other.fleet.tool(&flags);
+        let text = |finding: &Value, key: &str| finding[key].as_str().unwrap_or_default().to_owned();
+        let said = ended.json();
+        let findings = said.as_array().expect("a list").iter();
+        let findings = findings.map(|of| (text(of, "state"), text(of, "about"), text(of, "says")));
+        (ended.code(), findings.collect())
+    };
+    let foreign = Closed::new();
+    let plain = address.replace("tls/", "tcp/");
+    let link = format!("link {address}");
+    let of = |findings: &[(String, String, String)], about: &str| {
+        let finding = findings.iter().find(|(_, of, _)| of == about).unwrap_or_else(|| panic!("{about}: {findings:?}"));
+        (finding.0.clone(), finding.2.clone())
+    };
+    let (code, findings) = examined(Some(closed.of("read")), &address);
+    let (state, says) = of(&findings, &link);
+    assert_eq!((state.as_str(), says.as_str()), ("ok", "node station-1 (voter) answers, and each believes the other"));
+    assert_eq!(code, 0, "{findings:?}");
+    assert!(
+        findings.iter().any(|(_, about, says)| about == "node station-1" && says.contains("as here")),
+        "{findings:?}"
+    );
+    for (certs, at, about, says) in [
+        (Some(foreign.of("operate")), &address, &link, "it was not signed by this fleet's authority"),
+        (None, &address, &link, "it takes a certificate to get in there"),
+        (None, &plain, &format!("link {plain}"), "it hangs up: it may want a certificate"),
+    ] {
+        let (code, findings) = examined(certs, at);
+        let (state, found) = of(&findings, about);
+        assert!(state == "error" && found.contains(says), "{found}");
+        assert_eq!(code, 1);
+    }
+    let late = closed.of("late");
+    let (_, findings) = examined(Some(late.clone()), &address);
+    let (state, says) = of(&findings, &format!("certificates {}", late.display()));
+    assert!(state == "error" && says.ends_with("it has been revoked"), "{says}");
+    closed.fleet.stop();
+}
+
+#[test]
 fn a_persons_link_lets_in_what_the_scope_allows_and_nothing_else() {
     use zenoh::Wait;
     let mut closed = Closed::new();

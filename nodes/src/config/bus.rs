@@ -39,7 +39,8 @@ impl BusConfig {
         settle_path(&mut self.certs, folder);
     }
 
-    pub(super) fn problems(&self) -> Vec<String> {
+    /// What is wrong with its addresses.
+    pub fn problems(&self) -> Vec<String> {
         let protocol = self.protocol();
         let wrong = |key: &'static str| {
             move |address: &String| {

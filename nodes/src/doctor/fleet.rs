@@ -37,7 +37,7 @@ async fn ask(patient: &Patient) -> Result<Vec<Finding>, Failure> {
     client.close().await;
     let mut findings = vec![];
     let health = health?;
-    let notes = health["notes"].as_array().cloned().unwrap_or_default();
+    let notes = health["findings"].as_array().cloned().unwrap_or_default();
     findings.extend(notes.iter().filter_map(|note| troubled(patient, note)));
     if findings.is_empty() {
         let coordinator = health["coordinator"].as_str().unwrap_or("nobody");

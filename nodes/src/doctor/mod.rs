@@ -135,6 +135,7 @@ pub fn examine(patient: &Patient, mut tell: impl FnMut(&Finding)) -> Vec<Finding
     note(machine::clock());
     note(machine::data_dir(patient.data_dir.as_deref()));
     note(machine::ports(patient.node.as_ref().map(|_| patient.bus.listening()), &patient.pages));
+    note(papers::addresses(patient));
     note(papers::certificates(patient));
     note(links::reached(patient));
     note(fleet::asked(patient));

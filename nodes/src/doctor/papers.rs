@@ -9,6 +9,14 @@ use std::os::unix::fs::PermissionsExt;
 /// Below so many days it is time to renew.
 const SOON: u64 = 14;
 
+/// Whether addresses fit to whether there are certificates.
+pub(super) fn addresses(patient: &Patient) -> Vec<Finding> {
+    let wrong = |problem: String| {
+        Finding::error("addresses", problem, "with certificates all are written tls/…, without all tcp/…")
+    };
+    patient.bus.problems().into_iter().map(wrong).collect()
+}
+
 /// What the folder with certificates holds.
 pub(super) fn certificates(patient: &Patient) -> Vec<Finding> {
     let Some(folder) = &patient.bus.certs else { return vec![] };

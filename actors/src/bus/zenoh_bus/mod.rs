@@ -91,6 +91,7 @@ fn failed(what: impl Into<String>, problem: impl ToString) -> BusError {
 
 /// Zenoh's errors name its source lines; people want to know which address is the matter.
 fn why_not_opened(settings: &ZenohSettings, problem: &str) -> BusError {
+    let problem = problem.split(" at /").next().unwrap_or_default().trim_end();
     let of = |addresses: &[String]| addresses.iter().find(|address| problem.contains(address.as_str())).cloned();
     if settings.mode == Mode::Client {
         return failed(format!("reach a router at {}", settings.connect.join(", ")), problem);
