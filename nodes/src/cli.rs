@@ -1,8 +1,8 @@
 //! The command line.
 
 use crate::command::{
-    bench, cancel, cert, chaos, check, doctor, dry_run, experiment, explain, fleet, keys, leave, map, missions,
-    recover, rescue, robot, station, submit, test, watch, world,
+    bench, cancel, cert, chaos, check, completions, doctor, dry_run, experiment, explain, fleet, keys, leave, map,
+    missions, recover, rescue, robot, station, submit, test, watch, world,
 };
 use crate::demo;
 use crate::exit::Failure;
@@ -73,6 +73,8 @@ enum Command {
     Bench(bench::Args),
     Test(test::Args),
     Watch(watch::Args),
+    Completions(completions::Args),
+    Man(completions::ManArgs),
 }
 
 /// Runs the program.
@@ -101,6 +103,8 @@ pub fn run() -> ExitCode {
         Command::Bench(args) => bench::run(args),
         Command::Test(args) => test::run(args),
         Command::Watch(args) => watch::run(args),
+        Command::Completions(args) => completions::run(&args),
+        Command::Man(args) => completions::man(&args),
     };
     match done {
         Ok(()) => ExitCode::SUCCESS,

@@ -5,6 +5,7 @@ pub mod cancel;
 pub mod cert;
 pub mod chaos;
 pub mod check;
+pub mod completions;
 pub mod doctor;
 mod drawn_world;
 pub mod dry_run;

@@ -1,6 +1,6 @@
 use super::support::run;
 
-const COMMANDS: [&str; 18] = [
+const COMMANDS: [&str; 22] = [
     "robot",
     "station",
     "world",
@@ -12,6 +12,10 @@ const COMMANDS: [&str; 18] = [
     "explain",
     "keys",
     "check",
+    "cert",
+    "doctor",
+    "completions",
+    "man",
     "dry-run",
     "recover",
     "chaos",

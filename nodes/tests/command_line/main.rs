@@ -1,6 +1,7 @@
 //! The binary as people and scripts meet it.
 
 mod bench;
+mod certs;
 mod chaos;
 mod dry_run;
 mod experiment;

@@ -1,0 +1,54 @@
+//! `consort completions` and `consort man`: what shells and readers want to know of the commands, from the same source as
+//! `--help`.
+
+use crate::cli::Cli;
+use crate::exit::Failure;
+use crate::output;
+use clap::CommandFactory;
+use clap_complete::Shell;
+use std::path::PathBuf;
+
+/// Print what a shell needs to complete commands and flags
+#[derive(Debug, clap::Args)]
+#[command(after_long_help = "\
+Examples:
+  consort completions bash > ~/.local/share/bash-completion/completions/consort
+  consort completions zsh  > ~/.zfunc/_consort
+  consort completions fish > ~/.config/fish/completions/consort.fish")]
+pub struct Args {
+    /// The shell
+    #[arg(value_enum)]
+    shell: Shell,
+}
+
+/// Write manual pages: one for the program, one for each of its commands
+#[derive(Debug, clap::Args)]
+#[command(after_long_help = "\
+Examples:
+  consort man /usr/local/share/man/man1 && man consort-submit")]
+pub struct ManArgs {
+    /// The folder, created if need be
+    #[arg(value_name = "DIR")]
+    dir: PathBuf,
+}
+
+/// Prints completions.
+///
+/// # Errors
+/// [`Failure::OutputClosed`].
+pub fn run(args: &Args) -> Result<(), Failure> {
+    let mut script = Vec::new();
+    clap_complete::generate(args.shell, &mut Cli::command(), "consort", &mut script);
+    output::line(String::from_utf8_lossy(&script).trim_end())
+}
+
+/// Writes manual pages.
+///
+/// # Errors
+/// [`Failure::Usage`] if they cannot be written.
+pub fn man(args: &ManArgs) -> Result<(), Failure> {
+    let failed = |problem: std::io::Error| Failure::Usage(format!("{}: {problem}", args.dir.display()));
+    std::fs::create_dir_all(&args.dir).map_err(failed)?;
+    clap_mangen::generate_to(Cli::command(), &args.dir).map_err(failed)?;
+    output::line(format_args!("written to {}", args.dir.display()))
+}

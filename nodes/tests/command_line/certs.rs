@@ -1,0 +1,76 @@
+//! Certificates as people make them, and manual pages.
+
+use crate::support::{run, written};
+use std::os::unix::fs::PermissionsExt;
+use std::path::{Path, PathBuf};
+
+/// A folder of a test's own, which does not exist yet.
+fn folder(name: &str) -> PathBuf {
+    let folder = Path::new(&written(&format!("{name}.mark"), "")).with_extension("certs");
+    let _ = std::fs::remove_dir_all(&folder);
+    folder
+}
+
+fn cert(dir: &Path, arguments: &[&str]) -> (i32, String) {
+    let dir = dir.display().to_string();
+    let ran = run(&[&["cert", "--dir", &dir][..], arguments].concat());
+    (ran.code.expect("it ends by itself"), format!("{}{}", ran.out, ran.err))
+}
+
+#[test]
+fn certificates_are_made_shown_renewed_and_revoked() {
+    let dir = folder("made");
+    let (code, said) = cert(&dir, &["node", "ada", "--roles", "robot"]);
+    assert!(code == 2 && said.contains("there is no authority here; `consort cert init"), "{said}");
+    assert_eq!(cert(&dir, &["init", "--fleet", "ward"]).0, 0);
+    let (code, said) = cert(&dir, &["init", "--fleet", "ward"]);
+    assert!(code == 2 && said.contains("there is an authority already"), "{said}");
+    assert_eq!(cert(&dir, &["node", "ada", "--roles", "robot,voter", "--address", "192.0.2.7"]).0, 0);
+    assert_eq!(cert(&dir, &["person", "kim", "--scope", "submit", "--days", "30"]).0, 0);
+    let (code, said) = cert(&dir, &["node", "ada", "--roles", "robot"]);
+    assert!(code == 2 && said.contains("it is there already; `consort cert renew`"), "{said}");
+    let (code, said) = cert(&dir, &["node", "bob", "--roles", "boss"]);
+    assert!(code == 2 && said.contains("allowed: robot, voter, host"), "{said}");
+    let (code, said) = cert(&dir, &["person", "authority"]);
+    assert!(code == 2 && said.contains("nobody else can be called so"), "{said}");
+
+    for key in ["authority/ca.key", "ada/key.pem", "kim/key.pem"] {
+        let mode = std::fs::metadata(dir.join(key)).expect(key).permissions().mode();
+        assert_eq!(mode & 0o777, 0o600, "{key}");
+    }
+    let shown = || -> serde_json::Value { serde_json::from_str(&cert(&dir, &["show", "--json"]).1).expect("JSON") };
+    let before = shown();
+    assert_eq!(before[0]["identity"], "consort://ward/node/ada?roles=robot,voter");
+    assert_eq!(before[0]["addresses"], serde_json::json!(["192.0.2.7"]));
+    assert_eq!((&before[1]["name"], &before[1]["state"]), (&"kim".into(), &"valid".into()));
+    assert_eq!(before[1]["days_left"], 29);
+
+    let key = std::fs::read_to_string(dir.join("ada/key.pem")).expect("a key");
+    assert_eq!(cert(&dir, &["renew", "ada"]).0, 0);
+    let after = shown();
+    assert_ne!(std::fs::read_to_string(dir.join("ada/key.pem")).expect("a key"), key);
+    assert_ne!(after[0]["serial"], before[0]["serial"]);
+    assert_eq!((&after[0]["identity"], &after[0]["addresses"]), (&before[0]["identity"], &before[0]["addresses"]));
+
+    let (code, said) = cert(&dir, &["revoke", "bob"]);
+    assert!(code == 2 && said.contains("nobody here is called \"bob\"; there are: ada, kim"), "{said}");
+    let (code, said) = cert(&dir, &["revoke", "ada"]);
+    assert!(code == 0 && said.contains("kim/revoked.pem"), "{said}");
+    assert_eq!((&shown()[0]["state"], &shown()[1]["state"]), (&"revoked".into(), &"valid".into()));
+    // Who was revoked before stays so.
+    assert_eq!(cert(&dir, &["revoke", "kim"]).0, 0);
+    assert_eq!((&shown()[0]["state"], &shown()[1]["state"]), (&"revoked".into(), &"revoked".into()));
+}
+
+#[test]
+fn shells_and_readers_get_every_command() {
+    let bash = run(&["completions", "bash"]);
+    assert_eq!(bash.code, Some(0), "{}", bash.err);
+    let dir = folder("man");
+    assert_eq!(run(&["man", &dir.display().to_string()]).code, Some(0));
+    for command in ["submit", "robot", "cert", "doctor"] {
+        assert!(bash.out.contains(&format!("consort,{command}")), "{command}");
+        let page = std::fs::read_to_string(dir.join(format!("consort-{command}.1"))).expect(command);
+        assert!(page.contains(".TH") && page.contains("Examples"), "{command}");
+    }
+}
