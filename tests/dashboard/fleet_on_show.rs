@@ -76,7 +76,7 @@ const CONTRAST: &str = r"(() => {
     return [...faults];
 })()";
 
-fn check_access(browser: &Browser, when: &str) {
+pub(crate) fn check_access(browser: &Browser, when: &str) {
     for check in [ACCESS, CONTRAST] {
         let faults = browser.value(check);
         assert_eq!(faults.as_array().map(Vec::len), Some(0), "{when}: {faults:#}");

@@ -7,6 +7,7 @@
 mod browser;
 mod fleet_on_show;
 mod many_robots;
+mod recording;
 #[path = "../processes/support/mod.rs"]
 #[expect(dead_code, unused_imports, reason = "the tests of processes use the rest")]
 mod support;

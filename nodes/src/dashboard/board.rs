@@ -1,6 +1,6 @@
 //! The picture that is shown, and its frames.
 
-use crate::picture::{Picture, delta};
+use crate::picture::{Ear, Heard, Picture, delta};
 use consort_actors::clock::Clock;
 use serde_json::{Value, json};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -39,28 +39,57 @@ impl Frame {
 
 /// The picture that is shown.
 pub struct Board {
-    picture: Mutex<Picture>,
+    shown: Mutex<Shown>,
     clock: Clock,
     frames: watch::Sender<Arc<Frame>>,
+}
+
+struct Shown {
+    picture: Picture,
+    /// Of a recording: which instant of it is shown, and what is to be said of it.
+    recording: Option<(u64, Value)>,
+}
+
+impl Shown {
+    fn now_ms(&self, clock: Clock) -> u64 {
+        self.recording.as_ref().map_or_else(|| clock.wall_ms(), |(at_ms, _)| *at_ms)
+    }
+
+    fn value(&self) -> Value {
+        let mut value = self.picture.value();
+        if let Some((_, recording)) = &self.recording {
+            value["recording"] = recording.clone();
+        }
+        value
+    }
 }
 
 impl Board {
     /// Shows a picture.
     pub fn new(picture: Picture, clock: Clock) -> Board {
         let frame = Frame { number: 0, at_ms: clock.wall_ms(), whole: picture.value(), patch: None };
-        Board { picture: Mutex::new(picture), clock, frames: watch::Sender::new(Arc::new(frame)) }
+        let shown = Shown { picture, recording: None };
+        Board { shown: Mutex::new(shown), clock, frames: watch::Sender::new(Arc::new(frame)) }
     }
 
-    /// Looks at the picture, or changes it; it is told what time it is.
+    /// Looks at the picture, or changes it; it is told what time it is, or which of a recording is shown.
     pub fn with<T>(&self, look: impl FnOnce(&mut Picture, u64) -> T) -> T {
-        let now_ms = self.clock.wall_ms();
-        look(&mut self.lock(), now_ms)
+        let mut shown = self.lock();
+        let now_ms = shown.now_ms(self.clock);
+        look(&mut shown.picture, now_ms)
+    }
+
+    /// Shows an instant of a recording: `bring` makes the picture what it was then.
+    pub(super) fn show(&self, at_ms: u64, recording: Value, bring: impl FnOnce(&mut Picture)) {
+        let mut shown = self.lock();
+        bring(&mut shown.picture);
+        shown.recording = Some((at_ms, recording));
     }
 
     /// The whole, with the time.
     pub(super) fn whole(&self) -> Value {
-        let now_ms = self.clock.wall_ms();
-        json!({ "now_ms": now_ms, "whole": self.lock().value() })
+        let shown = self.lock();
+        json!({ "now_ms": shown.now_ms(self.clock), "whole": shown.value() })
     }
 
     pub(super) fn frames(&self) -> watch::Receiver<Arc<Frame>> {
@@ -73,22 +102,41 @@ impl Board {
         ticks.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Delay);
         loop {
             ticks.tick().await;
-            if self.frames.receiver_count() > 0 {
-                self.draw();
-            }
+            self.draw();
         }
     }
 
-    fn draw(&self) {
-        let (at_ms, whole) = (self.clock.wall_ms(), self.lock().value());
+    /// Draws a frame if somebody looks.
+    pub(super) fn draw(&self) {
+        if self.frames.receiver_count() == 0 {
+            return;
+        }
+        let (at_ms, whole) = {
+            let shown = self.lock();
+            (shown.now_ms(self.clock), shown.value())
+        };
         let before = self.frames.borrow().clone();
         let patch = delta::between(&before.whole, &whole);
         self.frames.send_replace(Arc::new(Frame { number: before.number + 1, at_ms, whole, patch }));
     }
 
-    fn lock(&self) -> MutexGuard<'_, Picture> {
+    fn lock(&self) -> MutexGuard<'_, Shown> {
         // A picture is drawn anew every second: what a panic left half done does not stay.
-        self.picture.lock().unwrap_or_else(PoisonError::into_inner)
+        self.shown.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+impl Ear for Board {
+    fn take(&self, heard: Heard) {
+        self.with(|picture, now_ms| picture.take(&heard, now_ms));
+    }
+
+    fn missions_to_ask_for(&self) -> Vec<String> {
+        self.with(|picture, _| picture.missions_to_ask_for())
+    }
+
+    fn wants_map(&self) -> bool {
+        false
     }
 }
 

@@ -9,6 +9,9 @@
 //! A frame replaces the one before it, whether or not everybody has seen that: a slow client misses frames, and then gets
 //! a whole picture. Nothing is queued for anybody.
 //!
+//! A [recording](crate::recording) is shown in the same way, by a projector in place of the watcher and the desk: all who look see
+//! the same instant of it, and any of them may choose another (`POST /api/replay`).
+//!
 //! It listens where it is told to. What is bound to loopback answers only to loopback's names, so that no page of another
 //! site can read it by giving its own name this address; and requests that change something are taken from the page alone.
 
@@ -17,6 +20,7 @@ mod board;
 mod csv;
 mod desk;
 mod guard;
+mod projector;
 mod routes;
 mod watcher;
 
@@ -24,6 +28,7 @@ pub use board::{Board, FRAME};
 pub(crate) use watcher::watch as follow;
 
 use crate::picture::{FloorPlan, Picture};
+use crate::recording::{Player, Reel};
 use consort_actors::bus::SharedBus;
 use consort_actors::clock::Clock;
 use consort_protocol::ids::FleetId;
@@ -32,6 +37,17 @@ use std::net::SocketAddr;
 use std::sync::Arc;
 use tokio::net::TcpListener;
 use tokio::task::JoinSet;
+
+/// What stands behind a board.
+#[derive(Clone)]
+enum Served {
+    /// A fleet, which can be asked for something.
+    Fleet(Arc<desk::Desk>),
+    /// A recording, in which one can go to and fro.
+    Recording(Arc<projector::Projector>),
+    /// Whoever fills the board.
+    Board,
+}
 
 /// A dashboard that is being served. Dropping it ends it.
 pub struct Dashboard {
@@ -55,8 +71,24 @@ impl Dashboard {
         let picture = Picture::new(fleet.to_string(), node, plan, clock.wall_ms());
         let board = Arc::new(Board::new(picture, clock));
         let desk = desk::Desk::new(Arc::clone(&bus), Keys::new(fleet), node);
-        let mut dashboard = Dashboard::serve(address, Arc::clone(&board), Some(desk)).await?;
+        let served = Served::Fleet(Arc::new(desk));
+        let mut dashboard = Dashboard::serve(address, Arc::clone(&board), served).await?;
+        let drawn = Arc::clone(&board);
+        dashboard.tasks.spawn(async move { drawn.draw_for_ever().await });
         watcher::watch(&mut dashboard.tasks, bus, Keys::new(fleet), board);
+        Ok(dashboard)
+    }
+
+    /// Serves a recording, as a player plays it.
+    ///
+    /// # Errors
+    /// As [`open`](Self::open).
+    pub async fn replay(address: SocketAddr, reel: Reel, player: Player) -> Result<Dashboard, String> {
+        let board = Arc::new(Board::new(reel.beginning(), Clock::real()));
+        let projector = Arc::new(projector::Projector::new(reel, player, Arc::clone(&board)));
+        let served = Served::Recording(Arc::clone(&projector));
+        let mut dashboard = Dashboard::serve(address, board, served).await?;
+        dashboard.tasks.spawn(async move { projector.play_for_ever().await });
         Ok(dashboard)
     }
 
@@ -65,23 +97,24 @@ impl Dashboard {
     /// # Errors
     /// As [`open`](Self::open).
     pub async fn show(address: SocketAddr, board: Arc<Board>) -> Result<Dashboard, String> {
-        Dashboard::serve(address, board, None).await
+        let mut dashboard = Dashboard::serve(address, Arc::clone(&board), Served::Board).await?;
+        dashboard.tasks.spawn(async move { board.draw_for_ever().await });
+        Ok(dashboard)
     }
 
-    async fn serve(address: SocketAddr, board: Arc<Board>, desk: Option<desk::Desk>) -> Result<Dashboard, String> {
+    async fn serve(address: SocketAddr, board: Arc<Board>, served: Served) -> Result<Dashboard, String> {
         let refused = |problem: std::io::Error| {
             format!("--dashboard {address}: this address cannot be had: {problem}; with port 0 a free one is found")
         };
         let listener = TcpListener::bind(address).await.map_err(refused)?;
         let address = listener.local_addr().map_err(refused)?;
-        let router = routes::router(Arc::clone(&board), desk, address);
+        let router = routes::router(board, served, address);
         let mut tasks = JoinSet::new();
         tasks.spawn(async move {
             if let Err(problem) = axum::serve(listener, router).await {
                 tracing::warn!(%problem, "the dashboard ended");
             }
         });
-        tasks.spawn(async move { board.draw_for_ever().await });
         Ok(Dashboard { address, tasks })
     }
 

@@ -1,8 +1,9 @@
 //! What can be asked of the dashboard's server.
 
 use super::board::{Board, Frame};
-use super::desk::{Desk, Problem};
-use super::{assets, csv, guard};
+use super::desk::Problem;
+use super::{Served, assets, csv, guard};
+use crate::recording::Command;
 use axum::Router;
 use axum::body::Bytes;
 use axum::extract::ws::{Message, WebSocket};
@@ -13,6 +14,7 @@ use axum::routing::{get, post};
 use consort_protocol::ids::MissionId;
 use consort_protocol::mission::{FILE_BYTES_MAX, shipped};
 use serde::Deserialize;
+use serde::de::DeserializeOwned;
 use serde_json::{Value, json};
 use std::net::SocketAddr;
 use std::sync::Arc;
@@ -31,11 +33,11 @@ const EVENTS: usize = 500;
 #[derive(Clone)]
 struct Shared {
     board: Arc<Board>,
-    desk: Option<Arc<Desk>>,
+    served: Served,
 }
 
 /// The server's routes.
-pub(super) fn router(board: Arc<Board>, desk: Option<Desk>, address: SocketAddr) -> Router {
+pub(super) fn router(board: Arc<Board>, served: Served, address: SocketAddr) -> Router {
     let pages = assets::ALL
         .iter()
         .fold(Router::new(), |router, asset| router.route(asset.path, get(move || async move { asset })));
@@ -47,10 +49,11 @@ pub(super) fn router(board: Arc<Board>, desk: Option<Desk>, address: SocketAddr)
         .route("/api/history.csv", get(history))
         .route("/api/missions", post(submit))
         .route("/api/missions/{id}/cancel", post(cancel))
+        .route("/api/replay", get(replay).post(move_replay))
         .route("/healthz", get(health))
         .layer(DefaultBodyLimit::max(FILE_BYTES_MAX))
         .layer(axum::middleware::from_fn_with_state(address, guard::guard))
-        .with_state(Shared { board, desk: desk.map(Arc::new) })
+        .with_state(Shared { board, served })
 }
 
 async fn follow(State(shared): State<Shared>, upgrade: WebSocketUpgrade) -> Response {
@@ -135,24 +138,51 @@ async fn history(State(shared): State<Shared>) -> Response {
 }
 
 async fn submit(State(shared): State<Shared>, headers: HeaderMap, body: Bytes) -> Response {
-    let kind = headers.get(header::CONTENT_TYPE).and_then(|kind| kind.to_str().ok()).unwrap_or("");
-    if kind.split(';').next().map(str::trim) != Some("application/json") {
-        return problem(StatusCode::UNSUPPORTED_MEDIA_TYPE, "a request is application/json");
-    }
-    let Some(desk) = &shared.desk else { return no_desk() };
-    let request: Value = match serde_json::from_slice(&body) {
+    let request: Value = match json_of(&headers, &body) {
         Ok(request) => request,
-        Err(mistake) => return problem(StatusCode::BAD_REQUEST, &format!("the request is not JSON: {mistake}")),
+        Err(refusal) => return *refusal,
     };
+    let Served::Fleet(desk) = &shared.served else { return no_desk(&shared.served) };
     let now_ms = shared.board.with(|_, now_ms| now_ms);
     settled(desk.submit(request, now_ms).await)
 }
 
+/// The payload of a request that changes something.
+fn json_of<T: DeserializeOwned>(headers: &HeaderMap, body: &[u8]) -> Result<T, Box<Response>> {
+    let kind = headers.get(header::CONTENT_TYPE).and_then(|kind| kind.to_str().ok()).unwrap_or("");
+    if kind.split(';').next().map(str::trim) != Some("application/json") {
+        return Err(Box::new(problem(StatusCode::UNSUPPORTED_MEDIA_TYPE, "a request is application/json")));
+    }
+    let value: Value = serde_json::from_slice(body).map_err(|mistake| {
+        Box::new(problem(StatusCode::BAD_REQUEST, &format!("the request is not JSON: {mistake}")))
+    })?;
+    serde_json::from_value(value).map_err(|mistake| Box::new(problem(StatusCode::BAD_REQUEST, &mistake.to_string())))
+}
+
 async fn cancel(State(shared): State<Shared>, Path(id): Path<String>) -> Response {
-    let Some(desk) = &shared.desk else { return no_desk() };
+    let Served::Fleet(desk) = &shared.served else { return no_desk(&shared.served) };
     match MissionId::new(id) {
         Ok(mission) => settled(desk.cancel(&mission).await),
         Err(mistake) => problem(StatusCode::BAD_REQUEST, &mistake.to_string()),
+    }
+}
+
+async fn replay(State(shared): State<Shared>) -> Response {
+    match &shared.served {
+        Served::Recording(projector) => answer(StatusCode::OK, &projector.state()),
+        Served::Fleet(_) | Served::Board => no_recording(),
+    }
+}
+
+async fn move_replay(State(shared): State<Shared>, headers: HeaderMap, body: Bytes) -> Response {
+    let Served::Recording(projector) = &shared.served else { return no_recording() };
+    let command: Command = match json_of(&headers, &body) {
+        Ok(command) => command,
+        Err(refusal) => return *refusal,
+    };
+    match projector.obey(command) {
+        Ok(state) => answer(StatusCode::OK, &state),
+        Err(mistake) => problem(StatusCode::BAD_REQUEST, &mistake),
     }
 }
 
@@ -169,8 +199,21 @@ fn settled(answered: Result<Value, Problem>) -> Response {
     }
 }
 
-fn no_desk() -> Response {
-    problem(StatusCode::SERVICE_UNAVAILABLE, "what is shown here is not a fleet that could be asked for anything")
+fn no_desk(served: &Served) -> Response {
+    match served {
+        Served::Recording(projector) => {
+            let what = format!("{}: a fleet that was can be asked for nothing", projector.about());
+            problem(StatusCode::CONFLICT, &what)
+        }
+        Served::Fleet(_) | Served::Board => {
+            let what = "what is shown here is not a fleet that could be asked for anything";
+            problem(StatusCode::SERVICE_UNAVAILABLE, what)
+        }
+    }
+}
+
+fn no_recording() -> Response {
+    problem(StatusCode::NOT_FOUND, "what is shown here is no recording")
 }
 
 fn problem(status: StatusCode, what: &str) -> Response {

@@ -1,7 +1,8 @@
 //! What is heard of the fleet, taken in.
 
 use super::parts::{CoordinatorShown, EnsembleShown, NodeShown, PersonShown, ReachState, Takeover};
-use super::{Picture, SILENT_AFTER_MS, bounds, keep_last};
+use super::{FloorPlan, Picture, SILENT_AFTER_MS, bounds, keep_last};
+use crate::floor::Floor;
 use consort_protocol::ids::NodeId;
 use consort_protocol::keys::Key;
 use consort_protocol::message::Beacon;
@@ -20,10 +21,11 @@ impl Picture {
             Key::ViewMission(id) => self.take_mission(id.as_str(), view, now_ms),
             Key::ViewAuctions => self.take_auctions(view),
             Key::ViewWorld => self.take_world(view),
+            Key::ViewMap => self.take_map(view),
             _ => return,
         }
-        // Each mission has its time with the list of all.
-        if !matches!(key, Key::ViewMission(_)) {
+        // Each mission has its time with the list of all; a map does not grow old.
+        if !matches!(key, Key::ViewMission(_) | Key::ViewMap) {
             let said_ms = now_ms.saturating_sub(number(view, "age_ms").unwrap_or(0));
             self.views.insert(key.to_string(), said_ms);
         }
@@ -190,6 +192,12 @@ impl Picture {
             shown.task = None;
         }
         self.lay_route(name);
+    }
+
+    fn take_map(&mut self, view: &Value) {
+        if let Ok(floor) = Floor::told(view) {
+            self.plan = FloorPlan::new(&floor);
+        }
     }
 
     fn take_world(&mut self, view: &Value) {

@@ -13,11 +13,13 @@ mod auctions;
 pub mod delta;
 mod fold;
 mod happenings;
+mod heard;
 mod kpi;
 mod missions;
 mod parts;
 mod plan;
 
+pub use heard::{Ear, Heard};
 pub use kpi::Kpis;
 pub use parts::{
     AuctionShown, Bar, CoordinatorShown, EnsembleShown, Logged, MissionShown, NodeShown, Offer, PersonShown, Reach,
@@ -138,6 +140,16 @@ impl Picture {
     /// The log, by number.
     pub fn log(&self) -> &BTreeMap<u64, Logged> {
         &self.log
+    }
+
+    /// The people, by name.
+    pub fn people(&self) -> &BTreeMap<String, PersonShown> {
+        &self.people
+    }
+
+    /// How automatic doors stand, by name: `closed`, `opening`, `open` or `closing`.
+    pub fn doors(&self) -> &BTreeMap<String, String> {
+        &self.doors
     }
 
     /// The auctions, by mission, term and round.

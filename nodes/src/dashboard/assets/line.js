@@ -6,7 +6,13 @@ const PATIENCE = { least: 250, most: 8000 };
 const SILENCE = 5000;
 
 export function open({ onChange, onLine }) {
-  const line = { picture: null, ahead: 0, state: 'connecting', since: Date.now(), now: () => Date.now() + line.ahead };
+  const line = { picture: null, said: 0, heard: 0, state: 'connecting', since: Date.now() };
+  // Of a recording time passes as it is played; otherwise as it does.
+  line.pace = () => {
+    const recording = line.picture?.recording;
+    return recording ? (recording.playing ? recording.speed : 0) : 1;
+  };
+  line.now = () => line.said + (Date.now() - line.heard) * line.pace();
   let wait = PATIENCE.least;
   let heard = Date.now();
 
@@ -27,7 +33,7 @@ export function open({ onChange, onLine }) {
     socket.onmessage = ({ data }) => {
       const said = JSON.parse(data);
       heard = Date.now();
-      line.ahead = said.now_ms - heard;
+      Object.assign(line, { said: said.now_ms, heard });
       wait = PATIENCE.least;
       if (said.whole) {
         line.picture = said.whole;
