@@ -23,21 +23,23 @@ fn record(folder: &Folder) -> (String, String, String) {
     let first = until("somebody coordinates", LONG, || Some(client.view("coordinator")["node"].as_str()?.to_owned()));
     let recorder = fleet.begin(&["record", "--out", &file], "world");
     until("it records", SOON, || recorder.stderr().contains("recording taped to ").then_some(()));
+    let holds = |text: &str| {
+        let there = |bytes: Vec<u8>| String::from_utf8_lossy(&bytes).contains(text);
+        std::fs::read(&file).is_ok_and(there).then_some(())
+    };
+    until("the recorder has heard who coordinates", SOON, || holds(&format!(r#"{{"node":"{first}","term":"#)));
     let asked = r#"{"mission": "lab-samples", "parameters": {"room": "IC Room 6"}, "request": "taped-1"}"#;
     until("the mission is acknowledged", LONG, || {
         client.ask("api/submit", asked)["mission"].as_str().map(|mission| assert_eq!(mission, "lab-samples-1"))
     });
     client.hears("a task begins", LONG, |event| event["event"] == "task_began");
     fleet.kill(&first);
-    let elected = client.hears("another is elected", LONG, |event| {
-        event["event"] == "elected" && event["node"] != first.as_str()
-    });
-    client.hears("the mission is completed", LONG, |event| event["event"] == "mission" && event["state"] == "completed");
+    let elected = client
+        .hears("another is elected", LONG, |event| event["event"] == "elected" && event["node"] != first.as_str());
+    client
+        .hears("the mission is completed", LONG, |event| event["event"] == "mission" && event["state"] == "completed");
     // It was there before, but it may hear of things a moment later.
-    until("the recorder has heard of it", SOON, || {
-        let heard = |bytes: Vec<u8>| String::from_utf8_lossy(&bytes).contains(r#""state":"completed","submitted_at_ms""#);
-        std::fs::read(&file).is_ok_and(heard).then_some(())
-    });
+    until("the recorder has heard of it", SOON, || holds(r#""state":"completed","submitted_at_ms""#));
     recorder.signal("INT");
     let said = recorder.end(SOON).expect(0).stdout;
     assert!(said.starts_with(&format!("{file}: ")) && said.contains(" events, "), "{said}");
@@ -64,6 +66,14 @@ fn check_nothing_is_of_later(browser: &Browser) {
     assert_eq!(later, 0, "robots and events of later");
 }
 
+/// Moves the slider, as a hand does that lets go at the end.
+fn slide(browser: &Browser, to: &str) {
+    browser.value(&format!(
+        "(() => {{ const slider = document.querySelector('#replay-slider'); slider.value = Math.round({to});
+            slider.dispatchEvent(new Event('input')); slider.dispatchEvent(new Event('change')); }})()"
+    ));
+}
+
 const MISSION: &str = "consort.line.picture.missions?.['lab-samples-1']?.state";
 
 fn coordinates(node: &str) -> String {
@@ -78,10 +88,13 @@ fn a_fleet_that_was_recorded_while_its_coordinator_died_is_looked_at_to_and_fro(
     let (_replay, url) = replay(&folder, "replay", &file);
     browser.open(&url);
     browser.value("window.loadedOnce = true");
-    browser.until("it says what it is", "/^Recording of taped, begun on .* nothing can be asked/.test(document.querySelector('#replay h2').innerText)");
-    browser.until("it plays", "document.querySelector('#replay-play').innerText === 'Pause'");
+    browser.until(
+        "it says what it is",
+        "/^Recording of taped, begun on .* nothing can be asked/.test(document.querySelector('#replay h2')?.innerText)",
+    );
+    browser.until("it plays", "document.querySelector('#replay-play')?.innerText === 'Pause'");
     browser.press(" ");
-    browser.until("space stops it", "document.querySelector('#replay-play').innerText === 'Play'");
+    browser.until("space stops it", "document.querySelector('#replay-play')?.innerText === 'Play'");
     let marks = browser.value("consort.line.picture.recording.marks");
     let kinds: Vec<&str> = marks.as_array().expect("a list").iter().filter_map(|mark| mark["kind"].as_str()).collect();
     assert_eq!(kinds, ["coordinator", "completed"], "{marks:#}");
@@ -97,9 +110,15 @@ fn a_fleet_that_was_recorded_while_its_coordinator_died_is_looked_at_to_and_fro(
     browser.until("the takeover", &coordinates(&second));
     browser.until("the mission runs", &format!("{MISSION} === 'running'"));
     check_nothing_is_of_later(&browser);
-    browser.press(LEFT);
+    // A moment before, as a person with a mouse or a screen reader has it.
+    let takeover_ms = marks[0]["at_ms"].as_u64().expect("an instant");
+    slide(&browser, &format!("{takeover_ms} - consort.line.picture.recording.from_ms - 1"));
     browser.until("who coordinated before", &coordinates(&first));
+    assert_eq!(browser.value("consort.line.now()"), takeover_ms - 1);
     check_nothing_is_of_later(&browser);
+    browser.press(LEFT);
+    let back = format!("Math.max({takeover_ms} - 1 - 5000, consort.line.picture.recording.from_ms)");
+    browser.until("five seconds back, or the beginning", &format!("consort.line.now() === {back}"));
     browser.press(".");
     browser.until("the takeover again", &coordinates(&second));
     browser.press(".");
@@ -114,10 +133,7 @@ fn a_fleet_that_was_recorded_while_its_coordinator_died_is_looked_at_to_and_fro(
     check_nothing_is_of_later(&browser);
     assert_eq!(browser.value("window.loadedOnce"), true);
 
-    // The slider, as a person with a mouse or a screen reader has it.
-    let slid = "const slider = document.querySelector('#replay-slider'); slider.value = Math.round(slider.max * 0.5);
-        slider.dispatchEvent(new Event('input')); slider.dispatchEvent(new Event('change'));";
-    browser.value(&format!("(() => {{ {slid} }})()"));
+    slide(&browser, "slider.max * 0.5");
     let middle = "(consort.line.picture.recording.from_ms + consort.line.picture.recording.to_ms) / 2";
     browser.until("the middle", &format!("Math.abs(consort.line.now() - {middle}) < 2"));
     let said = browser.value("document.querySelector('#replay-slider').getAttribute('aria-valuetext')");
@@ -127,11 +143,16 @@ fn a_fleet_that_was_recorded_while_its_coordinator_died_is_looked_at_to_and_fro(
     in_the_dark_and_on_a_phone(&browser);
 
     // Played to its end at a hundred times its speed, it stands still there.
-    let set = |command: Value| browser.value(&format!(
+    let set = |command: Value| {
+        browser.value(&format!(
         "fetch('/api/replay', {{ method: 'POST', headers: {{ 'content-type': 'application/json' }}, body: '{command}' }}).then((answer) => answer.json())"
-    ));
+    ))
+    };
     set(json!({ "playing": true, "speed": 100.0 }));
-    browser.until("the end", "!consort.line.picture.recording.playing && consort.line.now() === consort.line.picture.recording.to_ms");
+    browser.until(
+        "the end",
+        "!consort.line.picture.recording.playing && consort.line.now() === consort.line.picture.recording.to_ms",
+    );
     browser.until("and its mission", &format!("{MISSION} === 'completed'"));
     browser.press(END);
     assert_eq!(browser.console(), Vec::<String>::new());
@@ -142,7 +163,11 @@ fn a_fleet_that_was_recorded_while_its_coordinator_died_is_looked_at_to_and_fro(
         let refused = browser.value(&format!(
             "fetch('{path}', {{ method: 'POST', headers: {{ 'content-type': 'application/json' }}, body: '{{}}' }}).then(async (answer) => [answer.status, (await answer.json()).error])"
         ));
-        assert_eq!(refused, json!([409, "this is a recording of taped: a fleet that was can be asked for nothing"]), "{path}");
+        assert_eq!(
+            refused,
+            json!([409, "this is a recording of taped: a fleet that was can be asked for nothing"]),
+            "{path}"
+        );
     }
     let refused = set(json!({ "speed": 0 }));
     assert_eq!(refused["error"], "a speed of 0 is not allowed: from 0.1 to 100");
@@ -168,6 +193,9 @@ fn cut_short(folder: &Folder, browser: &Browser, file: &str) {
     let (replay, url) = replay(folder, "half", &half.display().to_string());
     assert!(replay.stderr().contains("half.mcap: it has no end"), "{}", replay.stderr());
     browser.open(&url);
-    browser.until("it says that it is not whole", "document.querySelector('#replay h2').innerText.includes('Not whole: it has no end')");
+    browser.until(
+        "it says that it is not whole",
+        "document.querySelector('#replay h2')?.innerText.includes('Not whole: it has no end')",
+    );
     browser.until("robots", "document.querySelectorAll('#robots tbody tr').length === 2");
 }

@@ -24,7 +24,10 @@ fn a_file_that_cannot_be_replayed_is_told_with_what_it_is() {
     for (file, expected) in [
         ("/no/such/run.mcap", "this recording cannot be read: No such file"),
         (&file, "this is no MCAP file: it does not begin as one; `consort record --out FILE` makes recordings"),
-        (&world, "this MCAP file is no recording of a fleet: there is nothing of `consort record` in it; a world was recorded"),
+        (
+            &world,
+            "this MCAP file is no recording of a fleet: there is nothing of `consort record` in it; a world was recorded",
+        ),
     ] {
         let ran = run(&["replay", file]);
         assert_eq!(ran.code, Some(2), "{}", ran.err);

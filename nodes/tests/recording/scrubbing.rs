@@ -16,7 +16,15 @@ fn story() -> Vec<(u64, Heard)> {
         (12, world(false, "closed")),
         (20, beacon("s-1", 1, 500)),
         (30, Heard::Links(1)),
-        (1000, event("s-1", 40, 999, json!({ "event": "submitted", "mission": "m-1", "parameters": { "room": "IC Room 6" } }))),
+        (
+            1000,
+            event(
+                "s-1",
+                40,
+                999,
+                json!({ "event": "submitted", "mission": "m-1", "parameters": { "room": "IC Room 6" } }),
+            ),
+        ),
         (1001, event("s-1", 41, 1000, state("running"))),
         (1100, event("ada", 7, 1099, of("task_began"))),
         (1200, body("ada", 6.5)),
@@ -78,7 +86,9 @@ fn anything() -> impl Strategy<Value = (u64, Heard)> {
         5 => world(number % 2 == 0, if number % 3 == 0 { "open" } else { "closing" }),
         6 => missions(if number > 50 { "completed" } else { "running" }),
         7 => event(name, number, number, json!({ "event": "elected", "term": number / 9, "voters": [name] })),
-        _ => event(name, number, number, json!({ "event": "task_began", "mission": "m-1", "role": "r1", "task": "go" })),
+        _ => {
+            event(name, number, number, json!({ "event": "task_began", "mission": "m-1", "role": "r1", "task": "go" }))
+        }
     });
     (prop_oneof![0..30u64, 0..3000u64], what)
 }

@@ -32,6 +32,8 @@ export function update(line) {
     built = name;
     build(line.picture.fleet);
   }
+  // Whoever goes back to before anybody coordinated sees nobody.
+  if (!line.picture.coordinator) say(byId('coordinator'), 'not heard yet');
   say(byId('replay-play'), recording.playing ? 'Pause' : 'Play');
   const speed = byId('replay-speed');
   if (document.activeElement !== speed) {
