@@ -1,8 +1,8 @@
 //! The command line.
 
 use crate::command::{
-    bench, cancel, cert, chaos, check, dry_run, experiment, explain, fleet, keys, leave, map, missions, recover,
-    rescue, robot, station, submit, test, watch, world,
+    bench, cancel, cert, chaos, check, dry_run, experiment, explain, fleet, keys, leave, map, missions, record,
+    recover, replay, rescue, robot, station, submit, test, watch, world,
 };
 use crate::demo;
 use crate::exit::Failure;
@@ -72,6 +72,8 @@ enum Command {
     Bench(bench::Args),
     Test(test::Args),
     Watch(watch::Args),
+    Record(record::Args),
+    Replay(replay::Args),
 }
 
 /// Runs the program.
@@ -99,6 +101,8 @@ pub fn run() -> ExitCode {
         Command::Bench(args) => bench::run(args),
         Command::Test(args) => test::run(args),
         Command::Watch(args) => watch::run(args),
+        Command::Record(args) => record::run(args),
+        Command::Replay(args) => replay::run(args),
     };
     match done {
         Ok(()) => ExitCode::SUCCESS,

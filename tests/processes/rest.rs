@@ -3,8 +3,7 @@
 //! Both are built by `tests/processes/foreign/router.sh`, which takes minutes. It is run by whoever wants it, or by this test if
 //! `CONSORT_FOREIGN_ROUTER` is set; else the test is skipped and says so.
 
-use crate::stock_client::hospital_by;
-use crate::support::{Folder, until};
+use crate::support::{Folder, hospital_by, until};
 use serde_json::{Value, json};
 use std::collections::BTreeMap;
 use std::fs::{self, File};

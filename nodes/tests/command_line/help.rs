@@ -1,6 +1,6 @@
 use super::support::run;
 
-const COMMANDS: [&str; 18] = [
+const COMMANDS: [&str; 20] = [
     "robot",
     "station",
     "world",
@@ -19,6 +19,8 @@ const COMMANDS: [&str; 18] = [
     "map",
     "bench",
     "test",
+    "record",
+    "replay",
 ];
 
 #[test]

@@ -8,6 +8,7 @@ mod files;
 mod help;
 mod map;
 mod network;
+mod recordings;
 mod recover;
 mod requests;
 mod support;
