@@ -84,7 +84,7 @@ fn anything() -> impl Strategy<Value = (u64, Heard)> {
         3 => body(name, number as f64 / 4.0),
         4 => robots(&[name, "cyd"][..(number as usize % 2 + 1)]),
         5 => world(number % 2 == 0, if number % 3 == 0 { "open" } else { "closing" }),
-        6 => missions(if number > 50 { "completed" } else { "running" }),
+        6 => missions_of(if number > 50 { "completed" } else { "running" }, number % 4),
         7 => event(name, number, number, json!({ "event": "elected", "term": number / 9, "voters": [name] })),
         _ => {
             event(name, number, number, json!({ "event": "task_began", "mission": "m-1", "role": "r1", "task": "go" }))
