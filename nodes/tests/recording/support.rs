@@ -82,6 +82,12 @@ impl Live {
         &self.pictures[until.saturating_sub(1)].1
     }
 
+    /// When the last input was heard that was heard until then.
+    pub(crate) fn heard_ms(&self, after_ms: u64) -> u64 {
+        let until = self.pictures.partition_point(|(at, _)| *at <= after_ms);
+        self.pictures[until.saturating_sub(1)].0
+    }
+
     /// When the last input was heard.
     pub(crate) fn length_ms(&self) -> u64 {
         self.pictures.last().unwrap().0
