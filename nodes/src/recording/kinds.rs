@@ -100,6 +100,24 @@ pub(super) static VIEW: Schema = Schema::new("consort.View", || {
     })
 });
 
+pub(super) static AGAIN: Schema = Schema::new("consort.Again", || {
+    json!({
+        "type": "object",
+        "description": "A node answered what was answered on this key before, but for its age.",
+        "required": ["key"],
+        "properties": {
+            "key": { "type": "string", "description": "The key that was asked." },
+            "age_ms": { "type": ["integer", "null"], "description": "The age that the answer gives." },
+        },
+    })
+});
+
+#[derive(Serialize, Deserialize)]
+pub(super) struct AgainSaid {
+    pub(super) key: String,
+    pub(super) age_ms: Option<u64>,
+}
+
 #[derive(Serialize, Deserialize)]
 pub(super) struct LinksSaid {
     pub(super) links: usize,
@@ -131,6 +149,8 @@ pub(super) enum Kind {
     Body,
     Links,
     View,
+    /// A view as it was answered before.
+    Again,
 }
 
 impl Kind {
@@ -142,13 +162,15 @@ impl Kind {
             (&BODY, Kind::Body),
             (&LINKS, Kind::Links),
             (&VIEW, Kind::View),
+            (&AGAIN, Kind::Again),
         ];
         kinds.into_iter().find(|(known, _)| known.name() == schema).map(|(_, kind)| kind)
     }
 
-    /// Reads a message back; `None` for one that makes no sense.
+    /// Reads a message back; `None` for one that makes no sense by itself.
     pub(super) fn read(self, keys: &Keys, topic: &str, data: &[u8]) -> Option<Heard> {
         let heard = match self {
+            Kind::Again => return None,
             Kind::Event => Heard::Event(serde_json::from_slice(data).ok()?),
             Kind::Beacon => Heard::Beacon(serde_json::from_slice::<Beacon>(data).ok()?),
             Kind::Links => Heard::Links(serde_json::from_slice::<LinksSaid>(data).ok()?.links),

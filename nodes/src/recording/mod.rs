@@ -15,6 +15,7 @@
 //! | `/robots/NAME/body` | `consort.Body` | reports of bodies: place, pose, battery |
 //! | `/links` | `consort.Links` | how many nodes the recorder was linked to |
 //! | `/view/fleet` … | `consort.View` | the views, as a node answered; those of single missions on `/view/mission` |
+//! | `/view/again` | `consort.Again` | that an answer was the one before, but for its age |
 //! | `/log` | `foxglove.Log` | events and gaps in words |
 //! | `/map`, `/doors`, `/people`, `/robots` | `foxglove.SceneUpdate` | the same for the 3D panel, |
 //! | `/tf`, `/robots/NAME/pose` | `foxglove.FrameTransforms`, `foxglove.PoseInFrame` | whenever it changes |

@@ -9,6 +9,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::fs::File;
 use std::io::Read;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 /// How much is read at once, in bytes.
 const PIECE: usize = 256 * 1024;
@@ -80,7 +81,10 @@ pub(super) struct Input {
     pub(super) kind: Kind,
     /// In which of [`Contents::topics`] it stands.
     pub(super) topic: u16,
-    pub(super) data: Box<[u8]>,
+    /// Shared by all that say the same.
+    pub(super) data: Arc<[u8]>,
+    /// Of a view that was answered again: the age it has now.
+    pub(super) age_ms: Option<u64>,
 }
 
 /// What a file holds, as far as it could be read.
@@ -184,8 +188,8 @@ impl Reading {
                 let at_ms = header.log_time / 1_000_000;
                 self.until_ms = self.until_ms.max(at_ms);
                 if let Some(kind) = self.kinds.get(&header.channel_id) {
-                    let (kind, topic, data) = (*kind, header.channel_id, data.into_owned().into_boxed_slice());
-                    self.inputs.push(Input { at_ms, kind, topic, data });
+                    let (kind, topic, data) = (*kind, header.channel_id, Arc::from(&*data));
+                    self.inputs.push(Input { at_ms, kind, topic, data, age_ms: None });
                 }
             }
             // The index repeats what stands before, and chunks are read into.

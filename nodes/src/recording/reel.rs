@@ -1,11 +1,14 @@
 //! A recording that can be looked at: what the picture was at any time of it.
 
+use super::kinds::{AgainSaid, Kind};
 use super::read::{Contents, Input, ReadError, read};
-use crate::picture::{FloorPlan, Picture};
+use crate::picture::{FloorPlan, Heard, Picture};
 use consort_protocol::keys::Keys;
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
+use serde_json::Value;
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
+use std::sync::Arc;
 
 /// Copies of the picture that are kept. With more of them jumps are shorter, and take more memory.
 pub const KEYFRAMES: usize = 128;
@@ -80,8 +83,10 @@ impl Reel {
 
     fn play_once(&mut self, mut picture: Picture) {
         let (mut marker, mut apart_ms, mut copied_ms) = (Marker::default(), APART_MS, self.from_ms);
+        let mut views = BTreeMap::new();
         for index in 0..self.inputs.len() {
             let at_ms = self.inputs[index].at_ms;
+            self.resolve(&mut views, index);
             if at_ms >= copied_ms.saturating_add(apart_ms) {
                 copied_ms = at_ms;
                 self.keyframes.push((index, picture.clone()));
@@ -100,11 +105,33 @@ impl Reel {
         self.marks = marker.marks;
     }
 
+    /// What says only that it is as before becomes what was before. `views` has the latest of each key, by its place.
+    fn resolve(&mut self, views: &mut BTreeMap<String, usize>, index: usize) {
+        let data = &self.inputs[index].data;
+        match self.inputs[index].kind {
+            Kind::View => {
+                if let Ok(KeySaid { key }) = serde_json::from_slice(data) {
+                    views.insert(key, index);
+                }
+            }
+            Kind::Again => {
+                let Ok(AgainSaid { key, age_ms }) = serde_json::from_slice(data) else { return };
+                let Some(before) = views.get(&key).map(|before| &self.inputs[*before]) else { return };
+                let (topic, data, at_ms) = (before.topic, Arc::clone(&before.data), self.inputs[index].at_ms);
+                self.inputs[index] = Input { at_ms, kind: Kind::View, topic, data, age_ms };
+            }
+            Kind::Event | Kind::Beacon | Kind::Body | Kind::Links => {}
+        }
+    }
+
     /// Has a picture take an input in; whether it made sense.
     fn take(&self, picture: &mut Picture, index: usize) -> bool {
         let input = &self.inputs[index];
         let topic = self.topics.get(&input.topic).map_or("", String::as_str);
-        let heard = input.kind.read(&self.keys, topic, &input.data);
+        let mut heard = input.kind.read(&self.keys, topic, &input.data);
+        if let (Some(Heard::View { view: Value::Object(view), .. }), Some(age_ms)) = (&mut heard, input.age_ms) {
+            view.insert("age_ms".to_owned(), age_ms.into());
+        }
         if let Some(heard) = &heard {
             picture.take(heard, input.at_ms);
         }
@@ -174,6 +201,12 @@ impl Reel {
         let problems: Vec<String> = self.problem.iter().cloned().chain(senseless).collect();
         (!problems.is_empty()).then(|| problems.join("; "))
     }
+}
+
+/// Of a view, which it is.
+#[derive(Deserialize)]
+struct KeySaid {
+    key: String,
 }
 
 /// Finds what is to be marked.

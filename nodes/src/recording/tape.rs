@@ -1,7 +1,7 @@
 //! The file that is being written.
 
 use super::gaps::{Gap, Gaps};
-use super::kinds::{self, BEACON, BODY, EVENT, FLEET, FORMAT, GAP, LINKS, LinksSaid, VIEW, ViewSaid};
+use super::kinds::{self, AGAIN, AgainSaid, BEACON, BODY, EVENT, FLEET, FORMAT, GAP, LINKS, LinksSaid, VIEW, ViewSaid};
 use crate::floor::Floor;
 use crate::picture::{Heard, Picture};
 use consort_protocol::event::Event;
@@ -11,6 +11,7 @@ use consort_protocol::pose::Pose;
 use consort_sim::record::RecordError;
 use consort_sim::record::foxglove::{Existing, FleetScene, McapFile, RobotAt, Said, Stamp, Time};
 use serde::Serialize;
+use serde_json::Value;
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 use std::time::Duration;
@@ -45,6 +46,8 @@ pub struct Tape {
     keys: Keys,
     scene: FleetScene,
     gaps: Gaps,
+    /// Each view as it was last written, whole.
+    views: BTreeMap<Key, Value>,
     began_ms: u64,
     latest_ms: u64,
     recorded: Recorded,
@@ -76,6 +79,7 @@ impl Tape {
             keys: Keys::new(fleet),
             scene: FleetScene::default(),
             gaps: Gaps::default(),
+            views: BTreeMap::new(),
             began_ms,
             latest_ms: began_ms,
             recorded: Recorded::default(),
@@ -100,10 +104,7 @@ impl Tape {
             }
             Heard::View { key, view } => {
                 self.recorded.views += 1;
-                let age_ms = view.get("age_ms").and_then(serde_json::Value::as_u64).unwrap_or(0);
-                let stamp = Stamp { heard: at, said: Time::of_ms(now_ms.saturating_sub(age_ms)), number: None };
-                let said = ViewSaid { key: self.keys.write(key), view };
-                self.file.write(&kinds::view_topic(key), &VIEW, stamp, &said)?;
+                self.view(key, view, picture, now_ms)?;
                 self.draw(key, view, picture, at)
             }
         }
@@ -124,6 +125,23 @@ impl Tape {
         self.scene.log(&mut self.file, said, Stamp { number: None, ..stamp })
     }
 
+    /// Most answers are those of a second ago.
+    fn view(&mut self, key: &Key, view: &Value, picture: &Picture, now_ms: u64) -> Result<(), RecordError> {
+        let age_ms = view.get("age_ms").and_then(Value::as_u64);
+        let said = Time::of_ms(now_ms.saturating_sub(age_ms.unwrap_or(0)));
+        let (stamp, said) = (Stamp { heard: Time::of_ms(now_ms), said, number: None }, self.keys.write(key));
+        if self.views.get(key).is_some_and(|before| is_same(before, view)) {
+            return self.file.write("/view/again", &AGAIN, stamp, &AgainSaid { key: said, age_ms });
+        }
+        self.views.insert(key.clone(), view.clone());
+        // Of missions that are forgotten nothing more is heard.
+        self.views.retain(|key, _| match key {
+            Key::ViewMission(mission) => picture.missions().contains_key(mission.as_str()),
+            _ => true,
+        });
+        self.file.write(&kinds::view_topic(key), &VIEW, stamp, &ViewSaid { key: said, view })
+    }
+
     fn gap(&mut self, gap: &Gap, at: Time) -> Result<(), RecordError> {
         self.recorded.gaps += 1;
         self.recorded.lost += gap.lost;
@@ -134,7 +152,7 @@ impl Tape {
     }
 
     /// What a view changes of the scene.
-    fn draw(&mut self, key: &Key, view: &serde_json::Value, picture: &Picture, at: Time) -> Result<(), RecordError> {
+    fn draw(&mut self, key: &Key, view: &Value, picture: &Picture, at: Time) -> Result<(), RecordError> {
         match key {
             Key::ViewMap => match Floor::told(view).ok().and_then(|floor| floor.map) {
                 Some(map) => self.scene.set_map(&mut self.file, map, at),
@@ -181,6 +199,18 @@ impl Tape {
         self.file.finish()?;
         Ok(self.recorded())
     }
+}
+
+/// Whether two answers are the same but for their age.
+fn is_same(before: &Value, now: &Value) -> bool {
+    let (Some(before), Some(now)) = (before.as_object(), now.as_object()) else { return false };
+    let field = |(name, value): (&String, &Value)| {
+        before.get(name).is_some_and(|before| match name.as_str() {
+            "age_ms" => before.is_u64() && value.is_u64(),
+            _ => before == value,
+        })
+    };
+    before.len() == now.len() && now.iter().all(field)
 }
 
 /// Where a robot is, as far as anybody has said.

@@ -91,6 +91,23 @@ fn a_file_has_topics_with_schemas_and_each_event_its_number_and_times() {
 }
 
 #[test]
+fn an_answer_that_was_given_before_is_written_once() {
+    let again = |from_ms: u64| (0..100u64).map(move |second| (from_ms + second * 1000, missions_of("running", second)));
+    let live = Live::record(again(0).chain([(100_500, missions("completed"))]).chain(again(101_000)));
+    let bytes = fs::read(&live.file.0).unwrap();
+    let on = |topic: &str| {
+        let messages = MessageStream::new(&bytes).unwrap().map(Result::unwrap);
+        messages.filter(|message| message.channel.topic == topic).count()
+    };
+    assert_eq!((on("/view/missions"), on("/view/again"), live.recorded.views), (3, 198, 201));
+    let reel = Reel::open(&live.file.0).unwrap();
+    for after_ms in [0, 999, 1000, 57_000, 100_000, 100_500, 101_000, 163_000, 200_000] {
+        assert_eq!(&reel.picture_at(BEGAN + after_ms).value(), live.at(after_ms), "{after_ms} ms");
+    }
+    assert_ne!(live.at(1000), live.at(57_000), "its age is another");
+}
+
+#[test]
 fn a_file_that_was_cut_short_is_shown_as_far_as_it_goes() {
     let live = Live::record(driving());
     let whole = fs::read(&live.file.0).unwrap();

@@ -86,7 +86,7 @@ fn anything() -> impl Strategy<Value = (u64, Heard)> {
         3 => body(name, number as f64 / 4.0),
         4 => robots(&[name, "cyd"][..(number as usize % 2 + 1)]),
         5 => world(number % 2 == 0, if number % 3 == 0 { "open" } else { "closing" }),
-        6 => missions(if number > 50 { "completed" } else { "running" }),
+        6 => missions_of(if number > 50 { "completed" } else { "running" }, number % 4),
         7 => event(name, number, number, json!({ "event": "elected", "term": number / 9, "voters": [name] })),
         8 => map(),
         _ => {
@@ -118,7 +118,9 @@ proptest! {
         picture.redraw(&mut drawn);
         let mut seen = drawn.clone();
         for share in jumps {
-            let after_ms = (live.length_ms() as f64 * share) as u64;
+            let anywhere_ms = (live.length_ms() as f64 * share) as u64;
+            // Most of all the very instants at which something was heard.
+            let after_ms = if share < 0.7 { live.heard_ms(anywhere_ms) } else { anywhere_ms };
             taken = reel.bring(&mut picture, taken, BEGAN + after_ms);
             prop_assert_eq!(&picture.value(), live.at(after_ms), "{} ms, after a jump", after_ms);
             if let Some(patch) = picture.redraw(&mut drawn) {

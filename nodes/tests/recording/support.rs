@@ -82,6 +82,12 @@ impl Live {
         &self.pictures[until.saturating_sub(1)].1
     }
 
+    /// When the last input was heard that was heard until then.
+    pub(crate) fn heard_ms(&self, after_ms: u64) -> u64 {
+        let until = self.pictures.partition_point(|(at, _)| *at <= after_ms);
+        self.pictures[until.saturating_sub(1)].0
+    }
+
     /// When the last input was heard.
     pub(crate) fn length_ms(&self) -> u64 {
         self.pictures.last().unwrap().0
@@ -125,13 +131,21 @@ pub(crate) fn robots(names: &[&str]) -> Heard {
 
 pub(crate) fn world(away: bool, door: &str) -> Heard {
     let nurse = json!({ "name": "Nia", "role": "nurse", "place": "IC Room 6", "away": away, "samples": ["blood"] });
-    view(Key::ViewWorld, json!({ "people": [nurse], "doors": [{ "name": "Lab door", "state": door }] }))
+    view(
+        Key::ViewWorld,
+        json!({ "seen_by": "s-1", "people": [nurse], "doors": [{ "name": "Lab door", "state": door }] }),
+    )
 }
 
 pub(crate) fn missions(state: &str) -> Heard {
+    missions_of(state, 0)
+}
+
+/// The missions as somebody has them who heard of them so long ago.
+pub(crate) fn missions_of(state: &str, age_ms: u64) -> Heard {
     let mission = json!({ "mission": "m-1", "detail": state, "parameters": { "room": "IC Room 6" }, "holders": { "r1": "ada" },
         "done": 3, "steps": 7, "submitted_at_ms": BEGAN });
-    view(Key::ViewMissions, json!({ "missions": [mission] }))
+    view(Key::ViewMissions, json!({ "age_ms": age_ms, "missions": [mission] }))
 }
 
 pub(crate) fn view(key: Key, view: Value) -> Heard {
