@@ -204,7 +204,7 @@ fn a_mission_is_followed_to_its_end_over_http_while_the_coordinator_is_killed() 
                     killed = true;
                 }
                 "elected" if event["node"] != coordinator.as_str() => {
-                    elected = event["node"].as_str().map(str::to_owned)
+                    elected = event["node"].as_str().map(str::to_owned);
                 }
                 "mission" if event["mission"] == "lab-samples-1" => {
                     state = event["state"].as_str().expect("a state").to_owned();
