@@ -161,7 +161,7 @@ struct Explained {
     mission: String,
     /// One of pending, running, completed, failed, canceled, needs_rescue.
     state: String,
-    /// The latest auction, role by role and robot by robot; null if none was held yet.
+    /// The latest auction, role by role and robot by robot, each bid step by step; null if none was held yet.
     explanation: Option<Value>,
     /// The same in sentences, one a line.
     words: Vec<String>,

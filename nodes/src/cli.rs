@@ -2,7 +2,7 @@
 
 use crate::command::{
     bench, cancel, cert, chaos, check, completions, doctor, dry_run, experiment, explain, fleet, keys, leave, map,
-    missions, recover, rescue, robot, station, submit, test, watch, world,
+    missions, record, recover, replay, rescue, robot, station, submit, test, watch, world,
 };
 use crate::demo;
 use crate::exit::Failure;
@@ -75,6 +75,8 @@ enum Command {
     Watch(watch::Args),
     Completions(completions::Args),
     Man(completions::ManArgs),
+    Record(record::Args),
+    Replay(replay::Args),
 }
 
 /// Runs the program.
@@ -105,6 +107,8 @@ pub fn run() -> ExitCode {
         Command::Watch(args) => watch::run(args),
         Command::Completions(args) => completions::run(&args),
         Command::Man(args) => completions::man(&args),
+        Command::Record(args) => record::run(args),
+        Command::Replay(args) => replay::run(args),
     };
     match done {
         Ok(()) => ExitCode::SUCCESS,

@@ -16,6 +16,14 @@ pub struct Floor {
 }
 
 impl Floor {
+    /// The map of which a node tells, as `view/map` has it.
+    ///
+    /// # Errors
+    /// In words, if it tells of none.
+    pub fn told(view: &Value) -> Result<Floor, String> {
+        Map::told(view, "view/map").map(Floor::from).map_err(|problem| problem.to_string())
+    }
+
     /// The map in JSON, as `view/map` has it: see [`Map::show`]. One of the published form has places and lanes alone.
     pub fn show(&self) -> Value {
         if let Some(map) = &self.map {

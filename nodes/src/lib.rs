@@ -21,6 +21,7 @@ pub mod metrics;
 pub mod output;
 pub mod picture;
 pub mod plan;
+pub mod recording;
 pub mod rendering;
 pub mod running;
 pub mod screen;

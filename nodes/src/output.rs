@@ -66,6 +66,13 @@ impl Waiting {
         self.said = text;
     }
 
+    /// Says how something goes on that goes on by itself: on a terminal alone, where it is overwritten.
+    pub fn turn(&mut self, text: impl Display) {
+        if stderr().is_terminal() {
+            self.say(text);
+        }
+    }
+
     /// Takes back what is on the terminal, so that something lasting can be written.
     pub fn clear(&mut self) {
         self.said.clear();

@@ -11,9 +11,12 @@
 //! All conditions of a list must hold. Membership is a belief with an age: it says what the evaluating node
 //! thinks, and how old its knowledge of the other is.
 
+mod bounds;
+
 use crate::ids::{EnsembleId, NodeId, TaskType};
 use crate::knowledge::{Availability, Heard, Knowledge, KnowledgeBase};
 use crate::units::NodeTime;
+use bounds::LOOPS_MAX;
 use cel::{Context, Env, Program, Value};
 use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, BTreeSet};
@@ -313,6 +316,13 @@ fn compile_all(spec: &EnsembleSpec, texts: &[String]) -> Result<Vec<Condition>, 
             return Err(refuse(text, format!("{} bytes long, where {CONDITION_MAX} are allowed", text.len())));
         }
         let program = Program::compile(text).map_err(|e| refuse(text, e.to_string()))?;
+        let loops = bounds::loops(program.expression());
+        if loops > LOOPS_MAX {
+            return Err(refuse(
+                text,
+                format!("its loops stand {loops} deep in one another, where {LOOPS_MAX} are allowed"),
+            ));
+        }
         Ok(Condition { text: text.clone(), program })
     };
     texts.iter().map(compile).collect()

@@ -8,6 +8,7 @@ mod browser;
 mod door_and_rescue;
 mod fleet_on_show;
 mod many_robots;
+mod recording;
 #[path = "../processes/support/mod.rs"]
 #[expect(dead_code, unused_imports, reason = "the tests of processes use the rest")]
 mod support;

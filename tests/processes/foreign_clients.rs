@@ -1,10 +1,10 @@
-//! Clients that are not ours, by others' programs: Zenoh's own library for Python, and `zenoh` of `zenoh-cli`.
+//! Clients that are not ours, by others' programs: Zenoh's own library for Python, and `zenoh` of `zenoh-cli`; and recordings, read
+//! by the library of those who made their format.
 //!
 //! They are put into a folder of the build's once (`pip`, over the network). Where they cannot be had, the tests are skipped
 //! and say why.
 
-use crate::stock_client::hospital;
-use crate::support::until;
+use crate::support::{Client, hospital, until};
 use serde_json::Value;
 use std::fmt::Write as _;
 use std::fs;
@@ -15,7 +15,7 @@ use std::sync::OnceLock;
 use std::time::Duration;
 
 /// What is installed.
-const PACKAGES: [&str; 2] = ["eclipse-zenoh==1.10.2", "zenoh-cli==0.7.0"];
+const PACKAGES: [&str; 3] = ["eclipse-zenoh==1.10.2", "zenoh-cli==0.7.0", "mcap==1.6.0"];
 
 /// How long everything that a client does may take.
 const LONG: Duration = Duration::from_secs(150);
@@ -149,5 +149,42 @@ fn the_command_zenoh_shows_each_view_once() {
     tokens.args(["--mode", "client", "--connect", &address, "liveliness", "get", "-k", "consort/command/alive/**"]);
     let tokens = run(&mut tokens).unwrap_or_else(|problem| panic!("{problem}"));
     assert!(tokens.contains("consort/command/alive/robot/ada"), "{tokens}");
+    fleet.stop();
+}
+
+#[test]
+fn the_library_of_the_formats_makers_reads_a_recording() {
+    let Some(python) = program("python") else { return };
+    let mut fleet = hospital("foreign-reader");
+    let file = fleet.path("run.mcap").display().to_string();
+    let recorder = fleet.begin(&["record", "--out", &file, "--json"], "world");
+    let asked = r#"{"mission": "lab-samples", "parameters": {"room": "IC Room 6"}}"#;
+    let mut client = Client::open(&fleet.address("world"), "foreign-reader");
+    until("the mission is acknowledged", LONG, || client.ask("api/submit", asked)["mission"].as_str().map(|_| ()));
+    client.hears("a task ends", LONG, |event| event["event"] == "task_ended");
+    recorder.signal("TERM");
+    let said = recorder.end(LONG).expect(0).json();
+    // A file that is there is not touched.
+    let again = fleet.run(&["record", "--out", &file], "world").expect(2);
+    assert!(again.stderr.contains("this file is there already; --force replaces it"), "{}", again.stderr);
+    let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("../tests/processes/foreign/read_mcap.py");
+    let told = run(Command::new(python).arg(script).arg(&file)).unwrap_or_else(|problem| panic!("{problem}"));
+    let told: Value = serde_json::from_str(&told).expect("JSON");
+    assert_eq!(told["metadata"]["consort.fleet"]["fleet"], "foreign-reader", "{told:#}");
+    assert_eq!(told["topics"]["/events"]["messages"], said["recorded"]["events"], "{told:#}");
+    for (topic, schema) in [
+        ("/events", "consort.Event"),
+        ("/coordinator", "consort.Beacon"),
+        ("/view/missions", "consort.View"),
+        ("/robots/ada/body", "consort.Body"),
+        ("/robots/ada/pose", "foxglove.PoseInFrame"),
+        ("/tf", "foxglove.FrameTransforms"),
+        ("/map", "foxglove.SceneUpdate"),
+        ("/robots", "foxglove.SceneUpdate"),
+        ("/people", "foxglove.SceneUpdate"),
+        ("/log", "foxglove.Log"),
+    ] {
+        assert_eq!(told["topics"][topic]["schema"], schema, "{told:#}");
+    }
     fleet.stop();
 }

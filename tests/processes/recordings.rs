@@ -1,7 +1,9 @@
-//! What is recorded of a world, however its process ends.
+//! What is recorded of a world, however its process ends; and of a fleet, whoever dies: its coordinator, or the recorder.
 
-use crate::support::{Folder, Program, until};
+use crate::support::{Client, Folder, Program, hospital, until};
+use consort_nodes::recording::{MarkKind, Reel};
 use std::fs;
+use std::path::Path;
 use std::time::Duration;
 
 /// MCAP files begin and, if they are complete, end with this.
@@ -50,4 +52,38 @@ fn a_world_that_is_killed_leaves_what_it_had_written() {
     let mcap = written().expect("a recording");
     assert!(mcap.starts_with(MAGIC) && !mcap.ends_with(MAGIC), "{} bytes", mcap.len());
     assert_eq!(fs::read_to_string(folder.path().join("paths.svg")).expect("made ready"), "");
+}
+
+/// Whether a text is in a file by now.
+fn holds(file: &Path, text: &str) -> Option<()> {
+    let there = |bytes: Vec<u8>| String::from_utf8_lossy(&bytes).contains(text);
+    fs::read(file).is_ok_and(there).then_some(())
+}
+
+#[test]
+fn a_recorder_goes_on_when_the_coordinator_dies_to_which_it_was_linked_and_can_be_killed_itself() {
+    let long = Duration::from_secs(60);
+    let mut fleet = hospital("linked");
+    let client = Client::open(&fleet.address("world"), "linked");
+    let coordinator =
+        until("somebody coordinates", long, || Some(client.view("coordinator")["node"].as_str()?.to_owned()));
+    let (address, file) = (fleet.address(&coordinator), fleet.path("run.mcap"));
+    let name = file.display().to_string();
+    // The first that can be reached is used.
+    let mut recorder = fleet.begin(&["record", "--out", &name, "--connect", &address], "world");
+    until("it has heard who coordinates", long, || holds(&file, &format!(r#"{{"node":"{coordinator}","term":"#)));
+    fleet.kill(&coordinator);
+    let next = until("somebody else coordinates", long, || {
+        let node = client.view("coordinator")["node"].as_str()?.to_owned();
+        (node != coordinator).then_some(node)
+    });
+    until("it has heard who coordinates now", long, || holds(&file, &format!(r#"{{"node":"{next}","term":"#)));
+    recorder.kill();
+    let reel = Reel::open(&file).expect("what was heard is there");
+    assert!(reel.problem().is_some_and(|problem| problem.contains("it has no end")), "{:?}", reel.problem());
+    let changes = reel.marks().iter().filter(|mark| mark.kind == MarkKind::Coordinator);
+    assert!(changes.clone().any(|mark| mark.text.starts_with(&format!("{next} coordinates"))), "{:?}", reel.marks());
+    let before = changes.clone().next().expect("there is one").at_ms - 1;
+    assert_eq!(reel.picture_at(before).coordinator().map(|now| now.node.as_str()), Some(coordinator.as_str()));
+    fleet.stop();
 }

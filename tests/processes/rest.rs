@@ -3,8 +3,7 @@
 //! Both are built by `tests/processes/foreign/router.sh`, which takes minutes. It is run by whoever wants it, or by this test if
 //! `CONSORT_FOREIGN_ROUTER` is set; else the test is skipped and says so.
 
-use crate::stock_client::hospital_by;
-use crate::support::{Folder, until};
+use crate::support::{Folder, hospital_by, until};
 use serde_json::{Value, json};
 use std::collections::BTreeMap;
 use std::fs::{self, File};
@@ -205,7 +204,7 @@ fn a_mission_is_followed_to_its_end_over_http_while_the_coordinator_is_killed() 
                     killed = true;
                 }
                 "elected" if event["node"] != coordinator.as_str() => {
-                    elected = event["node"].as_str().map(str::to_owned)
+                    elected = event["node"].as_str().map(str::to_owned);
                 }
                 "mission" if event["mission"] == "lab-samples-1" => {
                     state = event["state"].as_str().expect("a state").to_owned();

@@ -1,7 +1,7 @@
 //! Whoever has Zenoh has all of it: keys are written out here, as in any other language.
 
 use crate::demo::each_once;
-use crate::support::{Client, Fleet, example, until};
+use crate::support::{Client, hospital, until};
 use serde_json::{Value, json};
 use std::collections::BTreeSet;
 use std::time::Duration;
@@ -11,39 +11,6 @@ const LONG: Duration = Duration::from_secs(60);
 fn names(list: &Value, key: &str) -> Vec<String> {
     let list = list.as_array().expect("a list");
     list.iter().filter_map(|entry| entry[key].as_str()).map(str::to_owned).collect()
-}
-
-/// Three stations keep the ledger, so that whoever coordinates has nothing else to do and can be killed for it.
-pub(crate) fn hospital(name: &str) -> Fleet {
-    opened(Fleet::new(&named(name)))
-}
-
-/// The same, each of its nodes linked with a router that is none of ours, too.
-pub(crate) fn hospital_by(name: &str, router: &str) -> Fleet {
-    opened(Fleet::linked_with(router, &named(name)))
-}
-
-fn named(name: &str) -> toml::Table {
-    let mut file = example("fleet");
-    file.insert("name".to_owned(), name.into());
-    file
-}
-
-fn opened(mut fleet: Fleet) -> Fleet {
-    let mut world = example("world");
-    world.insert("speed".to_owned(), 20.0.into());
-    fleet.start("world", world, &[]);
-    for number in 1..=3 {
-        let mut station = example("station");
-        station.insert("name".to_owned(), format!("station-{number}").into());
-        fleet.start("station", station, &["world"]);
-    }
-    for kind in ["robot", "arm"] {
-        let mut robot = example(kind);
-        robot.insert("may_vote".to_owned(), false.into());
-        fleet.start("robot", robot, &["world"]);
-    }
-    fleet
 }
 
 #[test]

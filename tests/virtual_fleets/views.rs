@@ -231,15 +231,25 @@ fn why_each_robot_did_or_did_not_get_each_role_is_explained() {
             "  fern lacks ",
             "r1: gorse gets it with ",
             "  gorse bid ",
+            "    navto_room ",
             "  fern bid ",
             "  lab-arm lacks ",
         ] {
             assert!(words.iter().any(|line| line.starts_with(says)), "seed {seed}: {says:?} is not in {words:#?}");
         }
-        let outcome = |robot: &str| {
+        let explained = |robot: &str| {
             let robots = said["explanation"]["roles"][1]["robots"].as_array().expect("robots");
-            robots.iter().find(|of| of["robot"] == robot).expect("it is there")["outcome"].clone()
+            robots.iter().find(|of| of["robot"] == robot).expect("it is there").clone()
         };
+        let outcome = |robot: &str| explained(robot)["outcome"].clone();
+        for robot in ["gorse", "fern"] {
+            let Value::Array(parts) = &explained(robot)["parts"] else {
+                panic!("seed {seed}: no parts of {robot}'s bid")
+            };
+            let sum: f64 = parts.iter().filter_map(|part| part["time"].as_f64()).sum();
+            let whole = explained(robot)["bid"]["time_s"].as_f64().expect("a time");
+            assert!(parts.len() > 5 && (sum - whole).abs() < 1e-6, "seed {seed}: {robot} bid {whole}, in parts {sum}");
+        }
         assert_eq!((outcome("gorse"), outcome("fern")), (json!("won"), json!("outbid")), "seed {seed}: {words:#?}");
         let missing = fleet.answer(ApiCall::Explain, &json!({ "mission": "lab-samples-9" })).await;
         assert!(missing["error"].as_str().is_some_and(|error| error.contains("no mission lab-samples-9")), "{missing}");

@@ -2,7 +2,7 @@
 
 use crate::config::{self, Problem, Problems};
 use crate::exit::Failure;
-use crate::output;
+use crate::output::{self, Waiting};
 use crate::plan::{Instead, Plan};
 use clap::{Args as ClapArgs, Subcommand};
 use consort_sim::experiment::calibration::{Calibration, Observation, QUANTILE};
@@ -192,6 +192,13 @@ fn heading(plan: &Plan) -> Heading {
     }
 }
 
+/// The report. Its tests of significance rearrange the rows many thousand times.
+fn written(heading: &Heading, rows: &[TrialRow], gain: Option<&Gain>) -> Vec<ReportFile> {
+    let mut waiting = Waiting::on_terminal();
+    waiting.say("working out the report");
+    report(heading, rows, gain)
+}
+
 fn carry_out(args: &RunArgs) -> Result<(), Failure> {
     let plan = args.common.plan()?;
     let learned = args.calibration.as_ref().map(|file| config::load::<Calibration>(file)).transpose()?;
@@ -207,7 +214,7 @@ fn carry_out(args: &RunArgs) -> Result<(), Failure> {
     let out = &args.common.out;
     write_rows(out, "rows.csv", &rows)?;
     write_observations(out, &observations)?;
-    write_report(out, &report(&heading(&plan), &rows, None))?;
+    write_report(out, &written(&heading(&plan), &rows, None))?;
     output::line(summary(&rows))?;
     let count = rows.len();
     output::line(format_args!("{count} trials in {seconds:.1} s; see {}", out.join("report.md").display()))
@@ -242,7 +249,7 @@ fn calibrate(args: &CalibrateArgs) -> Result<(), Failure> {
     write_rows(out, "rows-after.csv", &after)?;
     let learned = (*learned).clone();
     let gain = Gain { learned, trials, before, after, observed_before, observed_after };
-    write_report(out, &report(&heading(&plan), &gain.before, Some(&gain)))?;
+    write_report(out, &written(&heading(&plan), &gain.before, Some(&gain)))?;
     output::line(format_args!("as they were:\n{}\ncalibrated:\n{}", summary(&gain.before), summary(&gain.after)))?;
     output::line(format_args!("learned from {trials} trials; see {}", out.join("report.md").display()))
 }

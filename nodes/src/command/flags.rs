@@ -53,7 +53,7 @@ pub struct RunFlags {
     /// What to log on the standard error: error, warn, info, debug or trace, also by module (info,consort_actors=debug)
     #[arg(long, env = "CONSORT_LOG", value_name = "FILTER")]
     pub log: Option<String>,
-    /// How to write the log: for people, or an object a line for programs
+    /// How to write the log: for people, or an object a line for programs. Default: for people
     #[arg(long, env = "CONSORT_LOG_FORMAT", value_enum, value_name = "FORMAT")]
     pub log_format: Option<LogFormat>,
     /// Serve metrics for Prometheus at this address, as 127.0.0.1:9464; the page is /metrics. Default: none

@@ -48,7 +48,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
         let picture = Picture::new(client.fleet().to_string(), "watch", FloorPlan::default(), clock.wall_ms());
         let board = Arc::new(Board::new(picture, clock));
         let mut tasks = JoinSet::new();
-        follow(&mut tasks, client.bus(), client.keys().clone(), Arc::clone(&board));
+        follow(&mut tasks, client.bus(), client.keys().clone(), Arc::<Board>::clone(&board));
         let mut terminal = ratatui::try_init().map_err(|problem| unusable(&problem))?;
         let ended = show(&mut terminal, &board, keys()).await;
         ratatui::restore();

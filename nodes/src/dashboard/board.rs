@@ -1,6 +1,6 @@
 //! The picture that is shown, and its frames.
 
-use crate::picture::Picture;
+use crate::picture::{Ear, Heard, Picture, delta};
 use axum::extract::ws::Utf8Bytes;
 use consort_actors::clock::Clock;
 use serde_json::{Value, json};
@@ -26,12 +26,35 @@ pub(super) struct Frame {
 /// A picture, and what it was drawn to.
 struct Drawn {
     picture: Picture,
+    /// Of a recording: which instant of it is shown, and what is to be said of it.
+    recording: Option<(u64, Value)>,
     /// As in the frame of this number.
     whole: Value,
     number: u64,
-    at_ms: u64,
+    /// What time it is there.
+    now_ms: u64,
+    /// When it was drawn; nothing, if another instant of a recording is to be shown since.
+    drawn_ms: Option<u64>,
     /// The whole in words, if it was asked for since.
     text: Option<Utf8Bytes>,
+}
+
+impl Drawn {
+    fn time(&self, clock: Clock) -> u64 {
+        self.recording.as_ref().map_or_else(|| clock.wall_ms(), |(at_ms, _)| *at_ms)
+    }
+
+    /// Brings the whole up to date, and says what has changed.
+    fn redraw(&mut self) -> Option<Value> {
+        let mut patch = self.picture.redraw(&mut self.whole);
+        if let Some((_, recording)) = &self.recording
+            && let Some(change) = delta::between(&self.whole["recording"], recording)
+        {
+            self.whole["recording"] = recording.clone();
+            patch.get_or_insert_with(|| json!({}))["recording"] = change;
+        }
+        patch
+    }
 }
 
 /// The picture that is shown.
@@ -44,26 +67,36 @@ pub struct Board {
 impl Board {
     /// Shows a picture.
     pub fn new(picture: Picture, clock: Clock) -> Board {
-        let drawn = Drawn { picture, whole: Value::Null, number: 0, at_ms: 0, text: None };
+        let whole = Value::Null;
+        let drawn = Drawn { picture, recording: None, whole, number: 0, now_ms: 0, drawn_ms: None, text: None };
         let frames = watch::Sender::new(Arc::new(Frame { number: 0, text: None }));
         Board { drawn: Mutex::new(drawn), clock, frames }
     }
 
-    /// Looks at the picture, or changes it; it is told what time it is.
+    /// Looks at the picture, or changes it; it is told what time it is, or which of a recording is shown.
     pub fn with<T>(&self, look: impl FnOnce(&mut Picture, u64) -> T) -> T {
-        let now_ms = self.clock.wall_ms();
-        look(&mut self.lock().picture, now_ms)
+        let mut drawn = self.lock();
+        let now_ms = drawn.time(self.clock);
+        look(&mut drawn.picture, now_ms)
+    }
+
+    /// Shows an instant of a recording: `bring` makes the picture what it was then.
+    pub(super) fn show(&self, at_ms: u64, recording: Value, bring: impl FnOnce(&mut Picture)) {
+        let mut drawn = self.lock();
+        bring(&mut drawn.picture);
+        drawn.recording = Some((at_ms, recording));
+        drawn.drawn_ms = None;
     }
 
     /// The whole as it was drawn last, for somebody who has not seen the frame before; with the number of that frame.
     pub(super) fn whole(&self) -> (u64, Utf8Bytes) {
         let mut drawn = self.lock();
         // Nobody may have looked for long.
-        if drawn.whole.is_null() || self.clock.wall_ms().saturating_sub(drawn.at_ms) > FRAME_MS {
-            self.draw(&mut drawn);
+        if drawn.drawn_ms.is_none_or(|drawn_ms| self.clock.wall_ms().saturating_sub(drawn_ms) > FRAME_MS) {
+            self.redraw(&mut drawn);
         }
-        let Drawn { whole, number, at_ms, text, .. } = &mut *drawn;
-        let write = || json!({ "number": number, "now_ms": at_ms, "whole": whole }).to_string().into();
+        let Drawn { whole, number, now_ms, text, .. } = &mut *drawn;
+        let write = || json!({ "number": number, "now_ms": now_ms, "whole": whole }).to_string().into();
         let text = text.get_or_insert_with(write);
         (*number, text.clone())
     }
@@ -78,16 +111,22 @@ impl Board {
         ticks.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Delay);
         loop {
             ticks.tick().await;
-            if self.frames.receiver_count() > 0 {
-                self.draw(&mut self.lock());
-            }
+            self.draw();
         }
     }
 
-    fn draw(&self, drawn: &mut Drawn) {
-        let patch = drawn.picture.redraw(&mut drawn.whole);
-        (drawn.number, drawn.at_ms, drawn.text) = (drawn.number + 1, self.clock.wall_ms(), None);
-        let (number, now_ms) = (drawn.number, drawn.at_ms);
+    /// Draws a frame if somebody looks.
+    pub(super) fn draw(&self) {
+        if self.frames.receiver_count() > 0 {
+            self.redraw(&mut self.lock());
+        }
+    }
+
+    fn redraw(&self, drawn: &mut Drawn) {
+        let patch = drawn.redraw();
+        (drawn.number, drawn.now_ms, drawn.text) = (drawn.number + 1, drawn.time(self.clock), None);
+        drawn.drawn_ms = Some(self.clock.wall_ms());
+        let (number, now_ms) = (drawn.number, drawn.now_ms);
         let told = match patch {
             Some(patch) => Some(json!({ "number": number, "now_ms": now_ms, "patch": patch })),
             None if number.is_multiple_of(QUIET) => Some(json!({ "number": number, "now_ms": now_ms })),
@@ -103,10 +142,24 @@ impl Board {
     }
 }
 
+impl Ear for Board {
+    fn take(&self, heard: Heard) {
+        self.with(|picture, now_ms| picture.take(&heard, now_ms));
+    }
+
+    fn missions_to_ask_for(&self) -> Vec<String> {
+        self.with(|picture, _| picture.missions_to_ask_for())
+    }
+
+    fn wants_map(&self) -> bool {
+        false
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::picture::{FloorPlan, delta};
+    use crate::picture::FloorPlan;
 
     fn said(text: &str) -> Value {
         serde_json::from_str(text).unwrap()
@@ -122,7 +175,7 @@ mod tests {
         assert_eq!(whole.as_ptr(), board.whole().1.as_ptr(), "written once for all who ask");
         for links in [1, 1, 2] {
             board.with(|picture, now_ms| picture.take_links(links, now_ms));
-            board.draw(&mut board.lock());
+            board.redraw(&mut board.lock());
             let frame = board.frames().borrow().clone();
             if let Some(text) = &frame.text {
                 delta::apply(&mut seen, &said(text)["patch"]);
@@ -132,12 +185,51 @@ mod tests {
         assert_eq!(seen["reach"]["links"], 2);
         let quiet: Vec<Option<Value>> = (0..QUIET)
             .map(|_| {
-                board.draw(&mut board.lock());
+                board.redraw(&mut board.lock());
                 board.frames().borrow().text.as_ref().map(|text| said(text))
             })
             .collect();
         let told: Vec<&Value> = quiet.iter().flatten().collect();
         assert_eq!(told, [&json!({ "number": 5, "now_ms": 1000 })], "a sign of life now and then");
+    }
+
+    #[tokio::test(start_paused = true)]
+    async fn of_a_recording_the_instant_that_was_asked_for_is_shown_at_once_and_its_time_passes_by_itself() {
+        let empty = || Picture::new("ward", "recorder", FloorPlan::default(), 0);
+        let board = Board::new(empty(), Clock::virtual_at(90_000));
+        let linked = |links: usize| {
+            let mut picture = empty();
+            picture.take_links(links, 0);
+            picture
+        };
+        board.show(700, json!({ "playing": false, "jumps": 0 }), |picture| *picture = linked(3));
+        let mut seen = said(&board.whole().1);
+        assert_eq!((&seen["now_ms"], &seen["whole"]["reach"]["links"]), (&json!(700), &json!(3)));
+        // Nobody looks on: whoever asks has it all the same.
+        board.show(500, json!({ "playing": false, "jumps": 1 }), |picture| *picture = linked(2));
+        board.draw();
+        assert_eq!(board.frames.borrow().number, 1, "drawn for whoever asked");
+        seen = said(&board.whole().1);
+        assert_eq!(
+            (&seen["number"], &seen["now_ms"], &seen["whole"]["reach"]["links"]),
+            (&json!(2), &json!(500), &json!(2))
+        );
+        // Somebody does: what has changed is told, of the picture and of what is said beside it.
+        let mut frames = board.frames();
+        for (at_ms, jumps, links, patch) in [
+            (600, 1, 2, None),
+            (800, 2, 2, Some(json!({ "recording": { "jumps": 2 } }))),
+            (900, 2, 5, Some(json!({ "reach": { "links": 5 } }))),
+        ] {
+            board.show(at_ms, json!({ "playing": false, "jumps": jumps }), |picture| picture.take_links(links, 0));
+            board.draw();
+            let frame = frames.borrow_and_update().clone();
+            let told = frame.text.as_ref().map(|text| said(text));
+            assert_eq!(told.as_ref().map(|told| told["now_ms"].clone()), patch.is_some().then(|| json!(at_ms)));
+            assert_eq!(told.map(|told| told["patch"].clone()), patch);
+            assert_eq!(said(&board.whole().1)["now_ms"], at_ms);
+            assert_eq!(board.with(|_, now_ms| now_ms), at_ms);
+        }
     }
 
     #[tokio::test(start_paused = true)]

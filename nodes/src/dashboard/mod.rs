@@ -9,6 +9,9 @@
 //! A frame replaces the one before it, whether or not everybody has seen that: a slow client misses frames, and then gets
 //! a whole picture. Nothing is queued for anybody.
 //!
+//! A [recording](crate::recording) is shown in the same way, by a projector in place of the watcher and the desk: all who look see
+//! the same instant of it, and any of them may choose another (`POST /api/replay`).
+//!
 //! It listens where it is told to. What is bound to loopback answers only to loopback's names, so that no page of another
 //! site can read it by giving its own name this address; and requests that change something are taken from the page alone.
 
@@ -17,6 +20,7 @@ mod board;
 mod csv;
 mod desk;
 mod guard;
+mod projector;
 mod routes;
 mod watcher;
 
@@ -25,6 +29,7 @@ pub(crate) use watcher::watch as follow;
 
 use crate::address::Taken;
 use crate::picture::{FloorPlan, Picture};
+use crate::recording::{Player, Reel};
 use consort_actors::bus::SharedBus;
 use consort_actors::clock::Clock;
 use consort_protocol::ids::FleetId;
@@ -32,6 +37,17 @@ use consort_protocol::keys::Keys;
 use std::net::SocketAddr;
 use std::sync::Arc;
 use tokio::task::JoinSet;
+
+/// What stands behind a board.
+#[derive(Clone)]
+enum Served {
+    /// A fleet, which can be asked for something.
+    Fleet(Arc<desk::Desk>),
+    /// A recording, in which one can go to and fro.
+    Recording(Arc<projector::Projector>),
+    /// Whoever fills the board.
+    Board,
+}
 
 /// A dashboard that is being served. Dropping it ends it.
 pub struct Dashboard {
@@ -46,27 +62,43 @@ impl Dashboard {
         let picture = Picture::new(fleet.to_string(), node, plan, clock.wall_ms());
         let board = Arc::new(Board::new(picture, clock));
         let desk = desk::Desk::new(Arc::clone(&bus), Keys::new(fleet), node);
-        let mut dashboard = Dashboard::serve(address, Arc::clone(&board), Some(desk));
+        let mut dashboard = Dashboard::serve(address, Arc::clone(&board), Served::Fleet(Arc::new(desk)));
+        dashboard.draw(Arc::clone(&board));
         watcher::watch(&mut dashboard.tasks, bus, Keys::new(fleet), board);
+        dashboard
+    }
+
+    /// Serves a recording, as a player plays it. Called within a tokio runtime.
+    pub fn replay(address: Taken, reel: Reel, player: Player) -> Dashboard {
+        let board = Arc::new(Board::new(reel.beginning(), Clock::real()));
+        let projector = Arc::new(projector::Projector::new(reel, player, Arc::clone(&board)));
+        let mut dashboard = Dashboard::serve(address, board, Served::Recording(Arc::clone(&projector)));
+        dashboard.tasks.spawn(async move { projector.play_for_ever().await });
         dashboard
     }
 
     /// Serves a board that somebody else fills, and on which nothing can be asked for. Called within a tokio runtime.
     pub fn show(address: Taken, board: Arc<Board>) -> Dashboard {
-        Dashboard::serve(address, board, None)
+        let mut dashboard = Dashboard::serve(address, Arc::clone(&board), Served::Board);
+        dashboard.draw(board);
+        dashboard
     }
 
-    fn serve(taken: Taken, board: Arc<Board>, desk: Option<desk::Desk>) -> Dashboard {
+    fn serve(taken: Taken, board: Arc<Board>, served: Served) -> Dashboard {
         let (address, listener) = (taken.at(), taken.listener);
-        let router = routes::router(Arc::clone(&board), desk, address);
+        let router = routes::router(board, served, address);
         let mut tasks = JoinSet::new();
         tasks.spawn(async move {
             if let Err(problem) = axum::serve(listener, router).await {
                 tracing::warn!(%problem, "the dashboard ended");
             }
         });
-        tasks.spawn(async move { board.draw_for_ever().await });
         Dashboard { address, tasks }
+    }
+
+    /// Has a board drawn that changes by itself.
+    fn draw(&mut self, board: Arc<Board>) {
+        self.tasks.spawn(async move { board.draw_for_ever().await });
     }
 
     /// Where it is.

@@ -1,8 +1,9 @@
 //! What can be asked of the dashboard's server.
 
 use super::board::{Board, Frame};
-use super::desk::{Desk, Problem};
-use super::{assets, csv, guard};
+use super::desk::Problem;
+use super::{Served, assets, csv, guard};
+use crate::recording::Command;
 use axum::Router;
 use axum::body::Bytes;
 use axum::extract::ws::{Message, WebSocket};
@@ -35,11 +36,11 @@ const EVENTS: usize = 500;
 #[derive(Clone)]
 struct Shared {
     board: Arc<Board>,
-    desk: Option<Arc<Desk>>,
+    served: Served,
 }
 
 /// The server's routes.
-pub(super) fn router(board: Arc<Board>, desk: Option<Desk>, address: SocketAddr) -> Router {
+pub(super) fn router(board: Arc<Board>, served: Served, address: SocketAddr) -> Router {
     let pages = assets::ALL
         .iter()
         .fold(Router::new(), |router, asset| router.route(asset.path, get(move || async move { asset })));
@@ -52,10 +53,11 @@ pub(super) fn router(board: Arc<Board>, desk: Option<Desk>, address: SocketAddr)
         .route("/api/missions", post(submit))
         .route("/api/missions/{id}/cancel", post(cancel))
         .route("/api/missions/{id}/rescued", post(rescued))
+        .route("/api/replay", get(replay).post(move_replay))
         .route("/healthz", get(health))
         .layer(DefaultBodyLimit::max(FILE_BYTES_MAX))
         .layer(axum::middleware::from_fn_with_state(address, guard::guard))
-        .with_state(Shared { board, desk: desk.map(Arc::new) })
+        .with_state(Shared { board, served })
 }
 
 async fn follow(State(shared): State<Shared>, upgrade: WebSocketUpgrade) -> Response {
@@ -150,7 +152,7 @@ async fn history(State(shared): State<Shared>) -> Response {
 }
 
 async fn submit(State(shared): State<Shared>, headers: HeaderMap, body: Bytes) -> Response {
-    let Some(desk) = &shared.desk else { return no_desk() };
+    let Served::Fleet(desk) = &shared.served else { return no_desk(&shared.served) };
     let request: Value = match read(&headers, &body) {
         Ok(request) => request,
         Err(refusal) => return refusal.into_response(),
@@ -176,7 +178,7 @@ struct Word {
 
 /// Has something done to a mission that somebody says is to be done.
 async fn on_word(shared: &Shared, call: ApiCall, id: String, headers: &HeaderMap, body: &[u8]) -> Response {
-    let Some(desk) = &shared.desk else { return no_desk() };
+    let Served::Fleet(desk) = &shared.served else { return no_desk(&shared.served) };
     let mission = match MissionId::new(id) {
         Ok(mission) => mission,
         Err(mistake) => return problem(StatusCode::BAD_REQUEST, &mistake.to_string()),
@@ -185,6 +187,25 @@ async fn on_word(shared: &Shared, call: ApiCall, id: String, headers: &HeaderMap
     match word {
         Ok(Word { by }) => settled(desk.on_word(call, &mission, by).await),
         Err(refusal) => refusal.into_response(),
+    }
+}
+
+async fn replay(State(shared): State<Shared>) -> Response {
+    match &shared.served {
+        Served::Recording(projector) => answer(StatusCode::OK, &projector.state()),
+        Served::Fleet(_) | Served::Board => no_recording(),
+    }
+}
+
+async fn move_replay(State(shared): State<Shared>, headers: HeaderMap, body: Bytes) -> Response {
+    let Served::Recording(projector) = &shared.served else { return no_recording() };
+    let command: Command = match read(&headers, &body) {
+        Ok(command) => command,
+        Err(refusal) => return refusal.into_response(),
+    };
+    match projector.obey(command) {
+        Ok(state) => answer(StatusCode::OK, &state),
+        Err(mistake) => problem(StatusCode::BAD_REQUEST, &mistake),
     }
 }
 
@@ -215,8 +236,21 @@ fn settled(answered: Result<Value, Problem>) -> Response {
     }
 }
 
-fn no_desk() -> Response {
-    problem(StatusCode::SERVICE_UNAVAILABLE, "what is shown here is not a fleet that could be asked for anything")
+fn no_desk(served: &Served) -> Response {
+    match served {
+        Served::Recording(projector) => {
+            let what = format!("{}: a fleet that was can be asked for nothing", projector.about());
+            problem(StatusCode::CONFLICT, &what)
+        }
+        Served::Fleet(_) | Served::Board => {
+            let what = "what is shown here is not a fleet that could be asked for anything";
+            problem(StatusCode::SERVICE_UNAVAILABLE, what)
+        }
+    }
+}
+
+fn no_recording() -> Response {
+    problem(StatusCode::NOT_FOUND, "what is shown here is no recording")
 }
 
 fn problem(status: StatusCode, what: &str) -> Response {

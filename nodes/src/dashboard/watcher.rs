@@ -1,14 +1,14 @@
-//! Follows a fleet over the bus, and puts what it hears on the board.
+//! Follows a fleet over the bus, and tells what it hears.
 
-use super::Board;
 use crate::asking::{self, Whom};
+use crate::picture::{Ear, Heard};
 use consort_actors::body::BodyState;
 use consort_actors::bus::{Bus, SharedBus};
 use consort_protocol::codec;
 use consort_protocol::event::Event;
 use consort_protocol::ids::MissionId;
 use consort_protocol::keys::{Key, Keys};
-use consort_protocol::message::{Beacon, Within};
+use consort_protocol::message::Within;
 use serde::de::DeserializeOwned;
 use std::sync::Arc;
 use std::time::Duration;
@@ -31,62 +31,62 @@ const AGAIN: Duration = Duration::from_secs(1);
 const MISSIONS: usize = 16;
 
 /// Follows the fleet, until the tasks end.
-pub(crate) fn watch(tasks: &mut JoinSet<()>, bus: SharedBus, keys: Keys, board: Arc<Board>) {
-    let ear = |key: String| (Arc::clone(&bus), key, Arc::clone(&board));
+pub(crate) fn watch(tasks: &mut JoinSet<()>, bus: SharedBus, keys: Keys, ear: Arc<dyn Ear>) {
+    let on = |key: String| (Arc::clone(&bus), key, Arc::clone(&ear));
     let (events, bodies, beacons) = (keys.any_events(), keys.any_body_state(), keys.write(&Key::Beacon));
-    let (at, key, shown) = ear(events);
-    tasks.spawn(hear(at, key, move |payload| match serde_json::from_slice::<Event>(payload) {
-        Ok(event) => shown.with(|picture, now_ms| picture.take_event(&event, now_ms)),
-        Err(problem) => debug!(%problem, "an event that cannot be read"),
-    }));
-    let (at, key, shown) = ear(bodies);
-    tasks.spawn(hear(at, key, move |payload| {
-        if let Some(state) = read::<BodyState>(payload) {
-            shown.with(|picture, now_ms| picture.take_body(state.robot.as_str(), &state.telemetry, now_ms));
+    tasks.spawn(hear(on(events), |payload| match serde_json::from_slice::<Event>(payload) {
+        Ok(event) => Some(Heard::Event(Box::new(event))),
+        Err(problem) => {
+            debug!(%problem, "an event that cannot be read");
+            None
         }
     }));
-    let (at, key, shown) = ear(beacons);
-    tasks.spawn(hear(at, key, move |payload| {
-        let beacon = read::<Within>(payload).and_then(|within| read::<Beacon>(&within.said));
-        if let Some(beacon) = beacon {
-            shown.with(|picture, now_ms| picture.take_beacon(&beacon, now_ms));
-        }
+    tasks.spawn(hear(on(bodies), |payload| {
+        let BodyState { robot, telemetry, .. } = read(payload)?;
+        Some(Heard::Body { robot: robot.to_string(), telemetry })
     }));
-    tasks.spawn(look_at_links(Arc::clone(&bus), Arc::clone(&board)));
-    tasks.spawn(look_at_views(bus, keys, board));
+    tasks.spawn(hear(on(beacons), |payload| Some(Heard::Beacon(read(&read::<Within>(payload)?.said)?))));
+    tasks.spawn(look_at_links(Arc::clone(&bus), Arc::clone(&ear)));
+    tasks.spawn(look_at_views(bus, keys, ear));
 }
 
 fn read<T: DeserializeOwned>(payload: &[u8]) -> Option<T> {
     codec::decode(payload).inspect_err(|problem| debug!(%problem, "a message that cannot be read")).ok()
 }
 
-async fn hear(bus: SharedBus, key: String, take_in: impl Fn(&[u8]) + Send) {
+async fn hear(on: (SharedBus, String, Arc<dyn Ear>), read: impl Fn(&[u8]) -> Option<Heard> + Send) {
+    let (bus, key, ear) = on;
     loop {
         match bus.subscribe(&key).await {
             Ok(mut samples) => {
                 while let Some(sample) = samples.recv().await {
-                    take_in(&sample.payload);
+                    if let Some(heard) = read(&sample.payload) {
+                        ear.take(heard);
+                    }
                 }
                 return;
             }
-            Err(problem) => warn!(%problem, key, "the dashboard cannot follow"),
+            Err(problem) => warn!(%problem, key, "the fleet cannot be followed"),
         }
         tokio::time::sleep(AGAIN).await;
     }
 }
 
-async fn look_at_links(bus: SharedBus, board: Arc<Board>) {
+async fn look_at_links(bus: SharedBus, ear: Arc<dyn Ear>) {
     loop {
         let links = bus.links().await;
         let nodes = links.iter().filter(|link| link.kind != "client").count();
-        board.with(|picture, now_ms| picture.take_links(nodes, now_ms));
+        ear.take(Heard::Links(nodes));
         tokio::time::sleep(LINKS).await;
     }
 }
 
-async fn look_at_views(bus: SharedBus, keys: Keys, board: Arc<Board>) {
+async fn look_at_views(bus: SharedBus, keys: Keys, ear: Arc<dyn Ear>) {
     loop {
-        let look = |key: Key| look(&*bus, &keys, &board, key);
+        let look = |key: Key| look(&*bus, &keys, &*ear, key);
+        if ear.wants_map() {
+            look(Key::ViewMap).await;
+        }
         tokio::join!(
             look(Key::ViewFleet),
             look(Key::ViewCoordinator),
@@ -95,8 +95,8 @@ async fn look_at_views(bus: SharedBus, keys: Keys, board: Arc<Board>) {
             look(Key::ViewWorld),
             look(Key::ViewHealth),
         );
-        let wanted = board.with(|picture, _| picture.missions_to_ask_for());
-        let wanted = wanted.iter().filter_map(|id| MissionId::new(id.clone()).ok()).take(MISSIONS);
+        let wanted = ear.missions_to_ask_for();
+        let wanted = wanted.into_iter().filter_map(|id| MissionId::new(id).ok()).take(MISSIONS);
         for mission in wanted {
             look(Key::ViewMission(mission)).await;
         }
@@ -104,9 +104,9 @@ async fn look_at_views(bus: SharedBus, keys: Keys, board: Arc<Board>) {
     }
 }
 
-async fn look(bus: &dyn Bus, keys: &Keys, board: &Board, key: Key) {
+async fn look(bus: &dyn Bus, keys: &Keys, ear: &dyn Ear, key: Key) {
     match asking::once(bus, &keys.write(&key), "", LIMIT, Whom::Nearest).await {
-        Ok(view) => board.with(|picture, now_ms| picture.take_view(&key, &view, now_ms)),
+        Ok(view) => ear.take(Heard::View { key, view }),
         Err(hindrance) => debug!(%key, ?hindrance, "a view that nobody shows"),
     }
 }

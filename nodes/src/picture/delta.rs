@@ -24,8 +24,14 @@ pub fn between(before: &Value, after: &Value) -> Option<Value> {
     }
 }
 
-/// Puts a member into `drawn`, and what has changed of it by that into `patch`.
+/// Puts a member into `drawn`, or takes it away if it is null; and what has changed of it by that into `patch`.
 pub fn renew(drawn: &mut Map<String, Value>, patch: &mut Map<String, Value>, name: String, value: Value) {
+    if value.is_null() {
+        if drawn.remove(&name).is_some() {
+            patch.insert(name, Value::Null);
+        }
+        return;
+    }
     let change = match drawn.get(&name) {
         Some(before) => between(before, &value),
         None => Some(value.clone()),

@@ -3,7 +3,8 @@
 use super::parts::{
     CoordinatorShown, EnsembleShown, FindingShown, NodeShown, PersonShown, ReachState, RobotShown, Takeover,
 };
-use super::{Picture, SILENT_AFTER_MS, bounds};
+use super::{FloorPlan, Picture, SILENT_AFTER_MS, bounds};
+use crate::floor::Floor;
 use consort_protocol::ids::NodeId;
 use consort_protocol::keys::Key;
 use consort_protocol::message::Beacon;
@@ -23,10 +24,11 @@ impl Picture {
             Key::ViewAuctions => self.take_auctions(view),
             Key::ViewWorld => self.take_world(view),
             Key::ViewHealth => self.take_health(view),
+            Key::ViewMap => self.take_map(view),
             _ => return,
         }
-        // Each mission has its time with the list of all.
-        if !matches!(key, Key::ViewMission(_)) {
+        // Each mission has its time with the list of all; a map does not grow old.
+        if !matches!(key, Key::ViewMission(_) | Key::ViewMap) {
             let said_ms = now_ms.saturating_sub(number(view, "age_ms").unwrap_or(0));
             self.views.insert(key.to_string(), said_ms);
         }
@@ -208,6 +210,13 @@ impl Picture {
         }
         if shown.mission != before {
             self.lay_route(name);
+        }
+    }
+
+    fn take_map(&mut self, view: &Value) {
+        if let Ok(floor) = Floor::told(view) {
+            self.plan = FloorPlan::new(&floor);
+            self.ground_touched = true;
         }
     }
 

@@ -13,6 +13,7 @@ mod auctions;
 pub mod delta;
 mod fold;
 mod happenings;
+mod heard;
 mod kpi;
 mod missions;
 mod parts;
@@ -20,6 +21,7 @@ mod plan;
 mod tenures;
 mod tracked;
 
+pub use heard::{Ear, Heard};
 pub use kpi::Kpis;
 pub use parts::{
     AuctionShown, Bar, CoordinatorShown, EnsembleShown, FindingShown, Logged, MissionShown, NodeShown, Offer,
@@ -62,6 +64,8 @@ pub struct Picture {
     node: String,
     plan: FloorPlan,
     since_ms: u64,
+    /// Whether what hardly ever changes may have, since it was drawn: fleet, node and map.
+    ground_touched: bool,
     reach: Reach,
     coordinator: Option<CoordinatorShown>,
     takeovers: Vec<Takeover>,
@@ -103,25 +107,31 @@ impl Picture {
     /// [`delta`]). Anything but an object counts as drawn never before. Only what has been touched since is looked at.
     pub fn redraw(&mut self, drawn: &mut Value) -> Option<Value> {
         if !drawn.is_object() {
-            *drawn =
-                json!({ "fleet": self.fleet, "node": self.node, "since_ms": self.since_ms, "map": self.plan.value() });
-            delta::strip(drawn);
+            *drawn = json!({});
             self.touch_all();
         }
         let Value::Object(drawn) = drawn else { return None };
         let mut patch = Map::new();
-        let mut small = json!({
+        let mut renew = |members: Value| {
+            let Value::Object(members) = members else { return };
+            for (name, mut value) in members {
+                delta::strip(&mut value);
+                delta::renew(drawn, &mut patch, name, value);
+            }
+        };
+        if std::mem::take(&mut self.ground_touched) {
+            renew(
+                json!({ "fleet": self.fleet, "node": self.node, "since_ms": self.since_ms, "map": self.plan.value() }),
+            );
+        }
+        renew(json!({
             "reach": self.reach,
             "coordinator": self.coordinator,
             "takeovers": self.takeovers,
             "health": self.health,
             "views": self.views,
             "kpis": self.kpis(),
-        });
-        delta::strip(&mut small);
-        if let Value::Object(small) = small {
-            small.into_iter().for_each(|(name, value)| delta::renew(drawn, &mut patch, name, value));
-        }
+        }));
         section("nodes", &mut self.nodes, drawn, &mut patch);
         section("robots", &mut self.robots, drawn, &mut patch);
         section("people", &mut self.people, drawn, &mut patch);
@@ -133,7 +143,9 @@ impl Picture {
         (!patch.is_empty()).then_some(Value::Object(patch))
     }
 
-    fn touch_all(&mut self) {
+    /// Counts everything as changed since it was drawn: this is not the picture that was.
+    pub(crate) fn touch_all(&mut self) {
+        self.ground_touched = true;
         self.nodes.touch_all();
         self.robots.touch_all();
         self.people.touch_all();
@@ -172,6 +184,16 @@ impl Picture {
     /// The log, by number.
     pub fn log(&self) -> &BTreeMap<u64, Logged> {
         &self.log
+    }
+
+    /// The people, by name.
+    pub fn people(&self) -> &BTreeMap<String, PersonShown> {
+        &self.people
+    }
+
+    /// How automatic doors stand, by name: `closed`, `opening`, `open` or `closing`.
+    pub fn doors(&self) -> &BTreeMap<String, String> {
+        &self.doors
     }
 
     /// The auctions, by mission, term and round.

@@ -12,12 +12,14 @@ use std::ops::Deref;
 #[derive(Debug, Clone)]
 pub(super) struct Tracked<K, V> {
     members: BTreeMap<K, V>,
-    touched: BTreeSet<K>,
+    /// Those that may have changed, among them some that are gone; without a list it may be any. A list that grew longer than
+    /// the members are is of no use: nobody may look for days.
+    touched: Option<BTreeSet<K>>,
 }
 
 impl<K, V> Default for Tracked<K, V> {
     fn default() -> Tracked<K, V> {
-        Tracked { members: BTreeMap::new(), touched: BTreeSet::new() }
+        Tracked { members: BTreeMap::new(), touched: Some(BTreeSet::new()) }
     }
 }
 
@@ -31,26 +33,27 @@ impl<K, V> Deref for Tracked<K, V> {
 
 impl<K: Ord + Clone, V> Tracked<K, V> {
     pub(super) fn insert(&mut self, name: K, value: V) {
-        self.touched.insert(name.clone());
+        self.touch(name.clone());
         self.members.insert(name, value);
     }
 
     pub(super) fn remove(&mut self, name: &K) {
-        self.touched.insert(name.clone());
+        self.touch(name.clone());
         self.members.remove(name);
     }
 
     /// A member, to be changed; made if it is not there.
     pub(super) fn entry_or(&mut self, name: K, make: impl FnOnce() -> V) -> &mut V {
-        self.touched.insert(name.clone());
+        self.touch(name.clone());
         self.members.entry(name).or_insert_with(make)
     }
 
     /// A member, to be changed if it is there.
     pub(super) fn change(&mut self, name: &K) -> Option<&mut V> {
-        let member = self.members.get_mut(name)?;
-        self.touched.insert(name.clone());
-        Some(member)
+        if self.members.contains_key(name) {
+            self.touch(name.clone());
+        }
+        self.members.get_mut(name)
     }
 
     pub(super) fn retain(&mut self, mut keep: impl FnMut(&K, &V) -> bool) {
@@ -76,30 +79,38 @@ impl<K: Ord + Clone, V> Tracked<K, V> {
     pub(super) fn keep_last(&mut self, most: usize) {
         while self.members.len() > most {
             let Some((first, _)) = self.members.pop_first() else { return };
-            self.touched.insert(first);
+            self.touch(first);
         }
     }
 
     /// Counts every member as changed.
     pub(super) fn touch_all(&mut self) {
-        self.touched.extend(self.members.keys().cloned());
+        self.touched = None;
+    }
+
+    fn touch(&mut self, name: K) {
+        if let Some(touched) = &mut self.touched {
+            touched.insert(name);
+            if touched.len() > self.members.len() + 1 {
+                self.touched = None;
+            }
+        }
     }
 }
 
 impl<K: Ord + Clone + Display, V: Serialize> Tracked<K, V> {
     /// Brings what was drawn up to date, and says what has changed, as a patch. From here on nothing counts as changed.
     pub(super) fn redraw(&mut self, drawn: &mut Map<String, Value>) -> Option<Value> {
+        let named = |name: &K| (name.to_string(), self.members.get(name));
+        let due: BTreeMap<String, Option<&V>> = match self.touched.replace(BTreeSet::new()) {
+            Some(touched) => touched.iter().map(named).collect(),
+            None => drawn.keys().map(|name| (name.clone(), None)).chain(self.members.keys().map(named)).collect(),
+        };
         let mut patch = Map::new();
-        for name in std::mem::take(&mut self.touched) {
-            let (shown, key) = (self.members.get(&name), name.to_string());
-            let Some(mut value) = shown.map(|member| serde_json::to_value(member).unwrap_or_default()) else {
-                if drawn.remove(&key).is_some() {
-                    patch.insert(key, Value::Null);
-                }
-                continue;
-            };
+        for (name, member) in due {
+            let mut value = member.map_or(Value::Null, |member| serde_json::to_value(member).unwrap_or_default());
             delta::strip(&mut value);
-            delta::renew(drawn, &mut patch, key, value);
+            delta::renew(drawn, &mut patch, name, value);
         }
         (!patch.is_empty()).then_some(Value::Object(patch))
     }
@@ -135,5 +146,32 @@ mod tests {
         assert_eq!(tracked.redraw(&mut drawn), Some(json!({ "ada": null })));
         tracked.touch_all();
         assert_eq!(tracked.redraw(&mut Map::new()), Some(json!({ "dot": 1 })));
+    }
+
+    #[test]
+    fn what_was_drawn_of_others_becomes_what_there_is() {
+        let mut tracked = Tracked::default();
+        tracked.insert("ada", json!({ "x": 1, "y": 2 }));
+        let Value::Object(mut drawn) = json!({ "ada": { "x": 1, "y": 3 }, "bob": {} }) else { return };
+        tracked.touch_all();
+        assert_eq!(tracked.redraw(&mut drawn), Some(json!({ "ada": { "y": 2 }, "bob": null })));
+        assert_eq!(Value::Object(drawn), json!({ "ada": { "x": 1, "y": 2 } }));
+    }
+
+    #[test]
+    fn no_more_is_noted_than_there_is_though_nobody_looks() {
+        let mut tracked = Tracked::default();
+        let mut drawn = Map::new();
+        tracked.insert(0, json!(0));
+        tracked.redraw(&mut drawn);
+        for number in 1..1000 {
+            tracked.insert(number, json!(number));
+            tracked.keep_last(10);
+            assert!(tracked.touched.as_ref().is_none_or(|touched| touched.len() <= 11));
+        }
+        let patch = tracked.redraw(&mut drawn).unwrap();
+        assert_eq!((patch["0"].clone(), patch["999"].clone(), drawn.len()), (Value::Null, json!(999), 10));
+        tracked.insert(1000, json!(0));
+        assert_eq!(tracked.redraw(&mut drawn), Some(json!({ "1000": 0 })), "from then on single ones again");
     }
 }

@@ -9,6 +9,7 @@ mod files;
 mod help;
 mod map;
 mod network;
+mod recordings;
 mod recover;
 mod requests;
 mod support;

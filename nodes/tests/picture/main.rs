@@ -315,7 +315,11 @@ fn patches_one_after_the_other_come_to_the_whole() {
     let node = |name: &str, availability: &Value| json!({ "node": name, "alive": true, "robot": worker(availability.clone()) });
     let steps: [&dyn Fn(&mut Picture); 6] = [
         &|picture| {
-            picture.take_view(&Key::ViewFleet, &fleet(json!([node("ada", &holding), node("bob", &json!("free"))])), NOW)
+            picture.take_view(
+                &Key::ViewFleet,
+                &fleet(json!([node("ada", &holding), node("bob", &json!("free"))])),
+                NOW,
+            );
         },
         &|picture| picture.take_body("ada", &telemetry(3.0, 4.0), NOW + 1),
         &|picture| {
@@ -323,10 +327,10 @@ fn patches_one_after_the_other_come_to_the_whole() {
                 &Key::ViewMissions,
                 &json!({ "missions": [{ "mission": "m-1", "detail": "running" }] }),
                 NOW,
-            )
+            );
         },
         &|picture| {
-            picture.take_view(&Key::ViewWorld, &json!({ "doors": [{ "name": "Narrow", "state": "open" }] }), NOW)
+            picture.take_view(&Key::ViewWorld, &json!({ "doors": [{ "name": "Narrow", "state": "open" }] }), NOW);
         },
         &|picture| picture.take_view(&Key::ViewFleet, &fleet(json!([node("bob", &holding)])), NOW),
         &|picture| picture.take_view(&Key::ViewWorld, &json!({ "doors": [] }), NOW),

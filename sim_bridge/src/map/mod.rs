@@ -40,6 +40,8 @@ pub mod drawio;
 mod file;
 mod fittings;
 mod import;
+#[cfg(test)]
+mod nesting_tests;
 mod problem;
 mod reach;
 pub mod rmf;

@@ -1,7 +1,60 @@
-//! A map in JSON, for programs that draw it.
+//! A map in JSON, for programs that draw it; and such a map taken up again, by one who was told of it.
 
-use super::{Lane, LevelIndex, Map};
+use super::{DoorEntry, Lane, LaneEntry, LevelEntry, LevelIndex, LiftEntry, Map, MapError, MapFile, PlaceEntry};
+use serde::Deserialize;
 use serde_json::{Value, json};
+
+/// What [`Map::show`] says, with what else may stand beside it.
+#[derive(Deserialize)]
+struct Shown {
+    name: String,
+    levels: Vec<LevelEntry>,
+    places: Vec<PlaceEntry>,
+    lanes: Vec<LaneEntry>,
+    doors: Vec<ShownDoor>,
+    lifts: Vec<LiftEntry>,
+    walls: Vec<ShownWall>,
+}
+
+#[derive(Deserialize)]
+struct ShownDoor {
+    name: String,
+    on: Vec<(String, String)>,
+    opening_s: f64,
+    posts: Vec<((f64, f64), (f64, f64))>,
+}
+
+#[derive(Deserialize)]
+struct ShownWall {
+    level: String,
+    line: Vec<(f64, f64)>,
+}
+
+impl Map {
+    /// The map of which [`show`](Self::show) was told; `from` names it in errors. Which way robots must face on lanes is not
+    /// told.
+    ///
+    /// # Errors
+    /// [`MapError`] if it is none, or of no sound map.
+    pub fn told(shown: &Value, from: &str) -> Result<Map, MapError> {
+        let syntax =
+            |problem: serde_json::Error| MapError::Syntax { file: from.to_owned(), message: problem.to_string() };
+        let Shown { name, mut levels, places, lanes, doors, lifts, walls } =
+            Shown::deserialize(shown).map_err(syntax)?;
+        for ShownWall { level, line } in walls {
+            if let Some(level) = levels.iter_mut().find(|known| known.name == level) {
+                level.walls.push(line);
+            }
+        }
+        let door = |ShownDoor { name, on, opening_s, posts }: ShownDoor| {
+            // One that stands in several places has no posts of its own.
+            let span = posts.first().copied().filter(|_| posts.len() == 1);
+            DoorEntry { name, on, opening_s, span }
+        };
+        let doors = doors.into_iter().map(door).collect();
+        MapFile { name, levels, walls: vec![], places, lanes, doors, lifts }.check(from)
+    }
+}
 
 impl Map {
     /// All that is on it: levels, places, lanes, doors (with the posts between which they stand), lifts and walls, under the
@@ -64,7 +117,22 @@ impl Map {
 
 #[cfg(test)]
 mod tests {
-    use crate::map::{SHIPPED, shipped};
+    use crate::map::{Map, SHIPPED, shipped};
+    use serde_json::json;
+
+    #[test]
+    fn a_map_that_was_shown_can_be_taken_up_again() {
+        for name in SHIPPED {
+            let mut shown = shipped(name).unwrap().show();
+            let told = Map::told(&shown, "view/map").unwrap();
+            assert_eq!(told.show(), shown, "{name}");
+            // As any node marks it.
+            shown["seen_by"] = json!("station-1");
+            assert_eq!(Map::told(&shown, "view/map").unwrap(), told, "{name}");
+        }
+        let problem = Map::told(&json!({ "error": "s1 was given no map" }), "view/map").unwrap_err().to_string();
+        assert_eq!(problem, "map view/map: missing field `name`");
+    }
 
     #[test]
     fn everything_on_a_map_is_shown_with_its_place() {

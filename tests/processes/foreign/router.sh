@@ -29,7 +29,8 @@ touch fetched/src/lib.rs
 cargo fetch --quiet --manifest-path fetched/Cargo.toml
 for crate in zenohd zenoh-plugin-rest; do
     rm -rf "$crate"
-    cp -r "${CARGO_HOME:-$HOME/.cargo}"/registry/src/*/"$crate-$version" "$crate"
+    unpacked=("${CARGO_HOME:-$HOME/.cargo}"/registry/src/*/"$crate-$version")
+    cp -r "${unpacked[0]}" "$crate"
     rm -f "$crate/Cargo.lock"
 done
 

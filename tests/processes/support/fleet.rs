@@ -198,6 +198,39 @@ impl Drop for Fleet {
     }
 }
 
+/// Three stations keep the ledger, so that whoever coordinates has nothing else to do and can be killed for it.
+pub(crate) fn hospital(name: &str) -> Fleet {
+    opened(Fleet::new(&named(name)))
+}
+
+/// The same, each of its nodes linked with a router that is none of ours, too.
+pub(crate) fn hospital_by(name: &str, router: &str) -> Fleet {
+    opened(Fleet::linked_with(router, &named(name)))
+}
+
+fn named(name: &str) -> Table {
+    let mut file = example("fleet");
+    file.insert("name".to_owned(), name.into());
+    file
+}
+
+fn opened(mut fleet: Fleet) -> Fleet {
+    let mut world = example("world");
+    world.insert("speed".to_owned(), 20.0.into());
+    fleet.start("world", world, &[]);
+    for number in 1..=3 {
+        let mut station = example("station");
+        station.insert("name".to_owned(), format!("station-{number}").into());
+        fleet.start("station", station, &["world"]);
+    }
+    for kind in ["robot", "arm"] {
+        let mut robot = example(kind);
+        robot.insert("may_vote".to_owned(), false.into());
+        fleet.start("robot", robot, &["world"]);
+    }
+    fleet
+}
+
 /// Waits until a node has ended with exit code 0, and checks that it had no trouble.
 #[track_caller]
 fn well(node: Program) -> Ended {

@@ -6,7 +6,7 @@ mod folder;
 mod program;
 
 pub(crate) use client::{Client, tasks};
-pub(crate) use fleet::{Fleet, example};
+pub(crate) use fleet::{Fleet, example, hospital, hospital_by};
 pub(crate) use folder::Folder;
 pub(crate) use program::{Ended, Program};
 

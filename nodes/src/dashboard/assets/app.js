@@ -7,6 +7,7 @@ import { open } from './line.js';
 import * as log from './log.js';
 import * as map from './map.js';
 import * as missions from './missions.js';
+import * as replay from './replay.js';
 import * as robots from './robots.js';
 import * as schedule from './schedule.js';
 import * as status from './status.js';
@@ -35,6 +36,7 @@ const chooseMission = (mission) => {
 
 const line = open({
   onChange: (picture, patch) => {
+    replay.update(line);
     if (!patch || patch.map) submit.setPlaces(picture);
     if (!patch || patch.robots || patch.people || patch.doors || patch.map) map.update(picture, patch);
     touch(...(patch ? Object.keys(patch) : Object.keys(picture)));
@@ -57,7 +59,7 @@ function draw() {
   const { picture } = line;
   const any = (...sections) => sections.some((section) => dirty.has(section));
   status.update(picture);
-  if (any('log')) log.alarms(picture);
+  if (any('log')) log.alarms(picture, replay.hasJumped());
   if (any('robots', 'people', 'doors')) robots.update(picture, chosen.robot, chooseRobot);
   if ((isOpen('missions') || isOpen('history')) && any('missions')) {
     missions.update(picture, line.now(), { mission: chosen.mission, choose: chooseMission, cancel: submit.cancel, rescue: submit.rescue });
@@ -74,6 +76,7 @@ function draw() {
 
 function tick() {
   status.tick(line);
+  replay.tick(line);
   map.setStale(document.body.classList.contains('stale'));
   tickAges(line.now());
 }

@@ -8,7 +8,13 @@ const SILENCE = 5000;
 export function open({ onChange, onLine }) {
   // What was heard is counted, to be looked at by tests.
   const heardOf = { number: 0, wholes: 0, patches: 0, bytes: 0 };
-  const line = { picture: null, ahead: 0, state: 'connecting', since: Date.now(), now: () => Date.now() + line.ahead, heard: heardOf };
+  const line = { picture: null, said: 0, saidAt: 0, state: 'connecting', since: Date.now(), heard: heardOf };
+  // Of a recording time passes as it is played; otherwise as it does.
+  line.pace = () => {
+    const recording = line.picture?.recording;
+    return recording ? (recording.playing ? recording.speed : 0) : 1;
+  };
+  line.now = () => line.said + (Date.now() - line.saidAt) * line.pace();
   let wait = PATIENCE.least;
   let heard = Date.now();
 
@@ -29,7 +35,7 @@ export function open({ onChange, onLine }) {
     socket.onmessage = ({ data }) => {
       const said = JSON.parse(data);
       heard = Date.now();
-      line.ahead = said.now_ms - heard;
+      Object.assign(line, { said: said.now_ms, saidAt: heard });
       wait = PATIENCE.least;
       heardOf.number = said.number;
       heardOf.bytes += data.length;

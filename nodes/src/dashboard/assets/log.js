@@ -17,11 +17,11 @@ export function start(onChange) {
   }
 }
 
-/** Says aloud what is new and alarming. */
-export function alarms(picture) {
+/** Says aloud what is new and alarming; not so if somebody has just gone elsewhere in a recording. */
+export function alarms(picture, quiet) {
   const numbers = Object.keys(picture.log ?? {}).map(Number);
   const last = Math.max(0, ...numbers);
-  if (announced !== undefined) {
+  if (announced !== undefined && !quiet) {
     const news = numbers.filter((number) => number > announced).map((number) => picture.log[number]).filter((event) => event.alarm);
     if (news.length) announce(news.map((event) => `${event.word}: ${event.text}`).join('. '));
   }

@@ -4,7 +4,8 @@ import { byId, make } from './dom.js';
 import { sheet } from './sprites.js';
 
 const canvas = byId('map');
-const pen = canvas.getContext('2d');
+// The ground covers all of it.
+const pen = canvas.getContext('2d', { alpha: false });
 const ground = document.createElement('canvas');
 const MARGIN = 26;
 /** Longest time in which a robot is moved from one report to the next, in milliseconds. */

@@ -57,12 +57,13 @@ export function tick(line) {
 
 /** What is the matter, in a word; the panel of coordination has it in full. */
 function health(findings) {
-  if (!findings?.length) return;
-  const count = (level) => findings.filter((one) => one.level === level).length;
+  const count = (level) => (findings ?? []).filter((one) => one.level === level).length;
   const some = (number, word) => (number ? `${number} ${word}${number > 1 ? 's' : ''}` : '');
   const [errors, warnings] = [count('error'), count('warning')];
-  say(byId('health'), [some(errors, 'error'), some(warnings, 'warning')].filter(Boolean).join(', ') || 'well');
-  byId('health').className = `state ${errors ? 'bad' : warnings ? 'warn' : 'good'}`;
+  // One finding at least says that all is well; before the first is heard of a fleet, nothing is known.
+  const [kind, rest] = findings?.length ? ['good', 'well'] : ['wait', 'not known'];
+  say(byId('health'), [some(errors, 'error'), some(warnings, 'warning')].filter(Boolean).join(', ') || rest);
+  byId('health').className = `state ${errors ? 'bad' : warnings ? 'warn' : kind}`;
 }
 
 function figures(kpis) {

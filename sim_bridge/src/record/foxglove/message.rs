@@ -4,26 +4,40 @@ use crate::map::{LevelIndex, Map};
 use crate::world::Stance;
 use serde::Serialize;
 
-/// A point in time, or a time span.
-#[derive(Debug, Clone, Copy, Default, Serialize)]
-pub(super) struct Time {
+/// A point in time, or a time span. Of a world's, it counts from the world's beginning; of a fleet's, from 1970.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, PartialOrd, Ord, Serialize)]
+pub struct Time {
     sec: u64,
     nsec: u32,
 }
 
 impl Time {
-    /// So many seconds after the world began.
-    pub(super) fn of(seconds: f64) -> Time {
-        let nanoseconds = (seconds.max(0.0) * 1e9).round() as u64;
+    /// So many seconds.
+    pub fn of(seconds: f64) -> Time {
+        Time::of_ns((seconds.max(0.0) * 1e9).round() as u64)
+    }
+
+    /// So many milliseconds.
+    pub fn of_ms(ms: u64) -> Time {
+        Time { sec: ms / 1000, nsec: (ms % 1000) as u32 * 1_000_000 }
+    }
+
+    fn of_ns(nanoseconds: u64) -> Time {
         Time { sec: nanoseconds / 1_000_000_000, nsec: (nanoseconds % 1_000_000_000) as u32 }
     }
 
-    pub(super) fn nanoseconds(self) -> u64 {
-        self.sec * 1_000_000_000 + u64::from(self.nsec)
+    /// In nanoseconds.
+    pub fn nanoseconds(self) -> u64 {
+        self.sec.saturating_mul(1_000_000_000).saturating_add(u64::from(self.nsec))
+    }
+
+    /// A nanosecond later.
+    pub(super) fn next(self) -> Time {
+        Time::of_ns(self.nanoseconds() + 1)
     }
 }
 
-#[derive(Debug, Clone, Copy, Default, Serialize)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize)]
 pub(super) struct Vector3 {
     pub(super) x: f64,
     pub(super) y: f64,
@@ -36,7 +50,7 @@ impl Vector3 {
     }
 }
 
-#[derive(Debug, Clone, Copy, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub(super) struct Quaternion {
     x: f64,
     y: f64,
@@ -44,7 +58,7 @@ pub(super) struct Quaternion {
     w: f64,
 }
 
-#[derive(Debug, Clone, Copy, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
 pub(super) struct Pose {
     pub(super) position: Vector3,
     pub(super) orientation: Quaternion,

@@ -7,8 +7,7 @@ use super::message::{
 use super::{WORLD_FRAME, frame_of};
 use crate::map::show::colours::{self, DOOR, INK, LANE, LIFT, WALL};
 use crate::map::{Door, LevelIndex, Map, PlaceKind};
-use crate::world::{PersonReport, RobotBody};
-use consort_protocol::ids::PlaceId;
+use consort_protocol::ids::{PlaceId, RobotId};
 
 /// How thick and how high things are drawn that have no size on the map, in metres.
 const WALL_M: f64 = 0.12;
@@ -23,18 +22,18 @@ const OPEN: &str = "#43a047";
 const BLOCKED: &str = "#d50000";
 
 /// Walls, lanes, places and lifts, an entity for each kind and level.
-pub(super) fn map(map: &Map, at_s: f64) -> SceneUpdate {
+pub(super) fn map(map: &Map, at: Time) -> SceneUpdate {
     let mut entities = vec![];
     for level in map.level_indices() {
         let (name, z) = (&map.level(level).name, elevation_m(map, level));
         let point = |(x, y): (f64, f64)| Vector3::new(x, y, z);
-        let mut walls = entity(&format!("walls of {name}"), at_s);
+        let mut walls = entity(&format!("walls of {name}"), at);
         walls.lines = map.walls_on(level).map(|wall| line(0, WALL_M, wall.iter().copied().map(point), WALL)).collect();
-        let mut lanes = entity(&format!("lanes of {name}"), at_s);
-        let at = |place: &PlaceId| map.place(place).map(|place| point((place.pose.x, place.pose.y)));
-        let ends = map.lanes_on(level).filter_map(|lane| Some([at(&lane.from)?, at(&lane.to)?])).flatten();
+        let mut lanes = entity(&format!("lanes of {name}"), at);
+        let point_of = |place: &PlaceId| map.place(place).map(|place| point((place.pose.x, place.pose.y)));
+        let ends = map.lanes_on(level).filter_map(|lane| Some([point_of(&lane.from)?, point_of(&lane.to)?])).flatten();
         lanes.lines = vec![line(2, LANE_M, ends, LANE)];
-        entities.extend([walls, lanes, places(map, level, at_s), lifts(map, level, at_s)]);
+        entities.extend([walls, lanes, places(map, level, at), lifts(map, level, at)]);
     }
     let drawn = |entity: &SceneEntity| {
         entity.lines.iter().any(|line| !line.points.is_empty())
@@ -45,8 +44,8 @@ pub(super) fn map(map: &Map, at_s: f64) -> SceneUpdate {
     SceneUpdate { entities, ..SceneUpdate::default() }
 }
 
-fn places(map: &Map, level: LevelIndex, at_s: f64) -> SceneEntity {
-    let mut places = entity(&format!("places of {}", map.level(level).name), at_s);
+fn places(map: &Map, level: LevelIndex, at: Time) -> SceneEntity {
+    let mut places = entity(&format!("places of {}", map.level(level).name), at);
     let z = elevation_m(map, level);
     for place in map.places().iter().filter(|place| place.level == level) {
         let (x, y) = (place.pose.x, place.pose.y);
@@ -59,8 +58,8 @@ fn places(map: &Map, level: LevelIndex, at_s: f64) -> SceneEntity {
     places
 }
 
-fn lifts(map: &Map, level: LevelIndex, at_s: f64) -> SceneEntity {
-    let mut lifts = entity(&format!("lifts of {}", map.level(level).name), at_s);
+fn lifts(map: &Map, level: LevelIndex, at: Time) -> SceneEntity {
+    let mut lifts = entity(&format!("lifts of {}", map.level(level).name), at);
     let z = elevation_m(map, level);
     for lift in map.lifts() {
         let here = lift.stops.iter().filter_map(|stop| map.place(stop)).filter(|stop| stop.level == level);
@@ -77,20 +76,20 @@ fn lifts(map: &Map, level: LevelIndex, at_s: f64) -> SceneEntity {
     lifts
 }
 
-/// All doors, closed.
-pub(super) fn doors(map: &Map, at_s: f64) -> SceneUpdate {
-    let entities = map.doors().iter().map(|door| leaf(map, door, false, at_s)).collect();
+/// All doors.
+pub(super) fn doors(map: &Map, is_open: impl Fn(&str) -> bool, at: Time) -> SceneUpdate {
+    let entities = map.doors().iter().map(|door| leaf(map, door, is_open(&door.name), at)).collect();
     SceneUpdate { entities, ..SceneUpdate::default() }
 }
 
 /// One door as it stands now.
-pub(super) fn door(map: &Map, name: &str, open: bool, at_s: f64) -> SceneUpdate {
-    let entities = map.door(name).map(|door| leaf(map, door, open, at_s)).into_iter().collect();
+pub(super) fn door(map: &Map, name: &str, open: bool, at: Time) -> SceneUpdate {
+    let entities = map.door(name).map(|door| leaf(map, door, open, at)).into_iter().collect();
     SceneUpdate { entities, ..SceneUpdate::default() }
 }
 
-fn leaf(map: &Map, door: &Door, open: bool, at_s: f64) -> SceneEntity {
-    let mut drawn = entity(&door.name, at_s);
+fn leaf(map: &Map, door: &Door, open: bool, at: Time) -> SceneEntity {
+    let mut drawn = entity(&door.name, at);
     let level = door.lanes.first().and_then(|(from, _)| map.level_of(from)).unwrap_or_default();
     let z = elevation_m(map, level) + 0.05;
     let colour = if open { OPEN } else { DOOR };
@@ -100,8 +99,8 @@ fn leaf(map: &Map, door: &Door, open: bool, at_s: f64) -> SceneEntity {
 }
 
 /// What stands in the middle of a lane, for all that is told of it.
-pub(super) fn obstacle(map: &Map, name: &str, (a, b): &(PlaceId, PlaceId), at_s: f64) -> SceneUpdate {
-    let mut drawn = entity(name, at_s);
+pub(super) fn obstacle(map: &Map, name: &str, (a, b): &(PlaceId, PlaceId), at: Time) -> SceneUpdate {
+    let mut drawn = entity(name, at);
     if let (Some(a), Some(b)) = (map.place(a), map.place(b)) {
         let (x, y) = (f64::midpoint(a.pose.x, b.pose.x), f64::midpoint(a.pose.y, b.pose.y));
         let z = elevation_m(map, a.level);
@@ -116,25 +115,24 @@ pub(super) fn obstacle(map: &Map, name: &str, (a, b): &(PlaceId, PlaceId), at_s:
 }
 
 /// People at their places.
-pub(super) fn people(map: &Map, people: impl Iterator<Item = PersonReport>, at_s: f64) -> SceneUpdate {
-    let drawn = people.filter_map(|person| {
-        let place = map.place(&person.place)?;
+pub(super) fn people(map: &Map, people: impl Iterator<Item = (String, PlaceId)>, at: Time) -> SceneUpdate {
+    let drawn = people.filter_map(|(name, place)| {
+        let place = map.place(&place)?;
         let (wide, high) = PERSON_M;
         let foot = Vector3::new(place.pose.x, place.pose.y, elevation_m(map, place.level));
-        let mut drawn = entity(person.name.as_str(), at_s);
+        let mut drawn = entity(&name, at);
         drawn.cylinders.push(cylinder(foot, wide, high, colours::THING, 0.6));
-        drawn.texts.push(text(Vector3 { z: foot.z + high + 0.2, ..foot }, person.name.as_str(), colours::THING));
+        drawn.texts.push(text(Vector3 { z: foot.z + high + 0.2, ..foot }, &name, colours::THING));
         Some(drawn)
     });
     SceneUpdate { entities: drawn.collect(), ..SceneUpdate::default() }
 }
 
-/// Robots, each in its own frame: it goes where that goes.
-pub(super) fn robots(bodies: impl Iterator<Item = RobotBody>, at_s: f64) -> SceneUpdate {
-    let drawn = bodies.enumerate().map(|(place, body)| {
-        let (wide, colour) = (2.0 * body.radius_m, colours::of_robot(place));
-        let mut drawn =
-            SceneEntity { frame_id: frame_of(&body.id), frame_locked: true, ..entity(body.id.as_str(), at_s) };
+/// Robots with their radius in metres, each in its own frame: it goes where that goes.
+pub(super) fn robots(bodies: impl Iterator<Item = (RobotId, f64)>, at: Time) -> SceneUpdate {
+    let drawn = bodies.enumerate().map(|(place, (id, radius_m))| {
+        let (wide, colour) = (2.0 * radius_m, colours::of_robot(place));
+        let mut drawn = SceneEntity { frame_id: frame_of(&id), frame_locked: true, ..entity(id.as_str(), at) };
         drawn.cylinders.push(cylinder(Vector3::default(), wide, ROBOT_HIGH_M, colour, 0.8));
         drawn.arrows.push(Arrow {
             pose: Pose::upright(Vector3::new(0.0, 0.0, ROBOT_HIGH_M)),
@@ -144,27 +142,22 @@ pub(super) fn robots(bodies: impl Iterator<Item = RobotBody>, at_s: f64) -> Scen
             head_diameter: 0.16,
             color: Colour::of(colour, 1.0),
         });
-        drawn.texts.push(text(Vector3::new(0.0, 0.0, ROBOT_HIGH_M + 0.4), body.id.as_str(), colour));
+        drawn.texts.push(text(Vector3::new(0.0, 0.0, ROBOT_HIGH_M + 0.4), id.as_str(), colour));
         drawn
     });
     SceneUpdate { entities: drawn.collect(), ..SceneUpdate::default() }
 }
 
-/// Something is there no longer.
-pub(super) fn gone(id: &str, at_s: f64) -> SceneUpdate {
+/// Things are there no longer.
+pub(super) fn gone(ids: &[&str], at: Time) -> SceneUpdate {
     // Only what is older is taken away: a nanosecond later it all is.
-    let timestamp = Time::of(at_s + 1e-9);
-    let deletions = vec![SceneEntityDeletion { timestamp, kind: 0, id: id.to_owned() }];
-    SceneUpdate { deletions, ..SceneUpdate::default() }
+    let timestamp = at.next();
+    let deletion = |id: &&str| SceneEntityDeletion { timestamp, kind: 0, id: (*id).to_owned() };
+    SceneUpdate { deletions: ids.iter().map(deletion).collect(), ..SceneUpdate::default() }
 }
 
-fn entity(id: &str, at_s: f64) -> SceneEntity {
-    SceneEntity {
-        timestamp: Time::of(at_s),
-        frame_id: WORLD_FRAME.to_owned(),
-        id: id.to_owned(),
-        ..SceneEntity::default()
-    }
+fn entity(id: &str, at: Time) -> SceneEntity {
+    SceneEntity { timestamp: at, frame_id: WORLD_FRAME.to_owned(), id: id.to_owned(), ..SceneEntity::default() }
 }
 
 fn line(kind: u8, thickness: f64, points: impl Iterator<Item = Vector3>, colour: &str) -> Line {

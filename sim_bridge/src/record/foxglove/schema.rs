@@ -4,77 +4,90 @@
 use serde_json::{Value, json};
 
 /// A kind of message.
-pub(super) struct Schema {
-    /// Its name.
-    pub(super) name: &'static str,
-    fields: fn() -> Vec<Field>,
+pub struct Schema {
+    name: &'static str,
+    shape: Shape,
+}
+
+enum Shape {
+    /// An object with these fields, all of which are always there.
+    Fields(fn() -> Vec<Field>),
+    /// What the JSON Schema says but for its title.
+    Said(fn() -> Value),
 }
 
 type Field = (&'static str, Value);
 
 impl Schema {
+    /// A kind of one's own: its name, and its JSON Schema, an object.
+    pub const fn new(name: &'static str, said: fn() -> Value) -> Schema {
+        Schema { name, shape: Shape::Said(said) }
+    }
+
+    const fn known(name: &'static str, fields: fn() -> Vec<Field>) -> Schema {
+        Schema { name, shape: Shape::Fields(fields) }
+    }
+
+    /// Its name.
+    pub fn name(&self) -> &'static str {
+        self.name
+    }
+
     /// The schema itself, as JSON.
-    pub(super) fn describe(&self) -> Value {
-        object(self.name, (self.fields)())
+    pub fn describe(&self) -> Value {
+        match self.shape {
+            Shape::Fields(fields) => object(self.name, fields()),
+            Shape::Said(said) => {
+                let mut schema = said();
+                schema["title"] = self.name.into();
+                schema
+            }
+        }
     }
 }
 
-pub(super) const SCENE_UPDATE: Schema = Schema {
-    name: "foxglove.SceneUpdate",
-    fields: || {
-        let kind = ("type", number("integer"));
-        let deletion = object("foxglove.SceneEntityDeletion", vec![("timestamp", time()), kind, ("id", text())]);
-        vec![("deletions", list(deletion)), ("entities", list(entity()))]
-    },
-};
+pub(super) static SCENE_UPDATE: Schema = Schema::known("foxglove.SceneUpdate", || {
+    let kind = ("type", number("integer"));
+    let deletion = object("foxglove.SceneEntityDeletion", vec![("timestamp", time()), kind, ("id", text())]);
+    vec![("deletions", list(deletion)), ("entities", list(entity()))]
+});
 
-pub(super) const FRAME_TRANSFORMS: Schema = Schema {
-    name: "foxglove.FrameTransforms",
-    fields: || {
-        let transform = vec![
-            ("timestamp", time()),
-            ("parent_frame_id", text()),
-            ("child_frame_id", text()),
-            ("translation", vector()),
-            ("rotation", quaternion()),
-        ];
-        vec![("transforms", list(object("foxglove.FrameTransform", transform)))]
-    },
-};
+pub(super) static FRAME_TRANSFORMS: Schema = Schema::known("foxglove.FrameTransforms", || {
+    let transform = vec![
+        ("timestamp", time()),
+        ("parent_frame_id", text()),
+        ("child_frame_id", text()),
+        ("translation", vector()),
+        ("rotation", quaternion()),
+    ];
+    vec![("transforms", list(object("foxglove.FrameTransform", transform)))]
+});
 
-pub(super) const POSE_IN_FRAME: Schema = Schema {
-    name: "foxglove.PoseInFrame",
-    fields: || vec![("timestamp", time()), ("frame_id", text()), ("pose", pose())],
-};
+pub(super) static POSE_IN_FRAME: Schema =
+    Schema::known("foxglove.PoseInFrame", || vec![("timestamp", time()), ("frame_id", text()), ("pose", pose())]);
 
-pub(super) const LOG: Schema = Schema {
-    name: "foxglove.Log",
-    fields: || {
-        vec![
-            ("timestamp", time()),
-            ("level", number("integer")),
-            ("message", text()),
-            ("name", text()),
-            ("file", text()),
-            ("line", number("integer")),
-        ]
-    },
-};
+pub(super) static LOG: Schema = Schema::known("foxglove.Log", || {
+    vec![
+        ("timestamp", time()),
+        ("level", number("integer")),
+        ("message", text()),
+        ("name", text()),
+        ("file", text()),
+        ("line", number("integer")),
+    ]
+});
 
 /// Our own: what a robot's pose does not say of it.
-pub(super) const ROBOT_STATE: Schema = Schema {
-    name: "consort.RobotState",
-    fields: || {
-        vec![
-            ("timestamp", time()),
-            ("place", text()),
-            ("battery", number("number")),
-            ("able", flag()),
-            ("drawer_open", flag()),
-            ("carries", list(text())),
-        ]
-    },
-};
+pub(super) static ROBOT_STATE: Schema = Schema::known("consort.RobotState", || {
+    vec![
+        ("timestamp", time()),
+        ("place", text()),
+        ("battery", number("number")),
+        ("able", flag()),
+        ("drawer_open", flag()),
+        ("carries", list(text())),
+    ]
+});
 
 fn entity() -> Value {
     let pair = object("foxglove.KeyValuePair", vec![("key", text()), ("value", text())]);

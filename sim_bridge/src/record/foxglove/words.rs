@@ -5,8 +5,8 @@ use consort_protocol::ids::{PlaceId, RobotId};
 use consort_skills::actions::{Goal, GoalStatus};
 
 /// Foxglove's levels.
-const INFO: u8 = 2;
-const WARNING: u8 = 3;
+pub(super) const INFO: u8 = 2;
+pub(super) const WARNING: u8 = 3;
 const ERROR: u8 = 4;
 
 /// How grave it is, who or what it is about, and what it is.

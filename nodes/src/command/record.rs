@@ -1,0 +1,160 @@
+//! `consort record`: what is heard of a fleet, written to a file.
+
+use crate::client::{Client, ClientFlags};
+use crate::dashboard::follow;
+use crate::exit::Failure;
+use crate::output::{self, Waiting};
+use crate::picture::{Ear, FloorPlan, Picture};
+use crate::recording::{Recorded, Recorder, Tape};
+use consort_actors::clock::Clock;
+use consort_sim::record::foxglove::Existing;
+use indicatif::HumanBytes;
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::time::Duration;
+use tokio::signal::unix::{SignalKind, signal};
+use tokio::task::JoinSet;
+use tokio::time::{Instant, sleep_until};
+
+/// Record what happens in a fleet to an MCAP file
+///
+/// It listens as any client does, and is no part of the fleet: events, robots, people and doors, and all that the dashboard shows.
+/// It ends with Ctrl-C, SIGTERM or after `--for`; the file is complete then. `consort replay` shows it in the dashboard, and
+/// Foxglove opens it.
+#[derive(Debug, clap::Args)]
+#[command(after_long_help = "\
+Examples:
+  consort record --out run.mcap
+  consort record --out run.mcap --for 90s --fleet demo --connect tcp/127.0.0.1:7447
+  consort record --out run.mcap --force --connect tcp/192.0.2.1:7447 --connect tcp/192.0.2.2:7447
+  consort replay run.mcap
+
+With several addresses it goes on when the node that it is linked to dies. Events that were not heard meanwhile are noted in the
+file, by the numbers that nodes give them (topic /gaps). Whoever kills the recorder loses a second or two, and the file's index:
+`consort replay` shows it all the same, and `mcap recover` mends it.")]
+pub struct Args {
+    /// The file; one that is there already is not replaced without --force
+    #[arg(long, env = "CONSORT_OUT", value_name = "FILE.mcap")]
+    out: PathBuf,
+    /// How long to record, as 60s, 5m or 2h. Default: until Ctrl-C
+    #[arg(long = "for", env = "CONSORT_FOR", value_name = "TIME", value_parser = length)]
+    length: Option<Duration>,
+    /// Replace the file if there is one
+    #[arg(long)]
+    force: bool,
+    /// Print what was recorded as JSON
+    #[arg(long)]
+    json: bool,
+    #[command(flatten)]
+    client: ClientFlags,
+}
+
+/// How often it is looked whether something is to be written, and what there is so far.
+const LOOK: Duration = Duration::from_millis(250);
+
+/// The node's name in the picture: where it is drawn.
+const NAME: &str = "recorder";
+
+/// Runs the command.
+///
+/// # Errors
+/// [`Failure::Usage`] if the file is there already or cannot be written; [`Failure::Unsuccessful`] if it does not hold all that
+/// was heard; as [`Client::open`].
+pub fn run(args: Args) -> Result<(), Failure> {
+    if !args.force && args.out.exists() {
+        return Err(there_already(&args.out));
+    }
+    let Args { out, length, force, json, client } = args;
+    let existing = if force { Existing::Replace } else { Existing::Keep };
+    let recorded = client.connected(async |client| {
+        let clock = Clock::real();
+        let (fleet, began_ms) = (client.fleet().clone(), clock.wall_ms());
+        let tape = Tape::create(&out, existing, &fleet, NAME, began_ms);
+        let tape = tape.map_err(|problem| Failure::Usage(problem.to_string()))?;
+        let picture = Picture::new(fleet.to_string(), NAME, FloorPlan::default(), began_ms);
+        let recorder = Arc::new(Recorder::new(picture, tape, clock));
+        let until = length.map(|length| Instant::now() + length);
+        output::note(format_args!("recording {fleet} to {}; Ctrl-C ends it", out.display()));
+        let ended = listen(client, &recorder, until).await;
+        let recorded = recorder.end().map_err(|problem| Failure::Unsuccessful(problem.to_string()))?;
+        ended.map(|()| recorded)
+    })?;
+    match json {
+        true => output::line(serde_json::json!({ "file": out, "recorded": recorded })),
+        false => output::line(format_args!("{}: {}", out.display(), words(&recorded))),
+    }
+}
+
+/// Has the recorder told what is heard, until it is to end.
+async fn listen(client: &Client, recorder: &Arc<Recorder>, until: Option<Instant>) -> Result<(), Failure> {
+    let no_signal = |problem: std::io::Error| Failure::Unsuccessful(format!("signals cannot be heard: {problem}"));
+    let mut interrupt = signal(SignalKind::interrupt()).map_err(no_signal)?;
+    let mut terminate = signal(SignalKind::terminate()).map_err(no_signal)?;
+    let ear: Arc<dyn Ear> = Arc::<Recorder>::clone(recorder);
+    let mut tasks = JoinSet::new();
+    follow(&mut tasks, client.bus(), client.keys().clone(), ear);
+    let mut progress = Waiting::new();
+    let end = async {
+        match until {
+            Some(until) => sleep_until(until).await,
+            None => std::future::pending().await,
+        }
+    };
+    tokio::pin!(end);
+    loop {
+        tokio::select! {
+            _ = interrupt.recv() => return Ok(()),
+            _ = terminate.recv() => return Ok(()),
+            () = &mut end => return Ok(()),
+            () = recorder.failed() => return Ok(()), // it says itself why
+            () = tokio::time::sleep(LOOK) => {
+                if let (Some(recorded), coordinator) = recorder.pass() {
+                    let who = coordinator.map_or_else(|| "nobody coordinates".to_owned(), |now| format!("{} coordinates", now.node));
+                    progress.turn(format_args!("{}; {who}", words(&recorded)));
+                }
+            }
+        }
+    }
+}
+
+/// What there is, in words.
+fn words(recorded: &Recorded) -> String {
+    let Recorded { seconds, events, reports, views, gaps, lost, bytes, .. } = recorded;
+    let gaps = match gaps {
+        0 => String::new(),
+        _ => format!(", {lost} events not heard in {gaps} gaps"),
+    };
+    format!("{seconds:.0} s, {events} events{gaps}, {reports} reports of bodies, {views} views, {}", HumanBytes(*bytes))
+}
+
+fn there_already(out: &std::path::Path) -> Failure {
+    Failure::Usage(format!("{}: this file is there already; --force replaces it", out.display()))
+}
+
+/// Reads a length of time: a number with `s`, `m` or `h`; without, it is seconds.
+fn length(text: &str) -> Result<Duration, String> {
+    let (number, unit_s) = match text.trim().char_indices().last() {
+        Some((at, 's')) => (&text[..at], 1.0),
+        Some((at, 'm')) => (&text[..at], 60.0),
+        Some((at, 'h')) => (&text[..at], 3600.0),
+        _ => (text, 1.0),
+    };
+    let seconds = number.trim().parse::<f64>().ok().filter(|number| *number > 0.0).map(|number| number * unit_s);
+    let length = seconds.and_then(|seconds| Duration::try_from_secs_f64(seconds).ok());
+    length.ok_or_else(|| "expected a length of time above 0, as 60s, 5m or 2h".to_owned())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_length_of_time_has_a_unit_or_is_of_seconds() {
+        for (text, seconds) in [("60s", 60.0), ("1.5m", 90.0), ("2h", 7200.0), ("90", 90.0), ("0.5 s", 0.5)] {
+            assert_eq!(length(text).unwrap().as_secs_f64(), seconds, "{text}");
+        }
+        for text in ["", "s", "0", "-3s", "1e300h", "NaN", "5 weeks", "5d", "é"] {
+            assert!(length(text).unwrap_err().contains("as 60s, 5m or 2h"), "{text}");
+        }
+    }
+}

@@ -1,0 +1,208 @@
+//! A fleet that loses its coordinator is recorded, and looked at afterwards.
+
+use crate::browser::{Browser, SOON};
+use crate::fleet_on_show::check_access;
+use crate::support::{Client, Folder, Program, hospital, until};
+use serde_json::{Value, json};
+use std::time::Duration;
+
+/// How long each part of a mission may take.
+const LONG: Duration = Duration::from_secs(120);
+
+/// What keys are called in WebDriver.
+const LEFT: &str = "\u{e012}";
+const RIGHT: &str = "\u{e014}";
+const HOME: &str = "\u{e011}";
+const END: &str = "\u{e010}";
+
+/// Records a mission during which the coordinator is killed: the file, and who coordinated before and after.
+fn record(folder: &Folder) -> (String, String, String) {
+    let file = folder.path().join("run.mcap").display().to_string();
+    let mut fleet = hospital("taped");
+    let mut client = Client::open(&fleet.address("world"), "taped");
+    let first = until("somebody coordinates", LONG, || Some(client.view("coordinator")["node"].as_str()?.to_owned()));
+    let recorder = fleet.begin(&["record", "--out", &file], "world");
+    until("it records", SOON, || recorder.stderr().contains("recording taped to ").then_some(()));
+    let holds = |text: &str| {
+        let there = |bytes: Vec<u8>| String::from_utf8_lossy(&bytes).contains(text);
+        std::fs::read(&file).is_ok_and(there).then_some(())
+    };
+    until("the recorder has heard who coordinates", SOON, || holds(&format!(r#"{{"node":"{first}","term":"#)));
+    let asked = r#"{"mission": "lab-samples", "parameters": {"room": "IC Room 6"}, "request": "taped-1"}"#;
+    until("the mission is acknowledged", LONG, || {
+        client.ask("api/submit", asked)["mission"].as_str().map(|mission| assert_eq!(mission, "lab-samples-1"))
+    });
+    client.hears("a task begins", LONG, |event| event["event"] == "task_began");
+    fleet.kill(&first);
+    let elected = client
+        .hears("another is elected", LONG, |event| event["event"] == "elected" && event["node"] != first.as_str());
+    client
+        .hears("the mission is completed", LONG, |event| event["event"] == "mission" && event["state"] == "completed");
+    // It was there before, but it may hear of things a moment later.
+    until("the recorder has heard of it", SOON, || holds(r#""state":"completed","submitted_at_ms""#));
+    recorder.signal("INT");
+    let said = recorder.end(SOON).expect(0).stdout;
+    assert!(said.starts_with(&format!("{file}: ")) && said.contains(" events, "), "{said}");
+    fleet.stop();
+    (file, first, elected["node"].as_str().expect("a name").to_owned())
+}
+
+/// The address that a replay prints.
+fn replay(folder: &Folder, name: &str, file: &str) -> (Program, String) {
+    let program = Program::start(folder, name, &["replay", file]);
+    let url = until("the address of the dashboard", SOON, || {
+        assert!(!program.stderr().contains("consort:"), "{}", program.stderr());
+        Some(program.stdout().lines().find_map(|line| line.strip_prefix("dashboard: "))?.to_owned())
+    });
+    (program, url)
+}
+
+/// Nothing is shown that was heard later than the instant that is shown.
+fn check_nothing_is_of_later(browser: &Browser) {
+    let later = browser.value(
+        "(() => { const { picture, now } = consort.line; return Object.values(picture.robots ?? {}).filter((one) => one.body_ms > now()).length
+            + Object.values(picture.log ?? {}).filter((one) => one.at_ms > now() + 50).length; })()",
+    );
+    assert_eq!(later, 0, "robots and events of later");
+}
+
+/// Moves the slider, as a hand does that lets go at the end.
+fn slide(browser: &Browser, to: &str) {
+    browser.value(&format!(
+        "(() => {{ const slider = document.querySelector('#replay-slider'); slider.value = Math.round({to});
+            slider.dispatchEvent(new Event('input')); slider.dispatchEvent(new Event('change')); }})()"
+    ));
+}
+
+const MISSION: &str = "consort.line.picture.missions?.['lab-samples-1']?.state";
+
+fn coordinates(node: &str) -> String {
+    format!("document.querySelector('#coordinator').innerText.startsWith('{node}, ')")
+}
+
+#[test]
+fn a_fleet_that_was_recorded_while_its_coordinator_died_is_looked_at_to_and_fro() {
+    let folder = Folder::new();
+    let Some(browser) = Browser::start(&folder) else { return };
+    let (file, first, second) = record(&folder);
+    let (_replay, url) = replay(&folder, "replay", &file);
+    browser.open(&url);
+    browser.value("window.loadedOnce = true");
+    browser.until(
+        "it says what it is",
+        "/^Recording of taped, begun on .* nothing can be asked/.test(document.querySelector('#replay h2')?.innerText)",
+    );
+    browser.until("it plays", "document.querySelector('#replay-play')?.innerText === 'Pause'");
+    browser.press(" ");
+    browser.until("space stops it", "document.querySelector('#replay-play')?.innerText === 'Play'");
+    let marks = browser.value("consort.line.picture.recording.marks");
+    let marks = marks.as_array().expect("a list");
+    let kinds: Vec<&str> = marks.iter().filter_map(|mark| mark["kind"].as_str()).collect();
+    // A coordinator that was just elected may be succeeded at once: as often as it happened, it is marked.
+    let changes = kinds.iter().take_while(|kind| **kind == "coordinator").count();
+    assert!(changes >= 1 && kinds[changes..] == ["completed"], "{marks:#?}");
+    let taken_over = marks[0]["text"].as_str().expect("words");
+    assert!(taken_over.starts_with(&format!("{second} coordinates, term ")), "{second}: {marks:#?}");
+    assert_eq!(browser.value("document.querySelectorAll('#replay .marks li').length"), marks.len());
+
+    // The beginning: the first coordinator, and no mission.
+    browser.press(HOME);
+    browser.until("the beginning", "consort.line.now() === consort.line.picture.recording.from_ms");
+    browser.press(RIGHT);
+    browser.until("five seconds on, or the end", "consort.line.now() >= Math.min(consort.line.picture.recording.from_ms + 5000, consort.line.picture.recording.to_ms)");
+    browser.press(HOME);
+    browser.press(".");
+    browser.until("the takeover", &coordinates(&second));
+    browser.until("the mission runs", &format!("{MISSION} === 'running'"));
+    check_nothing_is_of_later(&browser);
+    // A moment before, as a person with a mouse or a screen reader has it.
+    let takeover_ms = marks[0]["at_ms"].as_u64().expect("an instant");
+    slide(&browser, &format!("{takeover_ms} - consort.line.picture.recording.from_ms - 1"));
+    browser.until("who coordinated before", &coordinates(&first));
+    assert_eq!(browser.value("consort.line.now()"), takeover_ms - 1);
+    check_nothing_is_of_later(&browser);
+    browser.press(LEFT);
+    let back = format!("Math.max({takeover_ms} - 1 - 5000, consort.line.picture.recording.from_ms)");
+    browser.until("five seconds back, or the beginning", &format!("consort.line.now() === {back}"));
+    browser.press(".");
+    browser.until("the takeover again", &coordinates(&second));
+    browser.press(&".".repeat(changes));
+    browser.until("the end of the mission", &format!("{MISSION} === 'completed'"));
+    browser.until("it is said", "/^lab-samples-1 completed, at /.test(document.querySelector('#announce').innerText)");
+    check_nothing_is_of_later(&browser);
+    browser.press(",");
+    browser.until("back, it still runs", &format!("{MISSION} === 'running'"));
+    browser.until("and is drawn so", "document.querySelector('#missions tbody').innerText.includes('running')");
+    browser.press(HOME);
+    browser.until("it was not yet asked for", &format!("{MISSION} === undefined"));
+    check_nothing_is_of_later(&browser);
+    assert_eq!(browser.value("window.loadedOnce"), true);
+
+    slide(&browser, "slider.max * 0.5");
+    let middle = "(consort.line.picture.recording.from_ms + consort.line.picture.recording.to_ms) / 2";
+    browser.until("the middle", &format!("Math.abs(consort.line.now() - {middle}) < 2"));
+    let said = browser.value("document.querySelector('#replay-slider').getAttribute('aria-valuetext')");
+    assert!(said.as_str().expect("words").contains(" of "), "{said}");
+    let drawn = "/ term [2-9]/.test(document.querySelector('#coordinator').innerText) && document.querySelector('#missions tbody').innerText.includes('/16')";
+    browser.until("all of it is drawn", drawn);
+    check_access(&browser, "a recording");
+    browser.picture_for_readers("replay");
+    in_the_dark_and_on_a_phone(&browser);
+
+    // Played to its end at a hundred times its speed, it stands still there.
+    let set = |command: Value| {
+        browser.value(&format!(
+        "fetch('/api/replay', {{ method: 'POST', headers: {{ 'content-type': 'application/json' }}, body: '{command}' }}).then((answer) => answer.json())"
+    ))
+    };
+    set(json!({ "playing": true, "speed": 100.0 }));
+    browser.until(
+        "the end",
+        "!consort.line.picture.recording.playing && consort.line.now() === consort.line.picture.recording.to_ms",
+    );
+    browser.until("and its mission", &format!("{MISSION} === 'completed'"));
+    browser.press(END);
+    assert_eq!(browser.console(), Vec::<String>::new());
+
+    // A fleet that was can be asked for nothing.
+    assert_eq!(browser.value("document.querySelector('#new-mission').checkVisibility()"), false);
+    for path in ["/api/missions", "/api/missions/lab-samples-1/cancel", "/api/missions/lab-samples-1/rescued"] {
+        let refused = browser.value(&format!(
+            "fetch('{path}', {{ method: 'POST', headers: {{ 'content-type': 'application/json' }}, body: '{{}}' }}).then(async (answer) => [answer.status, (await answer.json()).error])"
+        ));
+        assert_eq!(
+            refused,
+            json!([409, "this is a recording of taped: a fleet that was can be asked for nothing"]),
+            "{path}"
+        );
+    }
+    let refused = set(json!({ "speed": 0 }));
+    assert_eq!(refused["error"], "a speed of 0 is not allowed: from 0.1 to 100");
+    cut_short(&folder, &browser, &file);
+}
+
+fn in_the_dark_and_on_a_phone(browser: &Browser) {
+    browser.prefers("dark");
+    browser.until("dark colours", "document.documentElement.dataset.theme === 'dark'");
+    check_access(browser, "a recording in the dark");
+    browser.screen(360, 740);
+    assert_eq!(browser.value("document.documentElement.scrollWidth"), 360, "nothing is wider than the phone");
+    browser.picture("replay-phone");
+    browser.screen(1440, 1000);
+    browser.prefers("light");
+}
+
+/// Half of a file is shown, and said to be no more.
+fn cut_short(folder: &Folder, browser: &Browser, file: &str) {
+    let bytes = std::fs::read(file).expect("a file of ours");
+    let half = folder.path().join("half.mcap");
+    std::fs::write(&half, &bytes[..bytes.len() / 2]).expect("the folder can be written to");
+    let (replay, url) = replay(folder, "half", &half.display().to_string());
+    assert!(replay.stderr().contains("half.mcap: it has no end"), "{}", replay.stderr());
+    browser.open(&url);
+    browser.until(
+        "it says that it is not whole",
+        "document.querySelector('#replay h2')?.innerText.includes('Not whole: it has no end')",
+    );
+    browser.until("robots", "document.querySelectorAll('#robots tbody tr').length === 2");
+}
