@@ -206,7 +206,7 @@ fn is_same(before: &Value, now: &Value) -> bool {
     let (Some(before), Some(now)) = (before.as_object(), now.as_object()) else { return false };
     let field = |(name, value): (&String, &Value)| {
         before.get(name).is_some_and(|before| match name.as_str() {
-            "age_ms" => before.is_u64() && value.is_u64(),
+            "age_ms" | "at_ms" => before.is_u64() && value.is_u64(),
             _ => before == value,
         })
     };
