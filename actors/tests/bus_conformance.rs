@@ -25,17 +25,17 @@ fn bytes(text: &str) -> Bytes {
     Bytes::copy_from_slice(text.as_bytes())
 }
 
-async fn next<T>(stream: &mut Stream<T>, awaited: &str) -> T {
+async fn next<T: 'static>(stream: &mut Stream<T>, awaited: &str) -> T {
     let next = timeout(PATIENCE, stream.recv()).await;
     next.unwrap_or_else(|_| panic!("still waiting for {awaited}")).unwrap_or_else(|| panic!("no {awaited} will come"))
 }
 
-async fn ended<T>(stream: &mut Stream<T>, awaited: &str) {
+async fn ended<T: 'static>(stream: &mut Stream<T>, awaited: &str) {
     let next = timeout(PATIENCE, stream.recv()).await;
     assert!(next.unwrap_or_else(|_| panic!("still waiting for the end of {awaited}")).is_none(), "more {awaited}");
 }
 
-async fn silent<T>(stream: &mut Stream<T>, awaited: &str) {
+async fn silent<T: 'static>(stream: &mut Stream<T>, awaited: &str) {
     assert!(timeout(SILENCE, stream.recv()).await.is_err(), "{awaited} came, or the stream ended");
 }
 
