@@ -186,7 +186,7 @@ fn a_file_that_is_there_is_kept_unless_it_is_to_be_replaced() {
     let problem = kept.err().expect("it is refused").to_string();
     assert!(problem.starts_with(&format!("{}: the recording cannot be written: ", file.0.display())), "{problem}");
     assert_eq!(fs::read(&file.0).unwrap(), b"dear diary");
-    drop(tape(&file.0, Existing::Replace).end().unwrap());
+    tape(&file.0, Existing::Replace).end().unwrap();
     assert_ne!(fs::read(&file.0).unwrap(), b"dear diary");
 }
 
