@@ -28,7 +28,7 @@ beginning and the end; , and . go to the mark before and the next.
 
 For programs: GET /api/replay says what is shown, and POST /api/replay takes {\"at_ms\": …, \"playing\": true, \"speed\": 2}, each of
 which may be left out. All other paths are those of a live dashboard, as of the instant that is shown; missions can be neither
-submitted nor canceled.")]
+submitted nor canceled, nor closed after a rescue.")]
 pub struct Args {
     /// The recording
     #[arg(value_name = "FILE.mcap")]

@@ -14,6 +14,9 @@ use std::collections::BTreeMap;
 
 const NOW: u64 = 1_000_000;
 
+const SHED: &str = "{name: shed, places: [{name: Dock, kind: dock, x_m: 1, y_m: 2}, {name: Bench, kind: room, x_m: 3, y_m: 2}], \
+    lanes: [{between: [Dock, Bench]}]}";
+
 fn picture() -> Picture {
     Picture::new("ward", "station-1", FloorPlan::new(&floor::load("hospital").unwrap()), NOW)
 }
@@ -313,7 +316,7 @@ fn patches_one_after_the_other_come_to_the_whole() {
     delta::apply(&mut seen, &drawn);
     let holding = json!({ "holding": { "mission": "m-1", "role": "r1", "suspended": false } });
     let node = |name: &str, availability: &Value| json!({ "node": name, "alive": true, "robot": worker(availability.clone()) });
-    let steps: [&dyn Fn(&mut Picture); 6] = [
+    let steps: [&dyn Fn(&mut Picture); 7] = [
         &|picture| {
             picture.take_view(
                 &Key::ViewFleet,
@@ -334,6 +337,7 @@ fn patches_one_after_the_other_come_to_the_whole() {
         },
         &|picture| picture.take_view(&Key::ViewFleet, &fleet(json!([node("bob", &holding)])), NOW),
         &|picture| picture.take_view(&Key::ViewWorld, &json!({ "doors": [] }), NOW),
+        &|picture| picture.take_view(&Key::ViewMap, &floor::read(SHED, "shed.yaml").unwrap().show(), NOW),
     ];
     for (number, step) in steps.iter().enumerate() {
         step(&mut picture);
