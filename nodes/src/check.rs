@@ -83,7 +83,7 @@ pub fn check(path: &Path, kind: Option<Kind>) -> Result<String, Problems> {
 /// # Errors
 /// [`Problems`] if it cannot be read, or is nothing that is known.
 pub fn kind_of(path: &Path) -> Result<Kind, Problems> {
-    Ok(recognise(&source::text(path)?, &path.display().to_string())?)
+    recognise(&source::text(path)?, &path.display().to_string())
 }
 
 fn judge(kind: Kind, path: &Path, text: &str, file: &str) -> Result<String, Problems> {
