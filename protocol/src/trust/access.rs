@@ -3,7 +3,7 @@
 //! Zenoh knows a neighbour by the common name of its certificate and nothing else of it, so that name is the *kind* of
 //! bearer ([`common_name`]): rules then hold for bearers that do not exist yet, and no node needs a list of all others. Nodes
 //! relay for each other, so a node's link carries whatever the fleet says, and nothing outside the fleet's tree; that each
-//! speaks in its own name alone is what [seals](super::seal) are for. A person's link carries views, requests within the
+//! speaks in its own name alone is what seals are for. A person's link carries views, requests within the
 //! scope, and what is to be heard.
 
 use super::identity::{Bearer, Identity, Scope};
