@@ -160,7 +160,7 @@ fn a_program_that_was_built_without_opentelemetry_says_how_it_is_built_with_it()
 
 /// One request that a collector got.
 #[cfg(feature = "otlp")]
-fn taken(listener: &std::net::TcpListener) -> (String, Vec<u8>) {
+fn taken(listener: &TcpListener) -> (String, Vec<u8>) {
     let (stream, _) = listener.accept().expect("the node connects");
     let mut reader = BufReader::new(stream);
     let (mut head, mut length) = (String::new(), 0);
@@ -186,7 +186,7 @@ fn taken(listener: &std::net::TcpListener) -> (String, Vec<u8>) {
 #[cfg(feature = "otlp")]
 #[test]
 fn the_spans_of_a_mission_reach_a_collector() {
-    let collector = std::net::TcpListener::bind("127.0.0.1:0").expect("a port");
+    let collector = TcpListener::bind("127.0.0.1:0").expect("a port");
     let at = format!("http://{}", collector.local_addr().expect("it listens"));
     let address = free_address();
     let station = consort(&["station", "--name", "s1", "--listen", &address, "--otlp", &at])
