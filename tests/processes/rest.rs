@@ -212,9 +212,14 @@ fn a_mission_is_followed_to_its_end_over_http_while_the_coordinator_is_killed() 
                 _ => {}
             }
         }
-        // Whatever becomes of the coordinator, somebody answers.
+        // Whatever becomes of the coordinator, somebody answers. A question that lies with it as it dies comes back without an
+        // answer, as Zenoh has it; then the next one asked answers.
         let began = Instant::now();
-        let missions = router.get("view/missions").remove("view/missions").expect("an answer");
+        let missions = until("a view of the missions", LONG, || {
+            let answer = router.get("view/missions").remove("view/missions");
+            assert!(killed || answer.is_some(), "nobody answers, though nobody died\n{}", fleet.logs());
+            answer
+        });
         slowest = slowest.max(began.elapsed());
         assert_eq!(missions["missions"][0]["mission"], "lab-samples-1", "{missions}");
     }
