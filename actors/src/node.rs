@@ -12,7 +12,7 @@ use crate::autopilot::{Bootstrap, Farewell, LeaveError, Leaver};
 use crate::body::{Body, BodyLinkSettings, Host, HostSettings, SILENCE};
 use crate::bus::{BusError, Query, SharedBus, Stream};
 use crate::clock::Clock;
-use crate::coordinator::{Coordinator, CoordinatorSettings};
+use crate::coordinator::{Coordinator, CoordinatorSettings, IntakeLimits};
 use crate::events::Events;
 use crate::gossip::{self, Gossip, GossipHandle, SharedKnowledge};
 use crate::observe::SharedObserver;
@@ -55,6 +55,8 @@ pub struct FleetSettings {
     pub domain: Arc<Domain>,
     /// What bids must keep to.
     pub limits: Limits,
+    /// What is taken on of all that is asked for.
+    pub intake: IntakeLimits,
     /// The rule by which roles are given to robots: [`Exact`](consort_protocol::auction::Exact), but for evaluations.
     pub choice: Arc<dyn Choice>,
     /// How long awards last.
@@ -409,6 +411,7 @@ async fn assemble(
             ensemble: Arc::clone(&fleet.ensemble),
             domain: Arc::clone(&fleet.domain),
             limits: fleet.limits,
+            intake: fleet.intake,
             choice: Arc::clone(&fleet.choice),
             terms: fleet.terms,
             window: fleet.window,

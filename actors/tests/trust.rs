@@ -5,12 +5,12 @@ use bytes::Bytes;
 use consort_actors::bus::{Bus, Delivery, Encoding, LinkModel, Sample, SharedBus, Stream, VirtualNetwork};
 use consort_actors::clock::Clock;
 use consort_actors::trust::issue::{Authorising, Issued, Revoked, Validity, found};
-use consort_actors::trust::{SealedBus, TrustFiles};
+use consort_actors::trust::{Keyring, SealedBus, TOKEN_MAX, TokenError, TrustFiles};
 use consort_protocol::codec;
 use consort_protocol::ids::{FleetId, NodeId};
 use consort_protocol::keys::{BodyCall, Key, Keys};
 use consort_protocol::message::{Beacon, Founder, Within};
-use consort_protocol::trust::Identity;
+use consort_protocol::trust::{Identity, Scope};
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -94,7 +94,7 @@ impl Stage {
     }
 
     async fn with(&self, bus: SharedBus, files: TrustFiles, life: u64) -> SealedBus {
-        let keyring = files.open(&ward(), NOW, life).unwrap();
+        let keyring = Arc::new(files.open(&ward(), NOW, life).unwrap());
         let clock = Clock::virtual_at(NOW.as_millis() as u64);
         SealedBus::open(bus, keys(), keyring, files, clock).await.unwrap()
     }
@@ -332,4 +332,81 @@ fn files_that_do_not_belong_together_are_told_by_name() {
     assert!(why.contains("there is no private key in PKCS #8 in it"), "{why}");
     let missing = TrustFiles { certificate: stage.folder.0.join("nowhere.pem"), ..good };
     assert!(said(&missing).unwrap().contains("nowhere.pem: "), "{missing:?}");
+}
+
+/// What a person of this scope proves herself with.
+fn person(stage: &Stage, scope: &str) -> Keyring {
+    let identity = format!("consort://ward/person/kim?scope={scope}").parse().unwrap();
+    let issued = stage.authority().issue(&identity, &[], LONG).unwrap();
+    stage.files("kim", &issued).open(&ward(), NOW, 1).unwrap()
+}
+
+/// Somebody who judges by the authority alone.
+fn judge(stage: &Stage) -> Keyring {
+    let issued = stage.authority().issue(&"consort://ward/node/ada?roles=".parse().unwrap(), &[], LONG).unwrap();
+    stage.files("ada", &issued).open(&ward(), NOW, 1).unwrap()
+}
+
+const HOUR: Duration = Duration::from_secs(3600);
+
+#[test]
+fn a_token_is_good_for_its_scope_and_time() {
+    let stage = Stage::new();
+    let (kim, ada) = (person(&stage, "submit"), judge(&stage));
+    let token = kim.token(Scope::Read, NOW + HOUR).unwrap();
+    let visitor = ada.visitor(&token, NOW).unwrap();
+    assert_eq!((visitor.name.as_str(), visitor.scope, visitor.until), ("kim", Scope::Read, NOW + HOUR));
+    assert_eq!(ada.visitor(&token, NOW + HOUR), Err(TokenError::Ended("0 s".to_owned())));
+    assert!(kim.token(Scope::Submit, NOW + HOUR).is_ok());
+    assert!(matches!(kim.token(Scope::Operate, NOW + HOUR), Err(TokenError::Scope { .. })));
+    assert!(matches!(ada.token(Scope::Read, NOW + HOUR), Err(TokenError::Node(_))));
+    // The certificate's end is the token's.
+    let late = kim.token(Scope::Read, LONG.until + 2 * HOUR).unwrap();
+    assert!(matches!(ada.visitor(&late, LONG.until + HOUR), Err(TokenError::Distrusted(_))));
+}
+
+#[test]
+fn whatever_is_changed_of_a_token_makes_it_none() {
+    let stage = Stage::new();
+    let (kim, ada) = (person(&stage, "read"), judge(&stage));
+    let token = kim.token(Scope::Read, NOW + HOUR).unwrap();
+    for (at, was) in token.bytes().enumerate() {
+        for other in [b'A', b'x', b'.', b'='] {
+            let mut changed = token.clone().into_bytes();
+            changed[at] = other;
+            let changed = String::from_utf8(changed).unwrap();
+            assert!(other == was || ada.visitor(&changed, NOW).is_err(), "at {at}");
+        }
+        assert!(ada.visitor(&token[..at], NOW).is_err(), "cut at {at}");
+    }
+    let longer = format!("{token}{}", "A".repeat(TOKEN_MAX));
+    assert_eq!(ada.visitor(&longer, NOW), Err(TokenError::Form("it is too long")));
+}
+
+#[test]
+fn a_token_that_claims_more_than_its_certificate_is_refused_though_it_is_signed() {
+    use base64::Engine as _;
+    use base64::engine::general_purpose::URL_SAFE_NO_PAD;
+    use pki_types::pem::PemObject as _;
+    let stage = Stage::new();
+    let identity = "consort://ward/person/kim?scope=read".parse().unwrap();
+    let issued = stage.authority().issue(&identity, &[], LONG).unwrap();
+    let files = stage.files("kim", &issued);
+    let (kim, ada) = (files.open(&ward(), NOW, 1).unwrap(), judge(&stage));
+    let key = pki_types::PrivatePkcs8KeyDer::from_pem_file(&files.key).unwrap();
+    let key = ring::signature::Ed25519KeyPair::from_pkcs8_maybe_unchecked(key.secret_pkcs8_der()).unwrap();
+    let token = kim.token(Scope::Read, NOW + HOUR).unwrap();
+    let head = token.split('.').next().unwrap();
+    let forged = |claims: serde_json::Value| {
+        let signed = format!("{head}.{}", URL_SAFE_NO_PAD.encode(claims.to_string()));
+        format!("{signed}.{}", URL_SAFE_NO_PAD.encode(key.sign(signed.as_bytes())))
+    };
+    let until = (NOW + HOUR).as_secs();
+    let as_made = serde_json::json!({ "aud": "ward", "exp": until, "scope": "read" });
+    assert!(ada.visitor(&forged(as_made), NOW).is_ok(), "the forger signs as the keyring does");
+    let more = serde_json::json!({ "aud": "ward", "exp": until, "scope": "operate" });
+    let refused = ada.visitor(&forged(more), NOW).unwrap_err();
+    assert_eq!(refused.to_string(), "it claims scope operate, where kim has scope read");
+    let elsewhere = serde_json::json!({ "aud": "clinic", "exp": until, "scope": "read" });
+    assert_eq!(ada.visitor(&forged(elsewhere), NOW).unwrap_err().to_string(), "it is for fleet clinic");
 }

@@ -234,6 +234,7 @@ fn recognise_toml(text: &str, file: &str) -> Result<Kind, Problems> {
                 "link_lease_ms",
                 "stall_after_s",
                 "limits",
+                "requests",
                 "lease",
                 "auction",
                 "ensemble",

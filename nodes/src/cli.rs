@@ -2,7 +2,7 @@
 
 use crate::command::{
     bench, cancel, cert, chaos, check, completions, doctor, dry_run, experiment, explain, fleet, keys, leave, map,
-    missions, record, recover, replay, rescue, robot, station, submit, test, watch, world,
+    missions, record, recover, replay, rescue, robot, station, submit, test, token, watch, world,
 };
 use crate::demo;
 use crate::exit::Failure;
@@ -68,6 +68,7 @@ enum Command {
     DryRun(dry_run::Args),
     Recover(recover::Args),
     Cert(cert::Args),
+    Token(token::Args),
     Chaos(chaos::Args),
     Experiment(experiment::Args),
     Bench(bench::Args),
@@ -100,6 +101,7 @@ pub fn run() -> ExitCode {
         Command::DryRun(args) => dry_run::run(args),
         Command::Recover(args) => recover::run(args),
         Command::Cert(args) => cert::run(args),
+        Command::Token(args) => token::run(args),
         Command::Chaos(args) => chaos::run(&args),
         Command::Experiment(args) => experiment::run(&args),
         Command::Bench(args) => bench::run(args),

@@ -175,7 +175,7 @@ impl Client {
         let bus = match proof {
             None => plain,
             Some((keyring, files)) => {
-                let sealed = SealedBus::open(plain, keys.clone(), keyring, files, clock).await;
+                let sealed = SealedBus::open(plain, keys.clone(), Arc::new(keyring), files, clock).await;
                 Arc::new(sealed.map_err(|problem| Failure::Unsuccessful(problem.to_string()))?)
             }
         };

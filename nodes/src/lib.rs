@@ -4,6 +4,7 @@
 //! auctions and worlds are is decided elsewhere; nothing here computes a plan or a price.
 
 pub mod address;
+pub mod admission;
 mod asking;
 pub mod certs;
 pub mod check;

@@ -1,6 +1,7 @@
 //! A node on Zenoh, from its start until it is told to end.
 
 use crate::address::Taken;
+use crate::admission::Admission;
 use crate::config::{FleetConfig, LogFormat, Problems, Surroundings};
 use crate::dashboard::Dashboard;
 use crate::exit::Failure;
@@ -112,6 +113,7 @@ async fn until_told(
     settings.observer = Some(Arc::new(observers));
     let clock = settings.clock;
     let trust = NodeTrust::open(bus, &settings)?;
+    let admission = Admission::of(&fleet.name, trust.keyring(), clock);
     let zenoh = ZenohBus::open(bus_settings(bus, fleet)).await;
     let zenoh = zenoh.map_err(|problem| Failure::Usage(problem.to_string()))?;
     let name = settings.node.clone();
@@ -125,13 +127,13 @@ async fn until_told(
     info!(node = %name, "started");
     let _dashboard = match page {
         Some((address, plan)) => {
-            let dashboard = Dashboard::open(address, on_page, &fleet.name, name.as_str(), plan);
+            let dashboard = Dashboard::open(address, admission.clone(), on_page, &fleet.name, name.as_str(), plan);
             output::line(format_args!("dashboard: {}", dashboard.url()))?;
             Some(dashboard)
         }
         None => None,
     };
-    metrics.serve(&node, clock, &mut watch);
+    metrics.serve(&node, clock, admission, &mut watch);
     telemetry.belongs(node.allegiance.clone());
 
     let mut left = None;
@@ -194,13 +196,13 @@ impl Metering {
         }
     }
 
-    fn serve(self, node: &NodeHandle, clock: Clock, tasks: &mut tokio::task::JoinSet<()>) {
+    fn serve(self, node: &NodeHandle, clock: Clock, admission: Admission, tasks: &mut tokio::task::JoinSet<()>) {
         let Some((address, metrics)) = self.0 else { return };
         let (replica, knowledge) = (node.replica.clone(), node.knowledge.clone());
         metrics.watch(Watched { replica, knowledge, clock, since_ms: clock.wall_ms() });
         info!("metrics at http://{}/metrics", address.at());
         tasks.spawn(async move {
-            if let Err(problem) = serve(address.listener, metrics).await {
+            if let Err(problem) = serve(address.guarded(), metrics, admission).await {
                 warn!(%problem, "metrics are no longer served");
             }
         });

@@ -15,7 +15,7 @@ use std::time::Duration;
 use tracing::info;
 
 /// What a node proves itself with, if it has certificates.
-pub struct NodeTrust(Option<(Keyring, TrustFiles)>);
+pub struct NodeTrust(Option<(Arc<Keyring>, TrustFiles)>);
 
 impl NodeTrust {
     /// Reads the files, and sees to it that they are this node's and let it be what it is configured to be.
@@ -47,9 +47,14 @@ impl NodeTrust {
             Some(problem) => Err(Failure::Usage(format!("{}: {problem}", files.certificate.display()))),
             None => {
                 info!(bearer = %keyring.identity().bearer, "links are encrypted, and messages signed");
-                Ok(NodeTrust(Some((keyring, files))))
+                Ok(NodeTrust(Some((Arc::new(keyring), files))))
             }
         }
+    }
+
+    /// What the node judges others by, if it has certificates.
+    pub fn keyring(&self) -> Option<Arc<Keyring>> {
+        self.0.as_ref().map(|(keyring, _)| Arc::clone(keyring))
     }
 
     /// The bus on which messages are sealed, if they are.

@@ -6,6 +6,7 @@ use crate::floor::{self, Floor};
 use consort_actors::bus::ZenohSettings;
 use consort_actors::bus::zenoh_bus::LinkTrust;
 use consort_actors::clock::Clock;
+use consort_actors::coordinator::IntakeLimits;
 use consort_actors::node::{FleetSettings, HostPart, NodeSettings, RobotPart};
 use consort_actors::replica::StoreIdentity;
 use consort_actors::store::{DurableStore, Owner, Store};
@@ -106,6 +107,7 @@ pub fn fleet_settings(config: &FleetConfig) -> Result<FleetSettings, Problems> {
         ensemble: Arc::new(ensemble),
         domain: Arc::new(Domain::hospital().with_places(places.into_keys())),
         limits: limits(config),
+        intake: IntakeLimits { missions: config.requests.missions, requests_per_s: config.requests.per_s },
         choice: Arc::new(Exact),
         terms: LeaseTerms {
             lease: Duration::from_millis(config.lease.lease_ms),

@@ -5,6 +5,7 @@
 //! made by the same tests, where `CONSORT_PICTURES` is set.
 
 mod browser;
+mod closed;
 mod door_and_rescue;
 mod fleet_on_show;
 mod many_robots;

@@ -1,7 +1,7 @@
 //! A fleet whose nodes have certificates: it works as any other, and whoever is not of it, or goes beyond what it may, gets
 //! nowhere and leaves a trace.
 
-use crate::support::{Fleet, example, until};
+use crate::support::{Answer, Closed, example, http, until};
 use bytes::Bytes;
 use consort_actors::bus::zenoh_bus::{LinkTrust, Mode};
 use consort_actors::bus::{Bus, Delivery, Encoding, ZenohBus, ZenohSettings};
@@ -16,68 +16,13 @@ use consort_protocol::message::{Beacon, Statement, Within};
 use serde_json::{Value, json};
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 use std::time::Duration;
-use toml::Table;
 
 const LIMIT: Duration = Duration::from_secs(60);
 
 fn ward() -> FleetId {
     FleetId::new("ward").expect("a name")
-}
-
-/// A fleet with an authority, which runs nothing yet.
-struct Closed {
-    fleet: Fleet,
-    certs: PathBuf,
-}
-
-impl Closed {
-    fn new() -> Closed {
-        let fleet = Fleet::new(&example("fleet"));
-        let certs = fleet.path("certs");
-        let mut closed = Closed { fleet, certs };
-        closed.cert(&["init", "--fleet", "ward"]);
-        for (name, roles) in
-            [("station-1", "voter"), ("world", "host"), ("ada", "robot,voter"), ("lab-arm", "robot,voter")]
-        {
-            closed.cert(&["node", name, "--roles", roles]);
-        }
-        for scope in ["read", "submit", "operate"] {
-            closed.cert(&["person", scope, "--scope", scope]);
-        }
-        closed
-    }
-
-    fn cert(&mut self, arguments: &[&str]) {
-        let dir = self.certs.display().to_string();
-        self.fleet.tool(&[&["cert", "--dir", &dir][..], arguments].concat()).expect(0);
-    }
-
-    fn of(&self, who: &str) -> PathBuf {
-        self.certs.join(who)
-    }
-
-    fn start(&mut self, kind: &str, mut node: Table, neighbours: &[&str]) {
-        let name = node["name"].as_str().expect("a name").to_owned();
-        let certs = self.of(&name).display().to_string();
-        node["bus"].as_table_mut().expect("the examples say where nodes are").insert("certs".to_owned(), certs.into());
-        self.fleet.start(kind, node, neighbours);
-    }
-
-    fn start_all(&mut self) {
-        self.start("station", example("station"), &[]);
-        let mut world = example("world");
-        world.insert("speed".to_owned(), 20.0.into());
-        self.start("world", world, &["station-1"]);
-        self.start("robot", example("robot"), &["station-1", "world"]);
-        self.start("robot", example("arm"), &["station-1", "world"]);
-    }
-
-    /// What a node has logged that it did not listen to.
-    fn refused(&mut self, by: &str) -> String {
-        let log = self.fleet.node(by).stderr();
-        log.lines().filter(|line| line.contains("not listened to")).collect::<Vec<_>>().join("\n")
-    }
 }
 
 /// A client of Zenoh's with somebody's certificate, or with none.
@@ -255,7 +200,7 @@ fn a_robot_that_speaks_in_the_name_of_others_is_not_listened_to_and_leaves_a_tra
         let clock = Clock::real();
         let life = clock.wall_ms();
         let keyring = files.open(&ward(), Duration::from_millis(life), life).expect("eve's files are right");
-        let sealed = SealedBus::open(std::sync::Arc::new(bus.clone()), keys.clone(), keyring, files, clock).await;
+        let sealed = SealedBus::open(Arc::new(bus.clone()), keys.clone(), Arc::new(keyring), files, clock).await;
         (bus, sealed.expect("eve shows her certificate"))
     });
     let arm = NodeId::new("lab-arm").expect("a name");
@@ -309,4 +254,118 @@ fn a_node_that_has_not_the_certificate_of_what_it_is_to_be_says_so_and_does_not_
     let listens = ["station", "--name", "world", "--certs", &certs, "--listen", "tcp/127.0.0.1:0"];
     let ended = closed.fleet.tool(&listens).expect(2);
     assert!(ended.stderr.contains("the protocol is tls for a node that has certificates"), "{}", ended.stderr);
+}
+
+/// Where a node serves something, as it says itself.
+fn served(closed: &mut Closed, by: &str, before: &str) -> String {
+    until(&format!("{by} says: {before}"), LIMIT, || {
+        let node = closed.fleet.node(by);
+        let said = [node.stdout(), node.stderr()].concat();
+        let (_, rest) = said.split_once(before)?;
+        Some(rest.split(['/', '\n', '"']).next()?.to_owned())
+    })
+}
+
+#[test]
+fn over_http_a_token_says_who_it_is_and_what_is_let_in() {
+    let mut closed = Closed::new();
+    let mut station = example("station");
+    station.insert("dashboard".to_owned(), "127.0.0.1:0".into());
+    station["telemetry"].as_table_mut().expect("a table").insert("metrics".to_owned(), "127.0.0.1:0".into());
+    closed.start("station", station, &[]);
+    closed.start_others();
+    let [page, metrics] =
+        ["dashboard: http://", "metrics at http://"].map(|what| served(&mut closed, "station-1", what));
+    let told = |answer: &Answer| answer.json()["error"].as_str().unwrap_or_default().to_owned();
+
+    // The page itself is for everybody, and tells nothing.
+    for open in ["GET /", "GET /session.js", "GET /healthz"] {
+        assert_eq!(http(&page, open, &[], "").status, 200, "{open}");
+    }
+    for (at, shut) in [(&page, "GET /api/picture"), (&page, "GET /api/history.csv"), (&metrics, "GET /metrics")] {
+        let answer = http(at, shut, &[], "");
+        assert_eq!(answer.status, 401, "{shut}");
+        assert!(told(&answer).contains("`consort token --certs DIR` makes one"), "{}", answer.body);
+        assert!(answer.heads.contains("www-authenticate: Bearer"), "{}", answer.heads);
+    }
+    let knocks = [
+        ("Connection", "Upgrade"),
+        ("Upgrade", "websocket"),
+        ("Sec-WebSocket-Version", "13"),
+        ("Sec-WebSocket-Key", "AAAAAAAAAAAAAAAAAAAAAA=="),
+    ];
+    assert_eq!(http(&page, "GET /ws", &knocks, "").status, 401);
+
+    let [reads, submits, operates] = ["read", "submit", "operate"].map(|who| closed.token(who, &[]));
+    let with = |token: &str, request: &str, body: &str| {
+        let bearer = format!("Bearer {token}");
+        http(&page, request, &[("Authorization", &bearer), ("Content-Type", "application/json")], body)
+    };
+    assert_eq!(with(&reads, "GET /api/picture", "").json()["whole"]["fleet"], Value::Null, "a picture is the whole");
+    assert_eq!(with(&reads, "GET /api/picture", "").json()["fleet"], "ward");
+    assert_eq!(http(&metrics, "GET /metrics", &[("Authorization", &format!("Bearer {reads}"))], "").status, 200);
+    let order = json!({ "mission": "lab-samples", "parameters": { "room": "IC Room 6" } }).to_string();
+    let refused = with(&reads, "POST /api/missions", &order);
+    assert_eq!((refused.status, told(&refused)), (403, "read may read, and this takes scope submit".to_owned()));
+    let taken = until("somebody takes the mission", LIMIT, || {
+        let answer = with(&submits, "POST /api/missions", &order);
+        (answer.status == 200).then(|| answer.json())
+    });
+    assert_eq!(taken["mission"], "lab-samples-1");
+    let rescued = "POST /api/missions/lab-samples-1/rescued";
+    assert_eq!(with(&submits, rescued, "{}").status, 403);
+    assert_eq!(told(&with(&operates, rescued, "{}")), "lab-samples-1 is not waiting for a rescue");
+    let withdrawn = with(&submits, "POST /api/missions/lab-samples-1/cancel", "{}");
+    assert_eq!(withdrawn.status, 200, "{}", withdrawn.body);
+    let events = with(&reads, "GET /api/events?mission=lab-samples-1", "").body;
+    assert!(events.contains("by submit"), "who withdrew it is known: {events}");
+
+    // A session is the token as a cookie that no script reads.
+    let begun = http(
+        &page,
+        "POST /api/session",
+        &[("Content-Type", "application/json")],
+        &json!({ "token": reads }).to_string(),
+    );
+    assert_eq!((begun.status, &begun.json()["name"], &begun.json()["scope"]), (200, &json!("read"), &json!("read")));
+    let cookie = begun.heads.lines().find_map(|line| line.strip_prefix("set-cookie: ")).expect("a cookie");
+    assert!(cookie.contains("HttpOnly") && cookie.contains("SameSite=Strict"), "{cookie}");
+    let kept = cookie.split(';').next().expect("its name and value");
+    assert_eq!(http(&page, "GET /api/picture", &[("Cookie", kept)], "").status, 200);
+
+    // None of these is good for anything.
+    let mut other = Closed::new();
+    let foreign = other.token("operate", &[]);
+    let mut parts: Vec<&str> = reads.split('.').collect();
+    let claims = submits.split('.').nth(1).expect("three parts").to_owned();
+    parts[1] = &claims;
+    for (token, why) in [
+        (foreign, "it was not signed by this fleet's authority"),
+        (parts.join("."), "it was not signed with the key of its certificate"),
+        ("abc".to_owned(), "it is no token: it has not three parts"),
+    ] {
+        let answer = with(&token, "GET /api/picture", "");
+        assert!(answer.status == 401 && told(&answer).contains(why), "{}", answer.body);
+    }
+    let brief = closed.token("read", &["--for", "1s"]);
+    until("a token ends", LIMIT, || told(&with(&brief, "GET /api/picture", "")).contains("ago").then_some(()));
+    closed.cert(&["revoke", "operate"]);
+    until("the station has the new list", LIMIT, || {
+        told(&with(&operates, "GET /api/picture", "")).contains("it has been revoked").then_some(())
+    });
+    closed.fleet.stop();
+}
+
+#[test]
+fn a_token_is_a_persons_and_for_no_more_than_the_certificate() {
+    let mut closed = Closed::new();
+    for (who, more, says) in [
+        ("station-1", &[][..], "it is node station-1 (voter)'s, and tokens are people's"),
+        ("submit", &["--scope", "operate"], "it claims scope operate, where submit has scope submit"),
+        ("nobody", &[], "ca.pem: "),
+    ] {
+        let certs = closed.of(who).display().to_string();
+        let ended = closed.fleet.tool(&[&["token", "--certs", &certs], more].concat()).expect(2);
+        assert!(ended.stderr.contains(says), "{}", ended.stderr);
+    }
 }

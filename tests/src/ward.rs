@@ -2,6 +2,7 @@
 
 use crate::slug;
 use consort_actors::autopilot::VOTERS;
+use consort_actors::coordinator::IntakeLimits;
 use consort_actors::node::FleetSettings;
 use consort_actors::timing::Timing;
 use consort_protocol::auction::{Exact, Limits};
@@ -23,6 +24,7 @@ pub(crate) fn ward(skills: &[&str], bootstrap_expect: usize) -> FleetSettings {
         ensemble: Arc::new(Ensemble::compile(spec).expect("the tests' own ensemble")),
         domain: Arc::new(Domain::hospital()),
         limits: Limits::default(),
+        intake: IntakeLimits::default(),
         choice: Arc::new(Exact),
         terms: LeaseTerms::default(),
         window: Duration::from_millis(200),

@@ -1,6 +1,7 @@
 //! What clients ask for, and what they get.
 
 use crate::usual::{began, fleet};
+use consort_actors::node::NodeSettings;
 use consort_protocol::event::Happening;
 use consort_protocol::keys::ApiCall;
 use consort_protocol::lease::Ending;
@@ -38,6 +39,48 @@ fn a_repeated_request_gets_the_first_answer_again_whoever_coordinates() {
         fleet.completes(&"lab-samples-1".parse().expect("an id")).await;
         assert_eq!(fleet.submit_and_read("my-7", ROOM).await, again, "seed {seed}: after the end");
         assert_eq!(missions(&fleet), Some(1), "seed {seed}");
+    });
+}
+
+#[test]
+fn a_fleet_takes_on_so_many_missions_and_no_more_until_one_has_ended() {
+    tell(SEEDS, async |seed| {
+        let robots = vec![Member::carrier("fern", "Dock").charged(0.1)];
+        let adjust = Box::new(|settings: &mut NodeSettings| settings.fleet.intake.missions = 2);
+        let mut fleet = Fleet::adjusted_hospital(seed, robots, &["aster"], &[ROOM], adjust).await;
+        fleet.coordinator().await;
+        for (request, mission) in [("a", "lab-samples-1"), ("b", "lab-samples-2")] {
+            assert_eq!(fleet.submit_and_read(request, ROOM).await["mission"], mission, "seed {seed}");
+        }
+        let asked = json!({ "mission": "lab-samples", "parameters": { "room": ROOM }, "request": "c" });
+        let refused = fleet.ask(ApiCall::Submit, &asked).await.expect("an answer");
+        let says = "2 missions are under way, as many as this fleet takes on at once";
+        assert_eq!(refused, json!({ "error": says, "retry_after_ms": 300 }), "seed {seed}");
+        let again = json!({ "mission": "lab-samples-2", "again": true });
+        assert_eq!(fleet.submit_and_read("b", ROOM).await, again, "seed {seed}: what was taken on is answered again");
+        fleet.ask(ApiCall::Cancel, &json!({ "mission": "lab-samples-1", "by": "Nia" })).await.expect("an answer");
+        assert_eq!(fleet.submit_and_read("c", ROOM).await["mission"], "lab-samples-3", "seed {seed}");
+    });
+}
+
+#[test]
+fn who_asks_without_end_is_told_when_to_ask_again_and_is_served_then() {
+    tell(SEEDS, async |seed| {
+        let robots = vec![Member::carrier("fern", "Dock").charged(0.1)];
+        let adjust = Box::new(|settings: &mut NodeSettings| settings.fleet.intake.requests_per_s = 1);
+        let mut fleet = Fleet::adjusted_hospital(seed, robots, &["aster"], &[ROOM], adjust).await;
+        fleet.coordinator().await;
+        let asked = json!({ "mission": "lab-samples", "parameters": { "room": ROOM }, "request": "a" });
+        let mut refused = None;
+        for _ in 0..20 {
+            let answer = fleet.ask(ApiCall::Submit, &asked).await.expect("an answer");
+            refused = answer["retry_after_ms"].as_u64().or(refused);
+        }
+        let after = refused.expect("twenty in an instant are more than five");
+        assert!((1..=1000).contains(&after), "seed {seed}: {after}");
+        tokio::time::sleep(Duration::from_millis(after)).await;
+        let answer = fleet.ask(ApiCall::Submit, &asked).await.expect("an answer");
+        assert_eq!(answer, json!({ "mission": "lab-samples-1", "again": true }), "seed {seed}");
     });
 }
 

@@ -1,5 +1,6 @@
 //! The actor that coordinates while its node leads the ledger, and does nothing otherwise.
 
+use super::intake::IntakeLimits;
 use super::interregnum::{nobody_yet, retry};
 use super::reign::Reign;
 use crate::answer;
@@ -53,6 +54,8 @@ pub struct CoordinatorSettings {
     pub domain: Arc<Domain>,
     /// What bids must keep to.
     pub limits: Limits,
+    /// What is taken on of all that is asked for.
+    pub intake: IntakeLimits,
     /// The rule by which roles are given to robots.
     pub choice: Arc<dyn Choice>,
     /// How long awards last.

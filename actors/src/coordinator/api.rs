@@ -1,6 +1,6 @@
 //! Requests that change something, carried out by the coordinator: see [`crate::calls`] for what they take.
 
-use super::interregnum::RETRY_AFTER_MS;
+use super::interregnum::{RETRY_AFTER_MS, busy};
 use super::whereabouts::places;
 use crate::calls::{Changed, OnWord, Submit, Submitted, read};
 use crate::gossip::SharedKnowledge;
@@ -31,6 +31,8 @@ pub(super) struct Desk {
     pub(super) request_prefix: String,
     pub(super) at_ms: u64,
     pub(super) number: u64,
+    /// Missions under way that are taken on; 0 for no limit.
+    pub(super) missions_max: usize,
 }
 
 /// Why there is no other answer.
@@ -58,7 +60,7 @@ impl Desk {
             }
         };
         answer.unwrap_or_else(|Problem { text, may_pass }| match may_pass {
-            true => json!({ "error": text, "retry_after_ms": RETRY_AFTER_MS }),
+            true => busy(&text, Duration::from_millis(RETRY_AFTER_MS)),
             false => json!({ "error": text }),
         })
     }
@@ -66,11 +68,23 @@ impl Desk {
     async fn submit(&self, payload: &[u8]) -> Result<Value, Problem> {
         let asked: Submit = read(ApiCall::Submit, payload)?;
         let submission = self.prepare(asked)?;
+        if let Some(full) = self.replica.read(|ledger| self.full(ledger, &submission.request)) {
+            return Err(full);
+        }
         match self.replica.propose(Command::Submit(Box::new(submission)), LIMIT).await {
             Ok(Outcome::Submitted { mission, again }) => Ok(json!(Submitted { mission, again })),
             Ok(other) => Err(format!("the ledger answered {other:?}").into()),
             Err(problem) => Err(not_committed(&problem)),
         }
+    }
+
+    /// Why nothing new is taken on, if nothing is. What was taken on before is answered again.
+    fn full(&self, ledger: &Ledger, request: &RequestId) -> Option<Problem> {
+        let is_full = self.missions_max > 0 && ledger.has_under_way(self.missions_max);
+        (is_full && ledger.requested(request).is_none()).then(|| Problem {
+            text: format!("{} missions are under way, as many as this fleet takes on at once", self.missions_max),
+            may_pass: true,
+        })
     }
 
     fn prepare(&self, asked: Submit) -> Result<Submission, String> {

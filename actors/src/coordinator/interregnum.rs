@@ -61,5 +61,10 @@ pub(super) fn nobody_yet(
 /// Asks a client to ask again.
 pub(super) fn retry(quorum: String) -> Value {
     let error = format!("no coordinator yet{quorum}: retry after {RETRY_AFTER_MS} ms");
-    json!({ "error": error, "retry_after_ms": RETRY_AFTER_MS })
+    busy(&error, Duration::from_millis(RETRY_AFTER_MS))
+}
+
+/// Asks a client to ask again after some time, and says why.
+pub(super) fn busy(error: &str, after: Duration) -> Value {
+    json!({ "error": error, "retry_after_ms": u64::try_from(after.as_millis()).unwrap_or(u64::MAX).max(1) })
 }

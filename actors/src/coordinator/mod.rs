@@ -17,6 +17,7 @@ mod api;
 mod auctioneer;
 mod auctions;
 mod duties;
+mod intake;
 mod interregnum;
 mod news;
 mod pace;
@@ -25,4 +26,5 @@ mod reports;
 mod whereabouts;
 
 pub use actor::{Coordinator, CoordinatorMessage, CoordinatorSettings};
+pub use intake::IntakeLimits;
 pub(crate) use whereabouts::foreign;

@@ -3,6 +3,8 @@
 use super::actor::{CoordinatorMessage, CoordinatorSettings};
 use super::api::Desk;
 use super::duties::{Duty, Memory, Phase, Round, awards, duties};
+use super::intake::Intake;
+use super::interregnum::busy;
 use super::news::Seen;
 use super::pace::{Pace, Stalled};
 use super::reports::Clerk;
@@ -60,6 +62,7 @@ pub(super) struct Reign {
     /// Those of them that say they are free.
     free: BTreeSet<NodeId>,
     requests: u64,
+    intake: Intake,
     autopilot: Autopilot,
     /// Other clusters of this fleet's name, and a node of each.
     foreign: BTreeMap<ClusterId, NodeId>,
@@ -121,6 +124,7 @@ impl Reign {
             members: BTreeSet::new(),
             free: BTreeSet::new(),
             requests: 0,
+            intake: Intake::new(settings.intake, since),
             autopilot: Autopilot::new(settings.voters, settings.dead_after, settings.near, yielded),
             foreign: BTreeMap::new(),
             tasks,
@@ -374,6 +378,11 @@ impl Reign {
             self.tasks.spawn(async move { answer::json(&query, &query.key, &json!({ "error": error })).await });
             return;
         };
+        if let Err(after) = self.intake.take(settings.clock.now()) {
+            let said = busy("more is asked of the fleet than it takes on", after);
+            self.tasks.spawn(async move { answer::json(&query, &query.key, &said).await });
+            return;
+        }
         self.requests += 1;
         let desk = Desk {
             replica: settings.replica.clone(),
@@ -387,6 +396,7 @@ impl Reign {
             ),
             at_ms: settings.clock.wall_ms(),
             number: self.requests,
+            missions_max: settings.intake.missions,
         };
         self.tasks.spawn(async move {
             let said = desk.serve(call, &query.payload).await;

@@ -39,11 +39,11 @@ impl SealedBus {
     pub async fn open(
         bus: SharedBus,
         keys: Keys,
-        keyring: Keyring,
+        keyring: Arc<Keyring>,
         files: TrustFiles,
         clock: Clock,
     ) -> Result<SealedBus, BusError> {
-        let (keyring, refusals) = (Arc::new(keyring), Arc::new(Refusals::default()));
+        let refusals = Arc::new(Refusals::default());
         let (on, ring, told) = (Arc::clone(&bus), Arc::clone(&keyring), Arc::clone(&refusals));
         let cards = Cards::open(on, keys.clone(), ring, files, clock, told).await?;
         Ok(SealedBus { bus, keys, trust: Arc::new(Trust { keyring, cards, refusals }) })

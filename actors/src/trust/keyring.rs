@@ -157,7 +157,7 @@ fn whose(certificate: &EndEntityCert<'_>) -> Result<Identity, Distrust> {
 }
 
 /// A span of seconds, roughly.
-fn span(seconds: u64) -> String {
+pub(super) fn span(seconds: u64) -> String {
     match seconds {
         0..120 => format!("{seconds} s"),
         120..7200 => format!("{} min", seconds / 60),
@@ -221,6 +221,18 @@ impl Keyring {
         let by = self.fingerprint();
         let signature = self.key.sign(&signed_part(kind, by, number, key, payload));
         write(kind, Sealed { by, number, signature: signature.as_ref(), payload })
+    }
+
+    /// The bearer's signature.
+    pub(super) fn sign(&self, message: &[u8]) -> Vec<u8> {
+        self.key.sign(message).as_ref().to_vec()
+    }
+
+    /// Judges a certificate that is shown once, and does not remember it.
+    pub(super) fn judge(&self, certificate: &[u8], now: Duration) -> Result<Card, Distrust> {
+        let certificate = CertificateDer::from(certificate.to_vec());
+        let learned = self.learned.read().unwrap_or_else(PoisonError::into_inner);
+        self.authority.judge(certificate, learned.revoked.as_deref(), now)
     }
 
     /// The card of a fingerprint, if it has been shown.

@@ -19,8 +19,10 @@ pub mod issue;
 mod keyring;
 mod probe;
 mod refusals;
+mod token;
 
 pub use bus::SealedBus;
 pub use files::{TrustError, TrustFiles};
 pub use keyring::{Card, Distrust, Keyring};
 pub use probe::ProbeError;
+pub use token::{TOKEN_MAX, TokenError, Visitor};

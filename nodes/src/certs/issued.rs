@@ -91,7 +91,10 @@ fn address(bytes: &[u8]) -> Option<String> {
 }
 
 /// The fleet that an authority is for, by its certificate.
-pub(super) fn fleet_of(file: &Path) -> Result<FleetId, Problem> {
+///
+/// # Errors
+/// [`Problem`] if it is not the certificate of a fleet's authority.
+pub fn fleet_of(file: &Path) -> Result<FleetId, Problem> {
     let pem = pem(file)?;
     let certificate = pem.parse_x509().map_err(|problem| of(file, problem))?;
     let mut names = certificate.subject().iter_common_name().filter_map(|name| name.as_str().ok());

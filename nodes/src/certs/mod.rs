@@ -8,7 +8,7 @@
 
 mod issued;
 
-pub use issued::{Holder, State};
+pub use issued::{Holder, State, fleet_of};
 
 use crate::config::{Problem, trust_files};
 use consort_actors::trust::issue::{Authorising, Issued, Revoked, Validity, found};
@@ -164,7 +164,7 @@ impl Certs {
     /// # Errors
     /// [`Problem`] if its certificate does not say.
     pub fn fleet(&self) -> Result<FleetId, Problem> {
-        issued::fleet_of(&self.folder.join(AUTHORITY).join("ca.pem"))
+        fleet_of(&self.folder.join(AUTHORITY).join("ca.pem"))
     }
 
     fn list(&self) -> PathBuf {

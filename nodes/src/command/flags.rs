@@ -242,6 +242,12 @@ struct FleetFlags {
     /// Charge that must be left after a mission, as a share
     #[arg(long, env = "CONSORT_CHARGE_MIN", value_name = "SHARE", value_parser = share)]
     charge_min: Option<BatteryShare>,
+    /// Missions that are taken on at once; 0 for no limit
+    #[arg(long, env = "CONSORT_MISSIONS_MAX", value_name = "COUNT")]
+    missions_max: Option<usize>,
+    /// Requests that are taken in a second, in the long run; 0 for no limit
+    #[arg(long, env = "CONSORT_REQUESTS_PER_S", value_name = "COUNT")]
+    requests_per_s: Option<u32>,
     /// A robot suspends its role this long after its last contact with the coordinator
     #[arg(long, env = "CONSORT_LEASE_MS", value_name = "MS")]
     lease_ms: Option<u64>,
@@ -273,6 +279,8 @@ impl FleetFlags {
         set(&mut fleet.stall_after_s, self.stall_after_s);
         fleet.limits.time_s = self.time_limit_s.or(fleet.limits.time_s);
         set(&mut fleet.limits.charge_min, self.charge_min);
+        set(&mut fleet.requests.missions, self.missions_max);
+        set(&mut fleet.requests.per_s, self.requests_per_s);
         set(&mut fleet.lease.lease_ms, self.lease_ms);
         set(&mut fleet.lease.grace_ms, self.grace_ms);
         fleet.auction.window_ms = self.window_ms.or(fleet.auction.window_ms);

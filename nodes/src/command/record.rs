@@ -1,6 +1,7 @@
 //! `consort record`: what is heard of a fleet, written to a file.
 
 use crate::client::{Client, ClientFlags};
+use crate::command::length::length;
 use crate::dashboard::follow;
 use crate::exit::Failure;
 use crate::output::{self, Waiting};
@@ -36,7 +37,7 @@ pub struct Args {
     /// The file; one that is there already is not replaced without --force
     #[arg(long, env = "CONSORT_OUT", value_name = "FILE.mcap")]
     out: PathBuf,
-    /// How long to record, as 60s, 5m or 2h. Default: until Ctrl-C
+    /// How long to record, as 60s, 5m, 2h or 30d. Default: until Ctrl-C
     #[arg(long = "for", env = "CONSORT_FOR", value_name = "TIME", value_parser = length)]
     length: Option<Duration>,
     /// Replace the file if there is one
@@ -129,32 +130,4 @@ fn words(recorded: &Recorded) -> String {
 
 fn there_already(out: &std::path::Path) -> Failure {
     Failure::Usage(format!("{}: this file is there already; --force replaces it", out.display()))
-}
-
-/// Reads a length of time: a number with `s`, `m` or `h`; without, it is seconds.
-fn length(text: &str) -> Result<Duration, String> {
-    let (number, unit_s) = match text.trim().char_indices().last() {
-        Some((at, 's')) => (&text[..at], 1.0),
-        Some((at, 'm')) => (&text[..at], 60.0),
-        Some((at, 'h')) => (&text[..at], 3600.0),
-        _ => (text, 1.0),
-    };
-    let seconds = number.trim().parse::<f64>().ok().filter(|number| *number > 0.0).map(|number| number * unit_s);
-    let length = seconds.and_then(|seconds| Duration::try_from_secs_f64(seconds).ok());
-    length.ok_or_else(|| "expected a length of time above 0, as 60s, 5m or 2h".to_owned())
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_length_of_time_has_a_unit_or_is_of_seconds() {
-        for (text, seconds) in [("60s", 60.0), ("1.5m", 90.0), ("2h", 7200.0), ("90", 90.0), ("0.5 s", 0.5)] {
-            assert_eq!(length(text).unwrap().as_secs_f64(), seconds, "{text}");
-        }
-        for text in ["", "s", "0", "-3s", "1e300h", "NaN", "5 weeks", "5d", "é"] {
-            assert!(length(text).unwrap_err().contains("as 60s, 5m or 2h"), "{text}");
-        }
-    }
 }

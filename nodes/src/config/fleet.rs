@@ -4,6 +4,7 @@ use super::read::{settle_path, under};
 use super::{ConfigFile, load};
 use crate::floor::is_shipped;
 use consort_actors::autopilot;
+use consort_actors::coordinator::IntakeLimits;
 use consort_actors::timing::{Times, Timing};
 use consort_protocol::auction::Limits;
 use consort_protocol::ensemble::{Ensemble, EnsembleSpec};
@@ -60,6 +61,8 @@ pub struct FleetConfig {
     pub stall_after_s: u64,
     /// What bids must keep to.
     pub limits: LimitsConfig,
+    /// What is taken on of all that is asked for.
+    pub requests: RequestsConfig,
     /// How long awards last.
     pub lease: LeaseConfig,
     /// How auctions are held.
@@ -77,6 +80,17 @@ pub struct LimitsConfig {
     pub time_s: Option<Seconds>,
     /// Charge that must be left, as a share. Default 0.05: below it a robot stops dead.
     pub charge_min: BatteryShare,
+}
+
+/// `[requests]`: what is taken on of all that is asked for. Whoever is refused may ask again.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct RequestsConfig {
+    /// Missions under way at once; 0 for no limit. Default 1000.
+    pub missions: usize,
+    /// Requests (to submit, cancel, close) in a second, in the long run, and five times as many at once; 0 for no limit.
+    /// Default 200.
+    pub per_s: u32,
 }
 
 /// `[lease]`: how long awards last without contact.
@@ -114,6 +128,7 @@ impl Default for FleetConfig {
             link_lease_ms: None,
             stall_after_s: 900,
             limits: LimitsConfig::default(),
+            requests: RequestsConfig::default(),
             lease: LeaseConfig::default(),
             auction: AuctionConfig::default(),
             ensemble: vec![],
@@ -125,6 +140,13 @@ impl Default for LimitsConfig {
     fn default() -> Self {
         let Limits { time, charge_min } = Limits::default();
         LimitsConfig { time_s: time, charge_min }
+    }
+}
+
+impl Default for RequestsConfig {
+    fn default() -> Self {
+        let IntakeLimits { missions, requests_per_s } = IntakeLimits::default();
+        RequestsConfig { missions, per_s: requests_per_s }
     }
 }
 
@@ -182,6 +204,8 @@ impl ConfigFile for FleetConfig {
         within("dead_after_ms", ms(times.dead_after), 1_000, 86_400_000);
         within("link_lease_ms", ms(times.link_lease), 100, 600_000);
         within("stall_after_s", self.stall_after_s, 0, 604_800);
+        within("requests.missions", self.requests.missions as u64, 0, 1_000_000);
+        within("requests.per_s", self.requests.per_s.into(), 0, 1_000_000);
         within("lease.lease_ms", self.lease.lease_ms, 500, 3_600_000);
         within("lease.grace_ms", self.lease.grace_ms, 200, 3_600_000);
         within("auction.window_ms", ms(times.window), 1, 60_000);

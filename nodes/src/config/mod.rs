@@ -17,7 +17,7 @@ mod telemetry;
 mod world;
 
 pub use bus::{BusConfig, trust_files};
-pub use fleet::{AuctionConfig, DEFAULT_FLEET, FleetConfig, FleetRef, LeaseConfig, LimitsConfig};
+pub use fleet::{AuctionConfig, DEFAULT_FLEET, FleetConfig, FleetRef, LeaseConfig, LimitsConfig, RequestsConfig};
 pub use node::{NodeFile, Surroundings};
 pub use problem::{Problem, Problems};
 pub use read::{ConfigFile, from_text, load, to_toml};

@@ -44,6 +44,7 @@ assets! {
     "/fleet.js" "text/javascript; charset=utf-8" "assets/fleet.js",
     "/log.js" "text/javascript; charset=utf-8" "assets/log.js",
     "/submit.js" "text/javascript; charset=utf-8" "assets/submit.js",
+    "/session.js" "text/javascript; charset=utf-8" "assets/session.js",
     "/replay.js" "text/javascript; charset=utf-8" "assets/replay.js",
     "/replay.css" "text/css; charset=utf-8" "assets/replay.css",
 }

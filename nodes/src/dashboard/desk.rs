@@ -57,7 +57,7 @@ impl Desk {
         mission: &MissionId,
         by: Option<String>,
     ) -> Result<Value, Problem> {
-        let by = by.filter(|by| !by.trim().is_empty()).unwrap_or_else(|| format!("the dashboard of {}", self.node));
+        let by = by.unwrap_or_else(|| format!("the dashboard of {}", self.node));
         self.ask(call, &json!({ "mission": mission, "by": by })).await
     }
 

@@ -12,6 +12,8 @@
 //! A [recording](crate::recording) is shown in the same way, by a projector in place of the watcher and the desk: all who look see
 //! the same instant of it, and any of them may choose another (`POST /api/replay`).
 //!
+//! In a closed fleet it takes a [token](crate::admission) to be let in, and the scope of the token says what for.
+//!
 //! It listens where it is told to. What is bound to loopback answers only to loopback's names, so that no page of another
 //! site can read it by giving its own name this address; and requests that change something are taken from the page alone.
 
@@ -22,12 +24,14 @@ mod desk;
 mod guard;
 mod projector;
 mod routes;
+mod session;
 mod watcher;
 
 pub use board::{Board, FRAME};
 pub(crate) use watcher::watch as follow;
 
 use crate::address::Taken;
+use crate::admission::Admission;
 use crate::picture::{FloorPlan, Picture};
 use crate::recording::{Player, Reel};
 use consort_actors::bus::SharedBus;
@@ -56,13 +60,20 @@ pub struct Dashboard {
 }
 
 impl Dashboard {
-    /// Serves a fleet, as it is seen over `bus` at `node`. Called within a tokio runtime.
-    pub fn open(address: Taken, bus: SharedBus, fleet: &FleetId, node: &str, plan: FloorPlan) -> Dashboard {
+    /// Serves a fleet to those who are admitted, as it is seen over `bus` at `node`. Called within a tokio runtime.
+    pub fn open(
+        address: Taken,
+        admission: Admission,
+        bus: SharedBus,
+        fleet: &FleetId,
+        node: &str,
+        plan: FloorPlan,
+    ) -> Dashboard {
         let clock = Clock::real();
         let picture = Picture::new(fleet.to_string(), node, plan, clock.wall_ms());
         let board = Arc::new(Board::new(picture, clock));
         let desk = desk::Desk::new(Arc::clone(&bus), Keys::new(fleet), node);
-        let mut dashboard = Dashboard::serve(address, Arc::clone(&board), Served::Fleet(Arc::new(desk)));
+        let mut dashboard = Dashboard::serve(address, Arc::clone(&board), Served::Fleet(Arc::new(desk)), admission);
         dashboard.draw(Arc::clone(&board));
         watcher::watch(&mut dashboard.tasks, bus, Keys::new(fleet), board);
         dashboard
@@ -72,21 +83,22 @@ impl Dashboard {
     pub fn replay(address: Taken, reel: Reel, player: Player) -> Dashboard {
         let board = Arc::new(Board::new(reel.beginning(), Clock::real()));
         let projector = Arc::new(projector::Projector::new(reel, player, Arc::clone(&board)));
-        let mut dashboard = Dashboard::serve(address, board, Served::Recording(Arc::clone(&projector)));
+        let served = Served::Recording(Arc::clone(&projector));
+        let mut dashboard = Dashboard::serve(address, board, served, Admission::open());
         dashboard.tasks.spawn(async move { projector.play_for_ever().await });
         dashboard
     }
 
     /// Serves a board that somebody else fills, and on which nothing can be asked for. Called within a tokio runtime.
     pub fn show(address: Taken, board: Arc<Board>) -> Dashboard {
-        let mut dashboard = Dashboard::serve(address, Arc::clone(&board), Served::Board);
+        let mut dashboard = Dashboard::serve(address, Arc::clone(&board), Served::Board, Admission::open());
         dashboard.draw(board);
         dashboard
     }
 
-    fn serve(taken: Taken, board: Arc<Board>, served: Served) -> Dashboard {
-        let (address, listener) = (taken.at(), taken.listener);
-        let router = routes::router(board, served, address);
+    fn serve(taken: Taken, board: Arc<Board>, served: Served, admission: Admission) -> Dashboard {
+        let (address, listener) = (taken.at(), taken.guarded());
+        let router = routes::router(board, served, admission, address);
         let mut tasks = JoinSet::new();
         tasks.spawn(async move {
             if let Err(problem) = axum::serve(listener, router).await {

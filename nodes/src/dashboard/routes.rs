@@ -2,28 +2,41 @@
 
 use super::board::{Board, Frame};
 use super::desk::Problem;
-use super::{Served, assets, csv, guard};
+use super::{Served, assets, csv, guard, session};
+use crate::admission::{Admission, Guest, admit};
 use crate::recording::Command;
-use axum::Router;
 use axum::body::Bytes;
-use axum::extract::ws::{Message, WebSocket};
+use axum::extract::ws::{CloseFrame, Message, WebSocket};
 use axum::extract::{DefaultBodyLimit, Path, Query, State, WebSocketUpgrade};
 use axum::http::{HeaderMap, StatusCode, header};
 use axum::response::{IntoResponse, Response};
-use axum::routing::{get, post};
+use axum::routing::{MethodRouter, get, post};
+use axum::{Extension, Router};
 use consort_protocol::ids::MissionId;
 use consort_protocol::keys::ApiCall;
 use consort_protocol::mission::{FILE_BYTES_MAX, shipped};
+use consort_protocol::trust::Scope;
+use consort_protocol::trust::access::needed;
 use serde::Deserialize;
 use serde::de::DeserializeOwned;
 use serde_json::{Value, json};
 use std::net::SocketAddr;
 use std::sync::Arc;
 use std::time::Duration;
-use tokio::sync::watch;
+use tokio::sync::{OwnedSemaphorePermit, Semaphore, watch};
+use tokio::time::{MissedTickBehavior, interval};
 
 /// How long a client may take to take a message in. One that takes longer is gone, or as good as gone.
 const SLOW: Duration = Duration::from_secs(20);
+
+/// How many may follow at once: each costs the node a picture in the beginning, and what changes five times a second.
+const FOLLOWERS: usize = 100;
+
+/// How often it is looked whether who follows still may.
+const JUDGED_EVERY: Duration = Duration::from_secs(5);
+
+/// What a WebSocket is closed with when its token has ended, of the numbers that are an application's own (RFC 6455, 7.4.2).
+const TOKEN_ENDED: u16 = 4401;
 
 /// Largest message of a client's over the WebSocket, in bytes: it has nothing to say.
 const SAID_MAX: usize = 1024;
@@ -34,40 +47,63 @@ const JSON: [(header::HeaderName, &str); 1] = [(header::CONTENT_TYPE, "applicati
 const EVENTS: usize = 500;
 
 #[derive(Clone)]
-struct Shared {
+pub(super) struct Shared {
     board: Arc<Board>,
     served: Served,
+    pub(super) admission: Admission,
+    followers: Arc<Semaphore>,
 }
 
 /// The server's routes.
-pub(super) fn router(board: Arc<Board>, served: Served, address: SocketAddr) -> Router {
+pub(super) fn router(board: Arc<Board>, served: Served, admission: Admission, address: SocketAddr) -> Router {
     let pages = assets::ALL
         .iter()
         .fold(Router::new(), |router, asset| router.route(asset.path, get(move || async move { asset })));
+    let takes = |scope, route: MethodRouter<Shared>| {
+        route.layer(axum::middleware::from_fn_with_state((admission.clone(), scope), admit))
+    };
     pages
-        .route("/ws", get(follow))
-        .route("/api/picture", get(picture))
-        .route("/api/events", get(events))
-        .route("/api/shipped", get(shipped_missions))
-        .route("/api/history.csv", get(history))
-        .route("/api/missions", post(submit))
-        .route("/api/missions/{id}/cancel", post(cancel))
-        .route("/api/missions/{id}/rescued", post(rescued))
-        .route("/api/replay", get(replay).post(move_replay))
+        .route("/ws", takes(Scope::Read, get(follow)))
+        .route("/api/picture", takes(Scope::Read, get(picture)))
+        .route("/api/events", takes(Scope::Read, get(events)))
+        .route("/api/shipped", takes(Scope::Read, get(shipped_missions)))
+        .route("/api/history.csv", takes(Scope::Read, get(history)))
+        .route("/api/missions", takes(needed(ApiCall::Submit), post(submit)))
+        .route("/api/missions/{id}/cancel", takes(needed(ApiCall::Cancel), post(cancel)))
+        .route("/api/missions/{id}/rescued", takes(needed(ApiCall::Rescued), post(rescued)))
+        .route("/api/replay", takes(Scope::Read, get(replay).post(move_replay)))
+        .route("/api/session", get(session::whose).post(session::begin).delete(session::end))
         .route("/healthz", get(health))
         .layer(DefaultBodyLimit::max(FILE_BYTES_MAX))
         .layer(axum::middleware::from_fn_with_state(address, guard::guard))
-        .with_state(Shared { board, served })
+        .with_state(Shared { board, served, admission, followers: Arc::new(Semaphore::new(FOLLOWERS)) })
 }
 
-async fn follow(State(shared): State<Shared>, upgrade: WebSocketUpgrade) -> Response {
+async fn follow(
+    State(shared): State<Shared>,
+    Extension(guest): Extension<Option<Guest>>,
+    upgrade: WebSocketUpgrade,
+) -> Response {
+    let Ok(place) = Arc::clone(&shared.followers).try_acquire_owned() else {
+        let what = format!("{FOLLOWERS} follow this node already, as many as may at once");
+        return problem(StatusCode::SERVICE_UNAVAILABLE, &what);
+    };
     let frames = shared.board.frames();
-    upgrade.max_message_size(SAID_MAX).on_upgrade(move |socket| send_frames(socket, shared.board, frames))
+    upgrade.max_message_size(SAID_MAX).on_upgrade(move |socket| send_frames(socket, shared, guest, frames, place))
 }
 
-/// Sends the whole, then what changes. Whoever is slow misses frames, and gets the whole again.
-async fn send_frames(mut socket: WebSocket, board: Arc<Board>, mut frames: watch::Receiver<Arc<Frame>>) {
+/// Sends the whole, then what changes. Whoever is slow misses frames, and gets the whole again. Who was let in by a token follows
+/// for as long as that is good.
+async fn send_frames(
+    mut socket: WebSocket,
+    Shared { board, admission, .. }: Shared,
+    guest: Option<Guest>,
+    mut frames: watch::Receiver<Arc<Frame>>,
+    _place: OwnedSemaphorePermit,
+) {
     let mut seen = 0;
+    let mut judged = interval(JUDGED_EVERY);
+    judged.set_missed_tick_behavior(MissedTickBehavior::Delay);
     loop {
         tokio::select! {
             changed = frames.changed() => {
@@ -94,6 +130,13 @@ async fn send_frames(mut socket: WebSocket, board: Arc<Board>, mut frames: watch
             }
             said = socket.recv() => {
                 if !matches!(said, Some(Ok(_))) {
+                    return;
+                }
+            }
+            _ = judged.tick() => {
+                if !admission.is_still_good(guest.as_ref()) {
+                    let end = CloseFrame { code: TOKEN_ENDED, reason: "the token is no longer good".into() };
+                    let _ = tokio::time::timeout(SLOW, socket.send(Message::Close(Some(end)))).await;
                     return;
                 }
             }
@@ -161,15 +204,27 @@ async fn submit(State(shared): State<Shared>, headers: HeaderMap, body: Bytes) -
     settled(desk.submit(request, now_ms).await)
 }
 
-async fn cancel(State(shared): State<Shared>, Path(id): Path<String>, headers: HeaderMap, body: Bytes) -> Response {
-    on_word(&shared, ApiCall::Cancel, id, &headers, &body).await
+async fn cancel(
+    State(shared): State<Shared>,
+    Extension(guest): Extension<Option<Guest>>,
+    Path(id): Path<String>,
+    headers: HeaderMap,
+    body: Bytes,
+) -> Response {
+    on_word(&shared, guest.as_ref(), ApiCall::Cancel, id, &headers, &body).await
 }
 
-async fn rescued(State(shared): State<Shared>, Path(id): Path<String>, headers: HeaderMap, body: Bytes) -> Response {
-    on_word(&shared, ApiCall::Rescued, id, &headers, &body).await
+async fn rescued(
+    State(shared): State<Shared>,
+    Extension(guest): Extension<Option<Guest>>,
+    Path(id): Path<String>,
+    headers: HeaderMap,
+    body: Bytes,
+) -> Response {
+    on_word(&shared, guest.as_ref(), ApiCall::Rescued, id, &headers, &body).await
 }
 
-/// By whose word something is done; without one it is the dashboard's.
+/// By whose word something is done; without one it is the dashboard's. Whose token it was is said beside.
 #[derive(Default, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Word {
@@ -177,7 +232,14 @@ struct Word {
 }
 
 /// Has something done to a mission that somebody says is to be done.
-async fn on_word(shared: &Shared, call: ApiCall, id: String, headers: &HeaderMap, body: &[u8]) -> Response {
+async fn on_word(
+    shared: &Shared,
+    guest: Option<&Guest>,
+    call: ApiCall,
+    id: String,
+    headers: &HeaderMap,
+    body: &[u8],
+) -> Response {
     let Served::Fleet(desk) = &shared.served else { return no_desk(&shared.served) };
     let mission = match MissionId::new(id) {
         Ok(mission) => mission,
@@ -185,7 +247,14 @@ async fn on_word(shared: &Shared, call: ApiCall, id: String, headers: &HeaderMap
     };
     let word = if body.is_empty() { Ok(Word::default()) } else { read(headers, body) };
     match word {
-        Ok(Word { by }) => settled(desk.on_word(call, &mission, by).await),
+        Ok(Word { by }) => {
+            let by = by.filter(|by| !by.trim().is_empty());
+            let by = match (by, guest.map(|guest| &guest.visitor.name)) {
+                (Some(by), Some(name)) if by != name.as_str() => Some(format!("{by}, says {name}")),
+                (by, name) => by.or_else(|| name.map(ToString::to_string)),
+            };
+            settled(desk.on_word(call, &mission, by).await)
+        }
         Err(refusal) => refusal.into_response(),
     }
 }
@@ -210,10 +279,10 @@ async fn move_replay(State(shared): State<Shared>, headers: HeaderMap, body: Byt
 }
 
 /// Why a body is not taken.
-type Refusal = (StatusCode, [(header::HeaderName, &'static str); 1], String);
+pub(super) type Refusal = (StatusCode, [(header::HeaderName, &'static str); 1], String);
 
 /// What somebody sends, which is JSON.
-fn read<T: DeserializeOwned>(headers: &HeaderMap, body: &[u8]) -> Result<T, Refusal> {
+pub(super) fn read<T: DeserializeOwned>(headers: &HeaderMap, body: &[u8]) -> Result<T, Refusal> {
     let refusal = |status, what: &str| (status, JSON, json!({ "error": what }).to_string());
     let kind = headers.get(header::CONTENT_TYPE).and_then(|kind| kind.to_str().ok()).unwrap_or("");
     if kind.split(';').next().map(str::trim) != Some("application/json") {
@@ -253,10 +322,10 @@ fn no_recording() -> Response {
     problem(StatusCode::NOT_FOUND, "what is shown here is no recording")
 }
 
-fn problem(status: StatusCode, what: &str) -> Response {
+pub(super) fn problem(status: StatusCode, what: &str) -> Response {
     answer(status, &json!({ "error": what }))
 }
 
-fn answer(status: StatusCode, value: &Value) -> Response {
+pub(super) fn answer(status: StatusCode, value: &Value) -> Response {
     (status, JSON, value.to_string()).into_response()
 }

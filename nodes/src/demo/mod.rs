@@ -22,6 +22,7 @@ pub use processes::Processes;
 pub use stage::Stage;
 
 use crate::address::Taken;
+use crate::admission::Admission;
 use crate::dashboard::Dashboard;
 use crate::exit::Failure;
 use crate::picture::FloorPlan;
@@ -130,7 +131,8 @@ pub fn run(args: Args) -> Result<(), Failure> {
             let address = Taken::take("--dashboard", address).await.map_err(Failure::Usage)?;
             let plan_of_floor = FloorPlan::new(&floor::load(&cast.fleet.map)?);
             let stage = Processes::set(&cast, &program, args.port).await?;
-            let dashboard = Dashboard::open(address, stage.bus(), &cast.fleet.name, "demo", plan_of_floor);
+            let dashboard =
+                Dashboard::open(address, Admission::open(), stage.bus(), &cast.fleet.name, "demo", plan_of_floor);
             Director::new(plan, cast, stage, narrator, Some(dashboard)).play().await
         })
     }

@@ -1,24 +1,27 @@
 //! The page that Prometheus reads.
 
 use super::Metrics;
+use crate::address::Guarded;
+use crate::admission::{Admission, admit};
 use axum::Router;
 use axum::http::header::CONTENT_TYPE;
 use axum::routing::get;
+use consort_protocol::trust::Scope;
 use std::sync::Arc;
-use tokio::net::TcpListener;
 
 /// OpenMetrics in its text form, which Prometheus asks for.
 const OPEN_METRICS: &str = "application/openmetrics-text; version=1.0.0; charset=utf-8";
 
-/// Answers `GET /metrics` on `listener` until it is dropped.
+/// Answers `GET /metrics` of those who are admitted on `listener` until it is dropped.
 ///
 /// # Errors
 /// What the system says if connections can no longer be accepted.
-pub async fn serve(listener: TcpListener, metrics: Arc<Metrics>) -> std::io::Result<()> {
+pub async fn serve(listener: Guarded, metrics: Arc<Metrics>, admission: Admission) -> std::io::Result<()> {
     let page = move || {
         let text = metrics.text();
         async move { ([(CONTENT_TYPE, OPEN_METRICS)], text) }
     };
     let hint = || async { "Metrics are at /metrics.\n" };
-    axum::serve(listener, Router::new().route("/metrics", get(page)).route("/", get(hint))).await
+    let page = get(page).layer(axum::middleware::from_fn_with_state((admission, Scope::Read), admit));
+    axum::serve(listener, Router::new().route("/metrics", page).route("/", get(hint))).await
 }

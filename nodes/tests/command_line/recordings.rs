@@ -12,7 +12,7 @@ fn a_file_that_is_there_is_not_recorded_over() {
     assert_eq!(std::fs::read_to_string(&file).expect("it is there"), "dear diary");
     let ran = run(&["record", "--out", "run.mcap", "--for", "5 weeks"]);
     assert_eq!(ran.code, Some(2));
-    assert!(ran.err.contains("expected a length of time above 0, as 60s, 5m or 2h"), "{}", ran.err);
+    assert!(ran.err.contains("expected a length of time above 0, as 60s, 5m, 2h or 30d"), "{}", ran.err);
 }
 
 #[test]

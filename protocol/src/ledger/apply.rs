@@ -305,6 +305,11 @@ impl Ledger {
         live
     }
 
+    /// Whether so many missions, or more, are under way.
+    pub fn has_under_way(&self, count: usize) -> bool {
+        self.missions.values().filter(|entry| !entry.state.is_end()).take(count).count() == count
+    }
+
     /// What robots have of missions that wait for a person, or that recover from the loss of it, with those missions. Such
     /// robots are given no role of another mission.
     pub fn stranded(&self) -> impl Iterator<Item = (&MissionEntry, Stranded)> {

@@ -1,13 +1,17 @@
 //! What the stories are told with.
 
 mod client;
+mod closed;
 mod fleet;
 mod folder;
+mod http;
 mod program;
 
 pub(crate) use client::{Client, tasks};
+pub(crate) use closed::Closed;
 pub(crate) use fleet::{Fleet, example, hospital, hospital_by};
 pub(crate) use folder::Folder;
+pub(crate) use http::{Answer, http};
 pub(crate) use program::{Ended, Program};
 
 use std::time::{Duration, Instant};

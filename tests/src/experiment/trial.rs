@@ -5,6 +5,7 @@ use super::stage::Stage;
 use super::watcher::{Brief, Seen, Watcher};
 use consort_actors::bus::{Bus as _, LinkModel, VirtualBus, VirtualNetwork};
 use consort_actors::clock::Clock;
+use consort_actors::coordinator::IntakeLimits;
 use consort_actors::node::{FleetSettings, HostPart, NodeHandle, NodeSettings, RobotPart};
 use consort_actors::store::Store;
 use consort_actors::timing::Timing;
@@ -128,6 +129,7 @@ impl<'s> Play<'s> {
             ensemble: Arc::clone(&stage.ensemble),
             domain: Arc::clone(&stage.domain),
             limits: Limits::default(),
+            intake: IntakeLimits::default(),
             choice: choice(stage, trial, &division, &managed, seed),
             terms: LeaseTerms::default(),
             window: times.window,

@@ -10,6 +10,7 @@ import * as missions from './missions.js';
 import * as replay from './replay.js';
 import * as robots from './robots.js';
 import * as schedule from './schedule.js';
+import * as session from './session.js';
 import * as status from './status.js';
 import * as submit from './submit.js';
 import * as tabs from './tabs.js';
@@ -42,6 +43,7 @@ const line = open({
     touch(...(patch ? Object.keys(patch) : Object.keys(picture)));
   },
   onLine: () => tick(),
+  ready: session.admitted,
 });
 
 function touch(...sections) {

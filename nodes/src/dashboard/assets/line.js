@@ -5,7 +5,8 @@ const PATIENCE = { least: 250, most: 8000 };
 // The node says something once in a second, whatever happens: silence for longer is a broken line that nobody has noticed.
 const SILENCE = 5000;
 
-export function open({ onChange, onLine }) {
+/** `ready` is awaited before each attempt: it ends when there is a point in one. */
+export function open({ onChange, onLine, ready }) {
   // What was heard is counted, to be looked at by tests.
   const heardOf = { number: 0, wholes: 0, patches: 0, bytes: 0 };
   const line = { picture: null, said: 0, saidAt: 0, state: 'connecting', since: Date.now(), heard: heardOf };
@@ -26,7 +27,8 @@ export function open({ onChange, onLine }) {
     onLine(line);
   };
 
-  const connect = () => {
+  const connect = async () => {
+    await ready();
     const socket = new WebSocket(`${location.protocol === 'https:' ? 'wss' : 'ws'}://${location.host}/ws`);
     heard = Date.now();
     const watch = setInterval(() => {

@@ -1,0 +1,72 @@
+//! A fleet whose nodes have certificates.
+
+use super::{Fleet, example};
+use std::path::PathBuf;
+use toml::Table;
+
+/// A fleet with an authority, which runs nothing yet.
+pub(crate) struct Closed {
+    pub(crate) fleet: Fleet,
+    certs: PathBuf,
+}
+
+impl Closed {
+    pub(crate) fn new() -> Closed {
+        let fleet = Fleet::new(&example("fleet"));
+        let certs = fleet.path("certs");
+        let mut closed = Closed { fleet, certs };
+        closed.cert(&["init", "--fleet", "ward"]);
+        for (name, roles) in
+            [("station-1", "voter"), ("world", "host"), ("ada", "robot,voter"), ("lab-arm", "robot,voter")]
+        {
+            closed.cert(&["node", name, "--roles", roles]);
+        }
+        for scope in ["read", "submit", "operate"] {
+            closed.cert(&["person", scope, "--scope", scope]);
+        }
+        closed
+    }
+
+    pub(crate) fn cert(&mut self, arguments: &[&str]) {
+        let dir = self.certs.display().to_string();
+        self.fleet.tool(&[&["cert", "--dir", &dir][..], arguments].concat()).expect(0);
+    }
+
+    pub(crate) fn of(&self, who: &str) -> PathBuf {
+        self.certs.join(who)
+    }
+
+    pub(crate) fn start(&mut self, kind: &str, mut node: Table, neighbours: &[&str]) {
+        let name = node["name"].as_str().expect("a name").to_owned();
+        let certs = self.of(&name).display().to_string();
+        node["bus"].as_table_mut().expect("the examples say where nodes are").insert("certs".to_owned(), certs.into());
+        self.fleet.start(kind, node, neighbours);
+    }
+
+    pub(crate) fn start_all(&mut self) {
+        self.start("station", example("station"), &[]);
+        self.start_others();
+    }
+
+    /// All but the station.
+    pub(crate) fn start_others(&mut self) {
+        let mut world = example("world");
+        world.insert("speed".to_owned(), 20.0.into());
+        self.start("world", world, &["station-1"]);
+        self.start("robot", example("robot"), &["station-1", "world"]);
+        self.start("robot", example("arm"), &["station-1", "world"]);
+    }
+
+    /// Somebody's token.
+    pub(crate) fn token(&mut self, of: &str, more: &[&str]) -> String {
+        let certs = self.of(of).display().to_string();
+        let made = self.fleet.tool(&[&["token", "--certs", &certs], more].concat()).expect(0);
+        made.stdout.trim().to_owned()
+    }
+
+    /// What a node has logged that it did not listen to.
+    pub(crate) fn refused(&mut self, by: &str) -> String {
+        let log = self.fleet.node(by).stderr();
+        log.lines().filter(|line| line.contains("not listened to")).collect::<Vec<_>>().join("\n")
+    }
+}
