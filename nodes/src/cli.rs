@@ -6,8 +6,10 @@ use crate::command::{
 };
 use crate::demo;
 use crate::exit::Failure;
+use crate::kit::Kit;
 use crate::output;
 use clap::{Parser, Subcommand};
+use std::ffi::OsString;
 use std::process::ExitCode;
 
 /// Mission coordination for fleets of heterogeneous robots, without a boss that can be killed.
@@ -81,7 +83,13 @@ enum Command {
 
 /// Runs the program.
 pub fn run() -> ExitCode {
-    let done = match Cli::parse().command {
+    run_with(Kit::default(), std::env::args_os())
+}
+
+/// Runs a program whose robots can do what is in `kit` besides. Of its arguments the first is its own name.
+pub fn run_with(kit: Kit, args: impl IntoIterator<Item = OsString>) -> ExitCode {
+    kit.put_in();
+    let done = match Cli::parse_from(args).command {
         Command::Demo(args) => demo::run(args),
         Command::Robot(args) => robot::run(args),
         Command::Station(args) => station::run(args),

@@ -3,13 +3,13 @@
 use super::read::{settle_path, under};
 use super::{ConfigFile, load};
 use crate::floor::is_shipped;
+use crate::kit;
 use consort_actors::autopilot;
 use consort_actors::timing::{Times, Timing};
 use consort_protocol::auction::Limits;
 use consort_protocol::ensemble::{Ensemble, EnsembleSpec};
 use consort_protocol::ids::{EnsembleId, FleetId, TaskType};
 use consort_protocol::lease::LeaseTerms;
-use consort_protocol::mission::Domain;
 use consort_protocol::units::{BatteryShare, Seconds};
 use serde::de::value::MapAccessDeserializer;
 use serde::de::{Deserializer, MapAccess, Visitor};
@@ -152,7 +152,7 @@ impl FleetConfig {
     /// The ensemble whose members are asked for bids.
     pub fn ensemble(&self) -> EnsembleSpec {
         self.ensemble.first().cloned().unwrap_or_else(|| {
-            let skills = Domain::hospital().task_types().cloned().collect();
+            let skills = kit::domain().task_types().cloned().collect();
             EnsembleSpec::with_any_skill_of(EnsembleId::new("workers").expect("a slug"), skills)
         })
     }
@@ -193,7 +193,7 @@ impl ConfigFile for FleetConfig {
             problems.push(format!("ensemble: {count} are declared; one is allowed, whose members are asked for bids"));
         }
         for spec in &self.ensemble {
-            let domain = Domain::hospital();
+            let domain = kit::domain();
             for skill in spec.skills.iter().filter(|skill| domain.get(skill).is_none()) {
                 problems.push(format!("ensemble {}: skills: {}", spec.name, unknown_skill(skill)));
             }
@@ -205,7 +205,7 @@ impl ConfigFile for FleetConfig {
 
 /// What is wrong with a skill that no task type of the domain is named for.
 pub(super) fn unknown_skill(skill: &TaskType) -> String {
-    let domain = Domain::hospital();
+    let domain = kit::domain();
     let allowed = consort_protocol::mission::Allowed::instead_of(skill.as_str(), domain.task_types());
     format!("there are no tasks of type `{skill}`; {allowed}")
 }

@@ -3,8 +3,8 @@
 use super::fleet::unknown_skill;
 use super::node::problems_around;
 use super::{BusConfig, ConfigFile, FleetRef, NodeFile, Surroundings, TelemetryConfig, yes};
+use crate::kit;
 use consort_protocol::ids::{NodeId, PlaceId, RobotId, TaskType};
-use consort_protocol::mission::Domain;
 use consort_protocol::units::{BatteryShare, MetresPerSecond, SharePerSecond};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeSet;
@@ -104,7 +104,7 @@ impl ConfigFile for RobotConfig {
     }
 
     fn problems(&self) -> Vec<String> {
-        let domain = Domain::hospital();
+        let domain = kit::domain();
         let unknown = self.skills.iter().filter(|skill| domain.get(skill).is_none());
         let mut problems: Vec<String> = unknown.map(|skill| format!("skills: {}", unknown_skill(skill))).collect();
         if self.skills.is_empty() {

@@ -1,0 +1,8 @@
+//! The documentation: its links lead somewhere, its tutorials work as they are written, its references say what the code does.
+
+#[path = "../command_line/binary.rs"]
+mod binary;
+mod links;
+mod page;
+mod shell;
+mod tutorials;
