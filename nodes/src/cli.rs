@@ -2,7 +2,7 @@
 
 use crate::command::{
     bench, cancel, cert, chaos, check, completions, doctor, dry_run, experiment, explain, fleet, keys, leave, map,
-    missions, record, recover, replay, rescue, robot, station, submit, test, watch, world,
+    missions, record, recover, replay, rescue, robot, schema, station, submit, test, watch, world,
 };
 use crate::demo;
 use crate::exit::Failure;
@@ -65,6 +65,7 @@ enum Command {
     Keys(keys::Args),
     Leave(leave::Args),
     Check(check::Args),
+    Schema(schema::Args),
     Doctor(doctor::Args),
     Map(map::Args),
     DryRun(dry_run::Args),
@@ -103,6 +104,7 @@ pub fn run_with(kit: Kit, args: impl IntoIterator<Item = OsString>) -> ExitCode 
         Command::Keys(args) => keys::run(args),
         Command::Leave(args) => leave::run(args),
         Command::Check(args) => check::run(args),
+        Command::Schema(args) => schema::run(&args),
         Command::Doctor(args) => doctor::run(args),
         Command::Map(args) => map::run(args),
         Command::DryRun(args) => dry_run::run(args),

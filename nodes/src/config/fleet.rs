@@ -11,10 +11,12 @@ use consort_protocol::ensemble::{Ensemble, EnsembleSpec};
 use consort_protocol::ids::{EnsembleId, FleetId, TaskType};
 use consort_protocol::lease::LeaseTerms;
 use consort_protocol::units::{BatteryShare, Seconds};
+use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
 use serde::de::value::MapAccessDeserializer;
 use serde::de::{Deserializer, MapAccess, Visitor};
 use serde::ser::Serializer;
 use serde::{Deserialize, Serialize};
+use std::borrow::Cow;
 use std::fmt;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
@@ -23,7 +25,7 @@ use std::time::Duration;
 pub const DEFAULT_FLEET: &str = "ward";
 
 /// A fleet file. Every key has a default.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct FleetConfig {
     /// The fleet's name: part of every key on the bus. Default `ward`.
@@ -69,7 +71,7 @@ pub struct FleetConfig {
 }
 
 /// `[limits]`: what bids must keep to.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct LimitsConfig {
     /// Longest time that a robot's part may take by its own estimate, in world seconds. Default: no limit.
@@ -80,7 +82,7 @@ pub struct LimitsConfig {
 }
 
 /// `[lease]`: how long awards last without contact.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct LeaseConfig {
     /// A robot suspends its role this long after its last contact with the coordinator. Longer: blackouts are survived in
@@ -92,7 +94,7 @@ pub struct LeaseConfig {
 }
 
 /// `[auction]`: how auctions are held.
-#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct AuctionConfig {
     /// How long an auction waits for a member that does not answer, in milliseconds; it closes at once when all have.
@@ -255,6 +257,20 @@ impl FleetRef {
             FleetRef::File(_) => vec![],
             FleetRef::Table(fleet) => fleet.problems().into_iter().map(|problem| format!("fleet: {problem}")).collect(),
         }
+    }
+}
+
+impl JsonSchema for FleetRef {
+    fn inline_schema() -> bool {
+        true
+    }
+
+    fn schema_name() -> Cow<'static, str> {
+        "FleetRef".into()
+    }
+
+    fn json_schema(schemas: &mut SchemaGenerator) -> Schema {
+        json_schema!({ "anyOf": [{ "type": "string" }, schemas.subschema_for::<FleetConfig>()] })
     }
 }
 

@@ -6,13 +6,14 @@ use super::{BusConfig, ConfigFile, FleetRef, NodeFile, Surroundings, TelemetryCo
 use crate::kit;
 use consort_protocol::ids::{NodeId, PlaceId, RobotId, TaskType};
 use consort_protocol::units::{BatteryShare, MetresPerSecond, SharePerSecond};
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeSet;
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 
 /// A robot file. `name`, `place` and `skills` must be there.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct RobotConfig {
     /// The robot's name, and its node's: unique in the fleet.

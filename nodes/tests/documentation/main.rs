@@ -2,7 +2,10 @@
 
 #[path = "../command_line/binary.rs"]
 mod binary;
+mod form;
 mod links;
 mod page;
+mod reference;
+mod schemas;
 mod shell;
 mod tutorials;
