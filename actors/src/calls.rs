@@ -238,8 +238,9 @@ pub(crate) fn help_on(call: ApiCall) -> Value {
     })
 }
 
-/// How every call is made.
-pub(crate) fn help() -> Value {
+/// How every call on `api/**` is made, as `api/help` answers: key, meaning, example, and the JSON Schemas of payload, answer and
+/// error.
+pub fn help() -> Value {
     json!({ "calls": ApiCall::ALL.iter().map(|call| help_on(*call)).collect::<Vec<_>>() })
 }
 

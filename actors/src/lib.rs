@@ -26,3 +26,5 @@ mod tasks;
 pub mod timing;
 pub mod trust;
 pub mod views;
+
+pub use calls::help as api_help;

@@ -21,11 +21,12 @@
 //! **`wifi`** is for links that lose one message in ten and stall for a second when a robot roams. A voter takes its leader for
 //! lost only after six heartbeats in a row were lost.
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::time::Duration;
 
 /// A set of times. All nodes of a fleet use the same.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum Timing {
     /// Wired machines: the default.

@@ -2,9 +2,9 @@
 
 use crate::config::{self, FleetConfig, Problem, Problems, RobotConfig, StationConfig, WorldConfig};
 use crate::plan::{Instead, Plan};
-use crate::{floor, source, wiring};
+use crate::{floor, kit, source, wiring};
 use consort_protocol::ids::TaskId;
-use consort_protocol::mission::{Domain, Format, IhtnReading, Mission, MissionTemplate, TemplateKind, import_ihtn};
+use consort_protocol::mission::{Format, IhtnReading, Mission, MissionTemplate, TemplateKind, import_ihtn};
 use consort_protocol::plan::divide_and_check;
 use consort_sim::experiment::calibration::Calibration;
 use consort_sim::map::MapForm;
@@ -146,7 +146,7 @@ fn mission(text: &str, path: &Path, file: &str) -> Result<String, Problems> {
     let given: BTreeMap<String, String> =
         open.map(|(name, parameter)| (name.clone(), sample(parameter.kind).to_owned())).collect();
     let (mission, recovery) = template
-        .instantiate_both(&given, &Domain::hospital())
+        .instantiate_both(&given, &kit::domain())
         .map_err(|errors| Problems(errors.problems.iter().map(|problem| Problem::of(file, problem)).collect()))?;
     let size = |mission: &Mission| {
         let division = divide_and_check(mission).map_err(|error| Problems::from(Problem::of(file, error)))?;
@@ -167,7 +167,7 @@ fn ihtn(text: &str, path: &Path, file: &str) -> Result<String, Problems> {
         unmanaged: BTreeSet::from(["nurse".parse().expect("a slug")]),
         aliases: BTreeMap::from([("navto".to_owned(), slug("navigation"))]),
     };
-    let mission = import_ihtn(text, &reading, &Domain::hospital())
+    let mission = import_ihtn(text, &reading, &kit::domain())
         .map_err(|errors| Problems(errors.problems.iter().map(|problem| Problem::of(file, problem)).collect()))?;
     let division = divide_and_check(&mission).map_err(|error| Problems::from(Problem::of(file, error)))?;
     let steps: usize = division.plans.values().map(|plan| plan.steps.len()).sum();

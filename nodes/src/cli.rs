@@ -2,12 +2,14 @@
 
 use crate::command::{
     bench, cancel, cert, chaos, check, completions, doctor, dry_run, experiment, explain, fleet, keys, leave, map,
-    missions, record, recover, replay, rescue, robot, station, submit, test, token, watch, world,
+    missions, record, recover, replay, rescue, robot, schema, station, submit, test, token, watch, world,
 };
 use crate::demo;
 use crate::exit::Failure;
+use crate::kit::Kit;
 use crate::output;
 use clap::{Parser, Subcommand};
+use std::ffi::OsString;
 use std::process::ExitCode;
 
 /// Mission coordination for fleets of heterogeneous robots, without a boss that can be killed.
@@ -63,6 +65,7 @@ enum Command {
     Keys(keys::Args),
     Leave(leave::Args),
     Check(check::Args),
+    Schema(schema::Args),
     Doctor(doctor::Args),
     Map(map::Args),
     DryRun(dry_run::Args),
@@ -82,7 +85,13 @@ enum Command {
 
 /// Runs the program.
 pub fn run() -> ExitCode {
-    let done = match Cli::parse().command {
+    run_with(Kit::default(), std::env::args_os())
+}
+
+/// Runs a program whose robots can do what is in `kit` besides. Of its arguments the first is its own name.
+pub fn run_with(kit: Kit, args: impl IntoIterator<Item = OsString>) -> ExitCode {
+    kit.put_in();
+    let done = match Cli::parse_from(args).command {
         Command::Demo(args) => demo::run(args),
         Command::Robot(args) => robot::run(args),
         Command::Station(args) => station::run(args),
@@ -96,6 +105,7 @@ pub fn run() -> ExitCode {
         Command::Keys(args) => keys::run(args),
         Command::Leave(args) => leave::run(args),
         Command::Check(args) => check::run(args),
+        Command::Schema(args) => schema::run(&args),
         Command::Doctor(args) => doctor::run(args),
         Command::Map(args) => map::run(args),
         Command::DryRun(args) => dry_run::run(args),

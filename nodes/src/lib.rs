@@ -18,6 +18,7 @@ pub mod doctor;
 pub mod dry_run;
 pub mod exit;
 pub mod floor;
+pub mod kit;
 pub mod metrics;
 pub mod output;
 pub mod picture;

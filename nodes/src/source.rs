@@ -6,9 +6,10 @@ use consort_protocol::knowledge::{Availability, Worker};
 use consort_protocol::mission::{Format, MissionTemplate, shipped};
 use consort_protocol::pose::Pose;
 use consort_protocol::units::{BatteryShare, MetresPerSecond, SharePerSecond};
+use schemars::{JsonSchema, Schema, schema_for};
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
-use serde_json::Value;
+use serde_json::{Map, Value};
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
@@ -96,7 +97,7 @@ pub fn any_format<T: DeserializeOwned>(text: &str, file: &str) -> Result<T, Prob
 /// ```
 ///
 /// In JSON and YAML the file is an object with a list `worker`, or just the list.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct WorkerEntry {
     /// Its name.
@@ -145,10 +146,24 @@ impl WorkerEntry {
     }
 }
 
-#[derive(Deserialize)]
+/// Workers for `consort dry-run`.
+#[derive(Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 struct WorkersFile {
+    /// The workers.
     worker: Vec<WorkerEntry>,
+}
+
+/// The form of a workers file, as a JSON Schema.
+pub fn workers_schema() -> Schema {
+    let mut schema = schema_for!(WorkersFile);
+    // In JSON and YAML the list alone will do; in TOML there is none without a key.
+    let whole =
+        ["type", "properties", "required", "additionalProperties"].map(|key| (key.to_owned(), schema.remove(key)));
+    let whole: Map<String, Value> = whole.into_iter().filter_map(|(key, value)| Some((key, value?))).collect();
+    let list = whole["properties"]["worker"].clone();
+    schema.insert("anyOf".to_owned(), Value::Array(vec![Value::Object(whole), list]));
+    schema
 }
 
 /// Reads a workers file.

@@ -3,6 +3,7 @@
 
 use crate::config::{self, BusConfig, FleetConfig, Problem, Problems, RobotConfig, StationConfig, WorldConfig};
 use crate::floor::{self, Floor};
+use crate::kit;
 use consort_actors::bus::ZenohSettings;
 use consort_actors::bus::zenoh_bus::LinkTrust;
 use consort_actors::clock::Clock;
@@ -15,7 +16,7 @@ use consort_protocol::ensemble::Ensemble;
 use consort_protocol::ids::{FleetId, NodeId, PlaceId};
 use consort_protocol::knowledge::{Availability, Worker};
 use consort_protocol::lease::LeaseTerms;
-use consort_protocol::mission::{Allowed, Domain};
+use consort_protocol::mission::Allowed;
 use consort_protocol::pose::Pose;
 use consort_sim::experiment::calibration::Calibration;
 use consort_sim::map::Map;
@@ -105,7 +106,7 @@ pub fn fleet_settings(config: &FleetConfig) -> Result<FleetSettings, Problems> {
     Ok(FleetSettings {
         fleet: config.name.clone(),
         ensemble: Arc::new(ensemble),
-        domain: Arc::new(Domain::hospital().with_places(places.into_keys())),
+        domain: Arc::new(kit::domain().with_places(places.into_keys())),
         limits: limits(config),
         intake: IntakeLimits { missions: config.requests.missions, requests_per_s: config.requests.per_s },
         choice: Arc::new(Exact),
@@ -137,9 +138,9 @@ pub fn equipment(floor: &Floor) -> Result<Equipment, Problems> {
     let routes = Routes::new(topology).map_err(|problem| Problem::of("map", problem))?;
     let passages = map.as_ref().map_or_else(Passages::default, Map::passages);
     let environment = Environment::new().with(routes).with(passages);
-    let estimator =
-        DescriptorRegistry::standard().resolve(environment.clone()).map_err(|problem| Problem::of("", problem))?;
-    let library = Arc::new(SkillLibrary::standard(environment));
+    let estimator = kit::descriptors(DescriptorRegistry::standard()).resolve(environment.clone());
+    let estimator = estimator.map_err(|problem| Problem::of("", problem))?;
+    let library = Arc::new(kit::library(environment)?);
     Ok(Equipment { places: topology.places.clone(), estimator: Arc::new(estimator), library })
 }
 
@@ -151,7 +152,7 @@ pub fn fleet_equipment(fleet: &FleetConfig) -> Result<Equipment, Problems> {
     let equipment = equipment(&floor::load(&fleet.map)?)?;
     let Some(file) = &fleet.calibration else { return Ok(equipment) };
     let learned: Arc<Calibration> = Arc::new(config::load(file)?);
-    let estimator = learned.descriptors().resolve(equipment.estimator.environment().clone());
+    let estimator = kit::descriptors(learned.descriptors()).resolve(equipment.estimator.environment().clone());
     let estimator = estimator.map_err(|problem| Problem::of(file.display(), problem))?;
     Ok(Equipment { estimator: Arc::new(estimator), ..equipment })
 }

@@ -18,6 +18,7 @@ use crate::knowledge::{Availability, Heard, Knowledge, KnowledgeBase};
 use crate::units::NodeTime;
 use bounds::LOOPS_MAX;
 use cel::{Context, Env, Program, Value};
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
@@ -25,7 +26,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
 /// An ensemble as a fleet file declares it.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct EnsembleSpec {
     /// Its name.

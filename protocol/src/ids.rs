@@ -4,7 +4,9 @@
 //! `A–Z a–z 0–9 _ . -`, so that no name can hold a `/`, a `*` or anything else that Zenoh gives a meaning to. Place
 //! names are *labels* as people write them on a map (`IC Room 6`): 1 to 64 characters without control characters.
 
+use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
 use serde::{Deserialize, Serialize};
+use std::borrow::Cow;
 use std::fmt;
 use std::sync::Arc;
 
@@ -56,6 +58,14 @@ fn check(kind: &'static str, text: &str, allowed: &'static str) -> Result<(), Na
     Ok(())
 }
 
+/// The texts that [`check`] lets pass, as a JSON Schema.
+fn schema(allowed: &'static str) -> Schema {
+    match allowed {
+        SLUG => json_schema!({ "type": "string", "pattern": "^[A-Za-z0-9_.-]{1,64}$" }),
+        _ => json_schema!({ "type": "string", "minLength": 1, "maxLength": MAX_CHARS }),
+    }
+}
+
 macro_rules! names {
     ($($(#[$doc:meta])* $name:ident, $kind:literal, $allowed:expr;)*) => {$(
         $(#[$doc])*
@@ -78,6 +88,20 @@ macro_rules! names {
             /// The name as text.
             pub fn as_str(&self) -> &str {
                 &self.0
+            }
+        }
+
+        impl JsonSchema for $name {
+            fn inline_schema() -> bool {
+                true
+            }
+
+            fn schema_name() -> Cow<'static, str> {
+                stringify!($name).into()
+            }
+
+            fn json_schema(_: &mut SchemaGenerator) -> Schema {
+                schema($allowed)
             }
         }
 

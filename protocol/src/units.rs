@@ -4,7 +4,9 @@
 //! may run it faster than the wall clock), [`NodeTime`] is when things happen to processes (elections, leases,
 //! windows, retries; monotonic, since the node started).
 
+use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
 use serde::{Deserialize, Serialize};
+use std::borrow::Cow;
 use std::fmt;
 use std::ops::{Add, AddAssign, Sub};
 use std::time::Duration;
@@ -22,7 +24,7 @@ pub struct UnitError {
 }
 
 macro_rules! quantities {
-    ($($(#[$doc:meta])* $name:ident, $unit:literal, $what:literal, $allowed:literal, $ok:expr;)*) => {$(
+    ($($(#[$doc:meta])* $name:ident, $unit:literal, $what:literal, $allowed:literal, $ok:expr, $schema:tt;)*) => {$(
         $(#[$doc])*
         #[derive(Clone, Copy, PartialEq, PartialOrd, Serialize, Deserialize)]
         #[serde(try_from = "f64", into = "f64")]
@@ -45,6 +47,20 @@ macro_rules! quantities {
             /// The bare number.
             pub const fn get(self) -> f64 {
                 self.0
+            }
+        }
+
+        impl JsonSchema for $name {
+            fn inline_schema() -> bool {
+                true
+            }
+
+            fn schema_name() -> Cow<'static, str> {
+                stringify!($name).into()
+            }
+
+            fn json_schema(_: &mut SchemaGenerator) -> Schema {
+                json_schema!($schema)
             }
         }
 
@@ -77,15 +93,20 @@ macro_rules! quantities {
 
 quantities! {
     /// A length along a route.
-    Metres, " m", "a length", "a finite number of metres, 0 or more", |v| v >= 0.0;
+    Metres, " m", "a length", "a finite number of metres, 0 or more", |v| v >= 0.0,
+        { "type": "number", "minimum": 0 };
     /// How long something takes in the world.
-    Seconds, " s", "a duration", "a finite number of seconds, 0 or more", |v| v >= 0.0;
+    Seconds, " s", "a duration", "a finite number of seconds, 0 or more", |v| v >= 0.0,
+        { "type": "number", "minimum": 0 };
     /// A driving speed.
-    MetresPerSecond, " m/s", "a speed", "a finite number of metres per second above 0", |v| v > 0.0;
+    MetresPerSecond, " m/s", "a speed", "a finite number of metres per second above 0", |v| v > 0.0,
+        { "type": "number", "exclusiveMinimum": 0 };
     /// Charge in a battery, as a share of a full one.
-    BatteryShare, "", "a battery share", "a number from 0 (empty) to 1 (full)", |v| (0.0..=1.0).contains(&v);
+    BatteryShare, "", "a battery share", "a number from 0 (empty) to 1 (full)", |v| (0.0..=1.0).contains(&v),
+        { "type": "number", "minimum": 0, "maximum": 1 };
     /// How fast a robot at work empties its battery, in shares of a full one per second of world time.
-    SharePerSecond, " /s", "a discharge rate", "a finite share per second, 0 or more", |v| v >= 0.0;
+    SharePerSecond, " /s", "a discharge rate", "a finite share per second, 0 or more", |v| v >= 0.0,
+        { "type": "number", "minimum": 0 };
 }
 
 impl Metres {

@@ -282,7 +282,7 @@ fn disks_slower_than_any_election_cost_no_leader_either() {
     }
 }
 
-/// The longest sync with which a leader can be elected, as the README has it, less a little.
+/// The longest sync with which a leader can be elected, as `nodes/docs/operations.md` has it, less a little.
 const SLOWEST: Duration = Duration::from_millis(900);
 
 #[test]

@@ -4,10 +4,10 @@ use super::flags::key_value;
 use crate::dry_run::{DryRun, Offer, auction};
 use crate::exit::Failure;
 use crate::wiring::{Equipment, equipment};
-use crate::{floor, output, source};
+use crate::{floor, kit, output, source};
 use consort_protocol::auction::{BidPart, Limits};
 use consort_protocol::ids::{RobotId, RoleId};
-use consort_protocol::mission::{Domain, Mission, MissionTemplate};
+use consort_protocol::mission::{Mission, MissionTemplate};
 use consort_protocol::plan::{Division, divide_and_check};
 use consort_protocol::units::{BatteryShare, Seconds};
 use serde::Serialize;
@@ -185,7 +185,7 @@ fn divide(
     given: &BTreeMap<String, String>,
 ) -> Result<(Mission, Division), Failure> {
     let usage = |problem: String| Failure::Usage(problem);
-    let domain = Domain::hospital().with_places(equipment.places.keys().cloned());
+    let domain = kit::domain().with_places(equipment.places.keys().cloned());
     let mission = template.instantiate(given, &domain).map_err(|e| usage(e.to_string()))?;
     let division = divide_and_check(&mission).map_err(|e| usage(e.to_string()))?;
     Ok((mission, division))

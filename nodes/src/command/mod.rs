@@ -24,6 +24,7 @@ pub mod recover;
 pub mod replay;
 pub mod rescue;
 pub mod robot;
+pub mod schema;
 pub mod station;
 pub mod submit;
 pub mod test;

@@ -2,6 +2,7 @@
 
 use super::read::settle_path;
 use consort_actors::trust::TrustFiles;
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 
@@ -10,7 +11,7 @@ use std::path::{Path, PathBuf};
 /// Every node relays for its neighbours. Two to four configured neighbours for each node keep a fleet together when links
 /// or nodes fail; fewer save traffic. Without `certs` nobody is asked who they are: whoever reaches the listening address is
 /// part of the fleet.
-#[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct BusConfig {
     /// Addresses to listen on. Default: the loopback interface, at a port that the system gives.

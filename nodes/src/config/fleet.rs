@@ -3,6 +3,7 @@
 use super::read::{settle_path, under};
 use super::{ConfigFile, load};
 use crate::floor::is_shipped;
+use crate::kit;
 use consort_actors::autopilot;
 use consort_actors::coordinator::IntakeLimits;
 use consort_actors::timing::{Times, Timing};
@@ -10,12 +11,13 @@ use consort_protocol::auction::Limits;
 use consort_protocol::ensemble::{Ensemble, EnsembleSpec};
 use consort_protocol::ids::{EnsembleId, FleetId, TaskType};
 use consort_protocol::lease::LeaseTerms;
-use consort_protocol::mission::Domain;
 use consort_protocol::units::{BatteryShare, Seconds};
+use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
 use serde::de::value::MapAccessDeserializer;
 use serde::de::{Deserializer, MapAccess, Visitor};
 use serde::ser::Serializer;
 use serde::{Deserialize, Serialize};
+use std::borrow::Cow;
 use std::fmt;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
@@ -24,7 +26,7 @@ use std::time::Duration;
 pub const DEFAULT_FLEET: &str = "ward";
 
 /// A fleet file. Every key has a default.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct FleetConfig {
     /// The fleet's name: part of every key on the bus. Default `ward`.
@@ -72,7 +74,7 @@ pub struct FleetConfig {
 }
 
 /// `[limits]`: what bids must keep to.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct LimitsConfig {
     /// Longest time that a robot's part may take by its own estimate, in world seconds. Default: no limit.
@@ -83,7 +85,7 @@ pub struct LimitsConfig {
 }
 
 /// `[requests]`: what is taken on of all that is asked for. Whoever is refused may ask again.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct RequestsConfig {
     /// Missions under way at once; 0 for no limit. Default 1000.
@@ -94,7 +96,7 @@ pub struct RequestsConfig {
 }
 
 /// `[lease]`: how long awards last without contact.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct LeaseConfig {
     /// A robot suspends its role this long after its last contact with the coordinator. Longer: blackouts are survived in
@@ -106,7 +108,7 @@ pub struct LeaseConfig {
 }
 
 /// `[auction]`: how auctions are held.
-#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct AuctionConfig {
     /// How long an auction waits for a member that does not answer, in milliseconds; it closes at once when all have.
@@ -174,7 +176,7 @@ impl FleetConfig {
     /// The ensemble whose members are asked for bids.
     pub fn ensemble(&self) -> EnsembleSpec {
         self.ensemble.first().cloned().unwrap_or_else(|| {
-            let skills = Domain::hospital().task_types().cloned().collect();
+            let skills = kit::domain().task_types().cloned().collect();
             EnsembleSpec::with_any_skill_of(EnsembleId::new("workers").expect("a slug"), skills)
         })
     }
@@ -217,7 +219,7 @@ impl ConfigFile for FleetConfig {
             problems.push(format!("ensemble: {count} are declared; one is allowed, whose members are asked for bids"));
         }
         for spec in &self.ensemble {
-            let domain = Domain::hospital();
+            let domain = kit::domain();
             for skill in spec.skills.iter().filter(|skill| domain.get(skill).is_none()) {
                 problems.push(format!("ensemble {}: skills: {}", spec.name, unknown_skill(skill)));
             }
@@ -229,7 +231,7 @@ impl ConfigFile for FleetConfig {
 
 /// What is wrong with a skill that no task type of the domain is named for.
 pub(super) fn unknown_skill(skill: &TaskType) -> String {
-    let domain = Domain::hospital();
+    let domain = kit::domain();
     let allowed = consort_protocol::mission::Allowed::instead_of(skill.as_str(), domain.task_types());
     format!("there are no tasks of type `{skill}`; {allowed}")
 }
@@ -279,6 +281,20 @@ impl FleetRef {
             FleetRef::File(_) => vec![],
             FleetRef::Table(fleet) => fleet.problems().into_iter().map(|problem| format!("fleet: {problem}")).collect(),
         }
+    }
+}
+
+impl JsonSchema for FleetRef {
+    fn inline_schema() -> bool {
+        true
+    }
+
+    fn schema_name() -> Cow<'static, str> {
+        "FleetRef".into()
+    }
+
+    fn json_schema(schemas: &mut SchemaGenerator) -> Schema {
+        json_schema!({ "anyOf": [{ "type": "string" }, schemas.subschema_for::<FleetConfig>()] })
     }
 }
 

@@ -3,16 +3,17 @@
 use super::fleet::unknown_skill;
 use super::node::problems_around;
 use super::{BusConfig, ConfigFile, FleetRef, NodeFile, Surroundings, TelemetryConfig, yes};
+use crate::kit;
 use consort_protocol::ids::{NodeId, PlaceId, RobotId, TaskType};
-use consort_protocol::mission::Domain;
 use consort_protocol::units::{BatteryShare, MetresPerSecond, SharePerSecond};
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeSet;
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 
 /// A robot file. `name`, `place` and `skills` must be there.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct RobotConfig {
     /// The robot's name, and its node's: unique in the fleet.
@@ -104,7 +105,7 @@ impl ConfigFile for RobotConfig {
     }
 
     fn problems(&self) -> Vec<String> {
-        let domain = Domain::hospital();
+        let domain = kit::domain();
         let unknown = self.skills.iter().filter(|skill| domain.get(skill).is_none());
         let mut problems: Vec<String> = unknown.map(|skill| format!("skills: {}", unknown_skill(skill))).collect();
         if self.skills.is_empty() {

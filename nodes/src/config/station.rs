@@ -3,12 +3,13 @@
 use super::node::problems_around;
 use super::{BusConfig, ConfigFile, FleetRef, NodeFile, Surroundings, TelemetryConfig, yes};
 use consort_protocol::ids::NodeId;
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 
 /// A station file. Only `name` must be there.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct StationConfig {
     /// The node's name: unique in the fleet.

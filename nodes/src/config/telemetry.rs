@@ -1,10 +1,11 @@
 //! What a node tells those who operate it.
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::net::SocketAddr;
 
 /// `[telemetry]`: the log, metrics, and spans.
-#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct TelemetryConfig {
     /// What to log: `error`, `warn`, `info`, `debug` or `trace`, also by module, as `info,consort_actors=debug`. Default: what
@@ -23,7 +24,7 @@ pub struct TelemetryConfig {
 }
 
 /// How lines of the log are written.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, clap::ValueEnum, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, clap::ValueEnum, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum LogFormat {
     /// For people, in colour on a terminal.

@@ -8,12 +8,13 @@ use consort_protocol::ids::NodeId;
 use consort_sim::world::{
     DoorSetup, Durations, Gusts, Object, Obstacle, Person, RobotBody, WorldLimits, default_step_s, system_names,
 };
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 
 /// A world file. Every key has a default; a world without robots is a dull one.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct WorldConfig {
     /// The node's name: unique in the fleet. Default `world`.

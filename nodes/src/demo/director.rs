@@ -5,14 +5,13 @@ use super::narrator::Narrator;
 use super::stage::Stage;
 use crate::dashboard::Dashboard;
 use crate::exit::Failure;
-use crate::source;
+use crate::{kit, source};
 use bytes::Bytes;
 use consort_actors::bus::{Reply, Sample, SharedBus, Stream};
 use consort_protocol::event::{Event, Happening};
 use consort_protocol::ids::{MissionId, NodeId};
 use consort_protocol::keys::{ApiCall, Key, Keys};
 use consort_protocol::ledger::MissionState;
-use consort_protocol::mission::Domain;
 use serde_json::{Value, json};
 use std::collections::BTreeMap;
 use std::time::Duration;
@@ -76,7 +75,7 @@ pub(super) fn mission(text: &str) -> Result<Value, Failure> {
     }
     let room = BTreeMap::from([("room".to_owned(), "IC Room 6".to_owned())]);
     template
-        .instantiate(&room, &Domain::hospital())
+        .instantiate(&room, &kit::domain())
         .map_err(|problem| Failure::Usage(format!("--mission {text}: {problem}")))?;
     Ok(source::mission_request(text)?)
 }

@@ -1,6 +1,6 @@
 use super::support::run;
 
-const COMMANDS: [&str; 24] = [
+const COMMANDS: [&str; 25] = [
     "robot",
     "station",
     "world",
@@ -12,6 +12,7 @@ const COMMANDS: [&str; 24] = [
     "explain",
     "keys",
     "check",
+    "schema",
     "cert",
     "doctor",
     "completions",

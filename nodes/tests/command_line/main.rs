@@ -1,6 +1,7 @@
 //! The binary as people and scripts meet it.
 
 mod bench;
+mod binary;
 mod certs;
 mod chaos;
 mod dry_run;

@@ -1,18 +1,9 @@
 //! Running the binary.
 
+pub(crate) use super::binary::consort;
 use std::net::TcpListener;
 use std::path::PathBuf;
-use std::process::{Child, Command, Output};
-
-/// The binary, without what the environment of the tests might tell it.
-pub(crate) fn consort(args: &[&str]) -> Command {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_consort"));
-    for (name, _) in std::env::vars_os().filter(|(name, _)| name.to_string_lossy().starts_with("CONSORT_")) {
-        command.env_remove(name);
-    }
-    command.env_remove("RUST_LOG").args(args);
-    command
-}
+use std::process::{Child, Output};
 
 /// What a run came to.
 pub(crate) struct Ran {

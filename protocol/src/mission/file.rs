@@ -55,6 +55,7 @@ use super::model::{
 use super::problem::{Allowed, Fault, MissionErrors, Problem};
 use super::validate::TASKS_MAX;
 use crate::ids::{ItemId, NameError, RoleId, TaskId, TaskType};
+use schemars::{JsonSchema, Schema, schema_for};
 use serde::de::{Deserializer, Error as _, MapAccess, Unexpected, Visitor};
 use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, BTreeSet};
@@ -125,7 +126,7 @@ pub struct MissionTemplate {
 }
 
 /// What a request fills in.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct TemplateParameter {
     /// What it is.
@@ -139,7 +140,7 @@ pub struct TemplateParameter {
 }
 
 /// What a mission's parameter is.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum TemplateKind {
     /// A place on the map.
@@ -160,62 +161,99 @@ impl TemplateKind {
     }
 }
 
-#[derive(Debug, Clone, Deserialize)]
+/// A mission as people write it.
+#[derive(Debug, Clone, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 struct MissionFile {
+    /// The name of the kind of mission.
+    #[schemars(with = "TaskId")]
     mission: String,
+    /// What it is about, for people.
     #[serde(default)]
     title: String,
+    /// What a request fills in, by name.
     #[serde(default, deserialize_with = "each_key_once")]
     parameters: BTreeMap<String, TemplateParameter>,
+    /// Who takes part, by name; at least one is managed.
     #[serde(deserialize_with = "each_key_once")]
     roles: BTreeMap<String, RoleFile>,
+    /// What is done.
     root: TaskFile,
+    /// What is done instead if a robot is lost that has an item, or may have one. Its tasks have names of their own; in its
+    /// values `${lost.item}`, `${lost.robot}` and `${lost.place}` say what was lost.
     #[serde(default)]
     recovery: Option<TaskFile>,
 }
 
-#[derive(Debug, Clone, Deserialize)]
+/// A part in the mission.
+#[derive(Debug, Clone, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 struct RoleFile {
+    /// Whether a robot is sought for it.
     kind: RoleKind,
+    /// What becomes of the mission if its holder is lost after others have acted on its work.
     #[serde(default)]
     on_loss: OnLoss,
+    /// What it does, for people.
     #[serde(default, rename = "description")]
     _description: String,
 }
 
-/// A task of either kind; which, is told by its fields and judged when the mission is built, with its path.
-#[derive(Debug, Clone, Deserialize)]
+/// A task: abstract, with a `method` over `tasks`, or elementary, with a `type` and `roles`.
+// Which of the two is told by its fields and judged when the mission is built, with its path.
+#[derive(Debug, Clone, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
+#[schemars(extend("oneOf" = [
+    { "required": ["method", "tasks"], "not": { "anyOf": [{ "required": ["type"] }, { "required": ["roles"] }] } },
+    { "required": ["type", "roles"], "not": { "anyOf": [{ "required": ["method"] }, { "required": ["tasks"] }] } },
+]))]
 struct TaskFile {
+    /// Its name, unique within the mission.
+    #[schemars(with = "TaskId")]
     task: String,
+    /// Of an abstract task: whether its tasks depend on one another.
     #[serde(default)]
     method: Option<Order>,
+    /// Of an abstract task: what it comes down to.
     #[serde(default)]
     tasks: Option<Vec<TaskFile>>,
+    /// Of an elementary task: its type, which names the skill that does it.
     #[serde(default, rename = "type")]
+    #[schemars(with = "Option<TaskType>")]
     task_type: Option<String>,
+    /// Of an elementary task: who does it; several do it jointly.
     #[serde(default)]
+    #[schemars(with = "Option<Vec<RoleId>>")]
     roles: Option<Vec<String>>,
+    /// What the skill is told, by name. `${name}` stands for a parameter of the mission.
     #[serde(default, deserialize_with = "each_key_once")]
     parameters: BTreeMap<String, String>,
+    /// What is so once the task has ended, as `location: ${room}`.
     #[serde(default, deserialize_with = "each_key_once")]
     reaches: BTreeMap<String, String>,
+    /// Which role has which item once the task has ended.
     #[serde(default, deserialize_with = "each_key_once")]
     acquires: BTreeMap<String, String>,
+    /// Items that nobody of the mission has any more once the task has ended.
     #[serde(default)]
     releases: Vec<String>,
+    /// How often its skill is tried before the task has failed; 2 if nothing is said.
     #[serde(default, deserialize_with = "attempts")]
+    #[schemars(range(min = 1, max = ATTEMPTS_MAX))]
     attempts: Option<u8>,
+    /// Of an abstract task: other methods, tried in this order when a task of its own has failed for good. One managed role
+    /// does all of them alone.
     #[serde(default)]
     alternatives: Vec<MethodFile>,
 }
 
-#[derive(Debug, Clone, Deserialize)]
+/// Another way to do an abstract task.
+#[derive(Debug, Clone, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 struct MethodFile {
+    /// `sequential`.
     method: Order,
+    /// Elementary tasks.
     tasks: Vec<TaskFile>,
 }
 
@@ -310,6 +348,13 @@ impl MissionTemplate {
             }
         };
         Ok(Self { name: TaskId::new(&*file.mission)?, file })
+    }
+
+    /// The form of a mission file, as a JSON Schema. What it cannot say, as which task types there are, [`instantiate`] does.
+    ///
+    /// [`instantiate`]: MissionTemplate::instantiate
+    pub fn schema() -> Schema {
+        schema_for!(MissionFile)
     }
 
     /// The name of the kind of mission.

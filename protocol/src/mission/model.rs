@@ -1,6 +1,7 @@
 //! The mission tree as a value.
 
 use crate::ids::{ItemId, RoleId, TaskId, TaskType};
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -30,7 +31,7 @@ pub struct Role {
 
 /// What becomes of a mission when a robot is lost after others have acted on its work, while it has no item in its hands.
 /// (With one, the mission is recovered or rescued, whatever this says. Before, the role is begun anew elsewhere.)
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum OnLoss {
     /// It fails: what the others built upon may no longer be there.
@@ -49,7 +50,7 @@ impl Role {
 }
 
 /// Whether the fleet fills a role.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum RoleKind {
     /// Filled by a robot, through an auction.
@@ -98,7 +99,7 @@ pub struct OtherMethod {
 }
 
 /// How the tasks of a method depend on one another.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum Order {
     /// Each begins after the one before it has ended.

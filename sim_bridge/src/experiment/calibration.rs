@@ -13,6 +13,7 @@ use consort_skills::descriptor::{
     Context, DescriptorRegistry, Estimate, EstimateError, FixedTime, Navigation, STEP_TIME_S, SkillDescriptor,
 };
 use consort_skills::environment::Environment;
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -48,7 +49,7 @@ pub struct Observation {
 }
 
 /// How many times as long as estimated.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Factor {
     /// How many observations it comes from.
@@ -72,7 +73,7 @@ impl Factor {
 }
 
 /// A factor of drives between two places.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct LegFactor {
     /// Where they begin.
@@ -84,7 +85,7 @@ pub struct LegFactor {
 }
 
 /// What was learned.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Calibration {
     /// The share of cases that upper quantiles hold for, and in which the battery is to last: 0.5 to below 1.

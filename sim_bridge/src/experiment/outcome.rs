@@ -1,6 +1,7 @@
 //! How a trial ended (thesis 4.1.2).
 
 use consort_protocol::ids::{RobotId, TaskType};
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::fmt;
 
@@ -44,7 +45,7 @@ impl fmt::Display for EndState {
 }
 
 /// When a trial is cut, and what counts as low. The defaults are the published ones.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct TrialLimits {
     /// Simulated seconds from the request on. Default 900.

@@ -3,10 +3,11 @@
 use super::calibration::Observation;
 use super::outcome::EndState;
 use super::policy::Policy;
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 /// Whether something is done to the fleet during a trial.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum Treatment {
     /// Nothing.

@@ -11,6 +11,7 @@ use consort_protocol::ids::PlaceId;
 use rand::RngExt;
 use rand::seq::IndexedRandom;
 use rand_chacha::ChaCha8Rng;
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::f64::consts::PI;
@@ -20,7 +21,7 @@ use std::path::PathBuf;
 const FACTORS: (f64, f64) = (0.2, 10.0);
 
 /// The part of a design about drives.
-#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct Travel {
     /// How far drives differ from one another: the standard deviation of the factor's logarithm. 0.1: two of three drives

@@ -1,9 +1,10 @@
 //! A PID controller.
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 /// What a controller makes of an error: its answer per unit of the error, of the error's integral, and of its rate.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Gains {
     /// Per unit of the error; above 0.

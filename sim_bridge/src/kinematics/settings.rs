@@ -1,11 +1,12 @@
 //! What a chassis is set up with.
 
 use super::pid::Gains;
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 /// The chassis of a robot, as a setup names it: `kinematics = { kind = "differential", acceleration_mps2 = 0.8 }`. Top
 /// speed is the robot's own; what is left out is as in the defaults.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(tag = "kind", rename_all = "snake_case")]
 pub enum Kinematics {
     /// Two driven wheels: turns on the spot, drives ahead.
@@ -19,7 +20,7 @@ pub enum Kinematics {
 }
 
 /// Settings of a [`Differential`](super::Differential) chassis. The defaults are those of a small hospital robot.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct DifferentialSettings {
     /// How quickly it changes its speed.
@@ -50,7 +51,7 @@ impl Default for DifferentialSettings {
 }
 
 /// Settings of an [`Omnidirectional`](super::Omnidirectional) chassis.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct OmnidirectionalSettings {
     /// How quickly it changes its velocity.
@@ -70,7 +71,7 @@ impl Default for OmnidirectionalSettings {
 }
 
 /// Settings of an [`Ackermann`](super::Ackermann) chassis.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct AckermannSettings {
     /// How quickly it changes its speed.
@@ -88,7 +89,7 @@ impl Default for AckermannSettings {
 }
 
 /// Settings of an [`Aerial`](super::Aerial) body. The defaults are those of a small quadrotor.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct AerialSettings {
     /// How quickly it changes its velocity over ground.

@@ -3,6 +3,7 @@
 use super::{Lane, Map, PlaceIndex};
 use consort_protocol::ids::PlaceId;
 use consort_protocol::units::{MetresPerSecond, Seconds};
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 /// The level of a map that names none.
@@ -68,7 +69,7 @@ pub struct Ride<'a> {
 }
 
 /// Which way a robot faces on a lane.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum Facing {
     /// To where the lane goes.

@@ -5,6 +5,7 @@ use super::check::check;
 use super::drawing::Drawing;
 use super::import::name_by_file;
 use super::{Facing, Map, PlaceKind, drawio, rmf};
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::path::Path;
 
@@ -31,7 +32,7 @@ pub mod limits {
 }
 
 /// A map as written, not yet checked. A program that makes maps of its own fills this and calls [`MapFile::check`].
-#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct MapFile {
     /// The map's name.
@@ -56,7 +57,7 @@ pub struct MapFile {
 }
 
 /// A level as written.
-#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct LevelEntry {
     /// Its name.
@@ -70,7 +71,7 @@ pub struct LevelEntry {
 }
 
 /// A place as written.
-#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct PlaceEntry {
     /// Its name.
@@ -90,7 +91,7 @@ pub struct PlaceEntry {
 }
 
 /// A lane as written.
-#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct LaneEntry {
     /// Its two ends.
@@ -110,7 +111,7 @@ pub struct LaneEntry {
 }
 
 /// An automatic door as written.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct DoorEntry {
     /// Its name.
@@ -132,7 +133,7 @@ impl Default for DoorEntry {
 }
 
 /// A lift as written.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct LiftEntry {
     /// Its name.

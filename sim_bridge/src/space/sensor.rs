@@ -2,10 +2,11 @@
 
 use super::{Bodies, Disc, Ray, Walls};
 use nalgebra::{Isometry2, Vector2, Vector3};
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 /// Something that a robot perceives with: `sensors = [{ kind = "camera", opening_rad = 1.2, reach_m = 8 }]`.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(tag = "kind", rename_all = "snake_case", deny_unknown_fields)]
 pub enum Sensor {
     /// A ray: how far it is to the first wall or body.

@@ -5,6 +5,7 @@ use super::setup::SetupError;
 use crate::map::Map;
 use crate::suggest::did_you_mean;
 use consort_protocol::ids::PlaceId;
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeSet;
 
@@ -12,7 +13,7 @@ use std::collections::BTreeSet;
 const SECONDS: std::ops::RangeInclusive<f64> = 0.0..=86_400.0;
 
 /// How an automatic door of the map behaves, where it is not as usual.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct DoorSetup {
     /// Its name on the map.
@@ -53,7 +54,7 @@ impl DoorSetup {
 }
 
 /// Something that stands in a lane for a while: no robot passes it, in either direction.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Obstacle {
     /// What it is called.
@@ -114,7 +115,7 @@ impl Obstacle {
 }
 
 /// A thing that arms take, carry and put down.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Object {
     /// What it is called; no sample has the same name.

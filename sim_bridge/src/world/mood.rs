@@ -1,10 +1,11 @@
 //! What people may do that nobody asked them to: call a mission off, decline, walk away.
 
 use super::setup::SetupError;
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 /// Something that a person may do once things have come so far.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Mood {
     /// When it may come over her; each time anew.
@@ -27,7 +28,7 @@ fn certain() -> f64 {
 }
 
 /// When something may come over a person.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Moment {
     /// The world begins.
@@ -43,7 +44,7 @@ pub enum Moment {
 }
 
 /// What a person may do.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Deed {
     /// She calls the mission off for which the robot came, and hands it nothing.

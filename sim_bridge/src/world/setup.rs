@@ -10,6 +10,7 @@ use crate::map::Map;
 use crate::space::Sensor;
 use consort_protocol::ids::{PlaceId, RobotId, RoleId};
 use consort_protocol::units::{BatteryShare, MetresPerSecond, SharePerSecond};
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 /// All that a world begins with. Equal setups run alike.
@@ -48,7 +49,7 @@ pub const fn default_step_s() -> f64 {
 }
 
 /// Gusts: at equal intervals each hovering body may be pushed.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct Gusts {
     /// From one to the next, in seconds.
@@ -93,7 +94,7 @@ impl WorldSetup {
 }
 
 /// A robot's body.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct RobotBody {
     /// Its name.
@@ -209,7 +210,7 @@ impl RobotBody {
 }
 
 /// A person, who waits at her place for a robot.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Person {
     /// Her name.
@@ -228,7 +229,7 @@ pub struct Person {
 
 /// How long things take, in seconds of world time. The defaults are those of the published estimates: 2 s for each
 /// step that is not driving. People take from 2 to 4 s; patience and memory of robots are guesses too.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct Durations {
     /// Coming within reach of a person.
@@ -274,7 +275,7 @@ impl Default for Durations {
 }
 
 /// How much a world holds and remembers. More costs memory, nothing else.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct WorldLimits {
     /// Robots, and people, and samples.

@@ -52,11 +52,12 @@ use super::policy::Policy;
 use super::results::Treatment;
 use super::travel::Travel;
 use consort_protocol::ids::{ItemId, PlaceId, RobotId, RoleId, TaskType};
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, BTreeSet};
 
 /// A design as written. [`Design::problems`] says what is wrong with it.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Design {
     /// Its name: a slug.
@@ -115,7 +116,7 @@ fn kill_within_s() -> f64 {
 }
 
 /// The mission.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct MissionPart {
     /// The name of a shipped mission.
@@ -129,7 +130,7 @@ pub struct MissionPart {
 }
 
 /// Something has reached its destination.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Delivered {
     /// The thing: one of a person's items.
@@ -139,7 +140,7 @@ pub struct Delivered {
 }
 
 /// Some robots of one kind.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct RobotsPart {
     /// How many.
@@ -158,7 +159,7 @@ pub struct RobotsPart {
 }
 
 /// A robot that stays where it is, on mains power.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct FixedPart {
     /// Its name.
@@ -172,7 +173,7 @@ pub struct FixedPart {
 }
 
 /// A person.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct PersonPart {
     /// Her name.
@@ -187,7 +188,7 @@ pub struct PersonPart {
 }
 
 /// What is varied.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Factors {
     /// Metres per second.
@@ -203,7 +204,7 @@ pub struct Factors {
 }
 
 /// A number for each robot, drawn evenly.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Span {
     /// How many times the robots' numbers are drawn.
@@ -213,7 +214,7 @@ pub struct Span {
 }
 
 /// Where everybody is.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Location {
     /// How many times the places are drawn.
@@ -227,7 +228,7 @@ pub struct Location {
 }
 
 /// Who lacks what.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Lacking {
     /// For each level, how many robots lack one of their skills. Those are drawn, and so is the skill; of each part of

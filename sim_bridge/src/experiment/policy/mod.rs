@@ -12,6 +12,7 @@ pub use optimal::{Prospect, optimal};
 pub use random::random;
 
 use consort_protocol::ids::{RobotId, RoleId};
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::fmt;
@@ -20,7 +21,7 @@ use std::fmt;
 pub type Coalition = BTreeMap<RoleId, RobotId>;
 
 /// A rule by which roles are given to robots.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum Policy {
     /// Ours.

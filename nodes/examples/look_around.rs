@@ -1,0 +1,50 @@
+//! A consort whose robots can look around: turn in four steps, and stand still after each.
+
+use consort_nodes::{cli, kit::Kit};
+use consort_protocol::mission::{TaskSchema, TaskSpec, ValueKind};
+use consort_protocol::{ids::TaskType, units::Seconds};
+use consort_skills::descriptor::{Context, Estimate, EstimateError, SkillDescriptor};
+use consort_skills::{actions::Goal, bt, environment::Environment, skill};
+
+const TREE: &str = r#"<root BTCPP_format="4"><BehaviorTree ID="look_around">
+  <Repeat num_cycles="4"><Sequence><Turn degrees="90"/><Wait seconds="{pause}"/></Sequence></Repeat>
+</BehaviorTree></root>"#;
+
+struct Price(TaskType);
+
+impl SkillDescriptor for Price {
+    fn task_type(&self) -> &TaskType {
+        &self.0
+    }
+    fn needs(&self) -> Vec<&'static str> {
+        vec![] // no map: it stays where it is
+    }
+    fn estimate(&self, task: &TaskSpec, robot: &Context, _: &Environment) -> Result<Estimate, EstimateError> {
+        let pause = task.parameters.get("pause").and_then(|text| text.parse::<f64>().ok());
+        let time = pause.and_then(|pause| Seconds::new(4.0 * (1.0 + pause)).ok());
+        let lacks = EstimateError::MissingParameter { task_type: self.0.clone(), parameter: "pause" };
+        Ok(Estimate::lasting(time.ok_or(lacks)?, robot, robot.place.clone()))
+    }
+}
+
+fn look_around() -> TaskType {
+    TaskType::new("look_around").expect("a slug")
+}
+
+fn main() -> std::process::ExitCode {
+    cli::run_with(KIT, std::env::args_os())
+}
+
+pub(crate) const KIT: Kit = Kit {
+    domain: |domain| domain.with(look_around(), TaskSchema::default().required("pause", ValueKind::Seconds)),
+    descriptors: |descriptors| descriptors.with(Price(look_around())),
+    library: |library| {
+        let ports = [bt::PortSpec::input("degrees", bt::PortType::Number)];
+        library.extend(|leaves| {
+            skill::GoalLeaf::register(leaves, "Turn", ports, |_: &skill::TaskContext, leaf| {
+                Ok(Goal::Spin { angle_rad: leaf.read::<f64>("degrees")?.to_radians() })
+            })
+        })?;
+        Ok(library.register_xml(look_around(), "look_around.xml", TREE)?)
+    },
+};

@@ -1,0 +1,58 @@
+//! `consort schema`: the form of a kind of file, as a JSON Schema.
+
+use crate::check::Kind;
+use crate::config::{FleetConfig, RobotConfig, StationConfig, WorldConfig};
+use crate::exit::Failure;
+use crate::{output, source};
+use consort_protocol::mission::MissionTemplate;
+use consort_sim::experiment::calibration::Calibration;
+use consort_sim::experiment::design::Design;
+use consort_sim::map::MapFile;
+use schemars::{Schema, schema_for};
+
+/// Print the JSON Schema of a kind of file
+///
+/// For editors, which then complete keys and mark mistakes, and for programs that write such files. What a schema cannot say
+/// (whether a place is on the map, whether there is a skill of this name) `consort check` says. Those printed are shipped in
+/// nodes/schemas/.
+#[derive(Debug, clap::Args)]
+#[command(after_long_help = "\
+Examples:
+  consort schema mission > mission.json
+  consort schema robot
+
+An editor is told of it in the first line of a file:
+  # yaml-language-server: $schema=mission.json
+  #:schema robot.json")]
+pub struct Args {
+    /// The kind of file
+    kind: Kind,
+}
+
+/// The form of a kind of file; none of those whose form is somebody else's.
+pub fn schema(kind: Kind) -> Option<Schema> {
+    Some(match kind {
+        Kind::Mission => MissionTemplate::schema(),
+        Kind::Map => schema_for!(MapFile),
+        Kind::Fleet => schema_for!(FleetConfig),
+        Kind::Robot => schema_for!(RobotConfig),
+        Kind::Station => schema_for!(StationConfig),
+        Kind::World => schema_for!(WorldConfig),
+        Kind::Workers => source::workers_schema(),
+        Kind::Design => schema_for!(Design),
+        Kind::Calibration => schema_for!(Calibration),
+        Kind::Ihtn | Kind::Scenarios => return None,
+    })
+}
+
+/// Runs the command.
+///
+/// # Errors
+/// [`Failure::Usage`] for a kind whose form is published elsewhere; [`Failure::OutputClosed`].
+pub fn run(args: &Args) -> Result<(), Failure> {
+    let Some(schema) = schema(args.kind) else {
+        let what = format!("{} has the form of the published evaluation, which has no schema here", args.kind);
+        return Err(Failure::Usage(what));
+    };
+    output::line(serde_json::to_string_pretty(&schema).expect("a schema is JSON"))
+}

@@ -1,0 +1,57 @@
+//! Links within the repository lead to what is there.
+
+use super::page::{Page, repository};
+use std::path::{Path, PathBuf};
+
+/// Every page of the repository.
+fn pages(folder: &Path, found: &mut Vec<PathBuf>) {
+    for entry in std::fs::read_dir(folder).expect("a folder of the repository").flatten() {
+        let path = entry.path();
+        let name = entry.file_name().to_string_lossy().into_owned();
+        if path.is_dir() && name != "target" && !name.starts_with('.') {
+            pages(&path, found);
+        } else if path.extension().is_some_and(|extension| extension == "md") {
+            found.push(path);
+        }
+    }
+}
+
+#[test]
+fn every_link_to_a_file_or_a_heading_of_the_repository_leads_there() {
+    let mut found = vec![];
+    pages(&repository(), &mut found);
+    assert!(found.len() > 10, "{found:?}");
+    let mut followed = 0;
+    let mut wrong = vec![];
+    for page in found.iter().map(|path| Page::open(path)) {
+        for (line, target) in page.links() {
+            if target.contains("://") || target.starts_with("mailto:") {
+                continue;
+            }
+            followed += 1;
+            let (path, anchor) = target.split_once('#').map_or((target, None), |(path, anchor)| (path, Some(anchor)));
+            let at = if path.is_empty() { page.path.clone() } else { page.path.with_file_name("").join(path) };
+            let reached = match anchor {
+                _ if !at.exists() => false,
+                Some(anchor) => Page::open(&at).anchors().iter().any(|heading| heading == anchor),
+                None => true,
+            };
+            if !reached {
+                wrong.push(format!("{}:{line}: {target} leads nowhere", page.path.display()));
+            }
+        }
+    }
+    assert!(followed > 30, "{followed} links were followed");
+    assert!(wrong.is_empty(), "{}", wrong.join("\n"));
+}
+
+#[test]
+fn every_page_can_be_come_upon_from_the_index() {
+    let folder = repository().join("nodes/docs");
+    let index = Page::open(&folder.join("README.md"));
+    let linked: Vec<PathBuf> = index.links().iter().map(|(_, target)| folder.join(target)).collect();
+    let mut found = vec![];
+    pages(&folder, &mut found);
+    let lost: Vec<&PathBuf> = found.iter().filter(|page| **page != index.path && !linked.contains(page)).collect();
+    assert!(lost.is_empty(), "nodes/docs/README.md does not name {lost:?}");
+}
