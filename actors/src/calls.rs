@@ -5,18 +5,20 @@
 //! | `submit` | `{"mission": "lab-samples", "parameters": {"room": "IC Room 6"}, "request": "my-7"}`; `mission` may also be a whole mission file as an object; `request` may be left out, as may `priority` (-100 to 100, higher is served first, default 0) and `deadline_s` (seconds from now until the mission should be done) | `{"mission": "lab-samples-1", "again": false}` |
 //! | `cancel` | `{"mission": "lab-samples-1", "by": "a nurse"}` | `{"mission": …, "state": …}` |
 //! | `rescued` | `{"mission": "lab-samples-1", "by": "Nia"}`: what the mission left in robots' hands has been taken care of | `{"mission": …, "state": …}` |
+//! | `backup` | nothing | a copy of the ledger, with all that was acknowledged before it was asked for: see [`Backup`] |
 //! | `get` | `{"mission": "lab-samples-1"}` | the mission, as `view/mission/{id}` has it |
 //! | `list` | nothing | `{"missions": […]}`, as `view/missions` has it |
 //! | `explain` | `{"mission": "lab-samples-1"}` | why each robot did or did not get each role |
 //! | `help` | nothing | `{"calls": […]}`: all this, with JSON Schemas; `api/{call}/help` has one call |
 //!
-//! The first three change something and are answered by the coordinator alone. What cannot be done gets `{"error": "…"}`,
+//! The first four are answered by the coordinator alone; the first three change something. What cannot be done gets `{"error": "…"}`,
 //! and nothing was changed. With `"retry_after_ms"` beside it the same may be asked again after that time, with the same
 //! `request`: nobody coordinates yet, or the ledger could not be heard in time. A submission is answered once the mission
 //! is committed; the same `request` again gets the same answer. The others are answered by any node (see [`crate::views`]).
 //!
 //! A mission that is not done by its deadline is given up. Deadlines are kept by the coordinators' wall clocks.
 
+use crate::store::Backup;
 use consort_protocol::ids::{MissionId, RequestId};
 use consort_protocol::keys::ApiCall;
 use schemars::{JsonSchema, Schema, schema_for};
@@ -206,7 +208,7 @@ fn example(call: ApiCall) -> Option<Value> {
         ApiCall::Cancel => Some(json!({ "mission": "lab-samples-1", "by": "a nurse" })),
         ApiCall::Rescued => Some(json!({ "mission": "lab-samples-1", "by": "Nia" })),
         ApiCall::Get | ApiCall::Explain => Some(json!({ "mission": "lab-samples-1" })),
-        ApiCall::List | ApiCall::Help => None,
+        ApiCall::List | ApiCall::Help | ApiCall::Backup => None,
     }
 }
 
@@ -219,6 +221,7 @@ fn schemas(call: ApiCall) -> (Option<Schema>, Schema) {
         ApiCall::List => (None, schema_for!(Listed)),
         ApiCall::Explain => (Some(schema_for!(Which)), schema_for!(Explained)),
         ApiCall::Help => (None, schema_for!(Calls)),
+        ApiCall::Backup => (None, schema_for!(Backup)),
     }
 }
 
@@ -315,7 +318,7 @@ mod tests {
                 ApiCall::Submit => read::<Submit>(*call, bytes.as_bytes()).map(drop),
                 ApiCall::Cancel | ApiCall::Rescued => read::<OnWord>(*call, bytes.as_bytes()).map(drop),
                 ApiCall::Get | ApiCall::Explain => read::<Which>(*call, bytes.as_bytes()).map(drop),
-                ApiCall::List | ApiCall::Help => Ok(()),
+                ApiCall::List | ApiCall::Help | ApiCall::Backup => Ok(()),
             };
             assert_eq!(taken, Ok(()), "{}", call.word());
             assert_eq!(misfit(*call, &example), None, "{}", call.word());

@@ -1,8 +1,8 @@
 //! The command line.
 
 use crate::command::{
-    bench, cancel, cert, chaos, check, completions, doctor, dry_run, experiment, explain, fleet, keys, leave, map,
-    missions, record, recover, replay, rescue, robot, schema, station, submit, test, token, watch, world,
+    backup, bench, cancel, cert, chaos, check, completions, doctor, dry_run, experiment, explain, fleet, keys, leave,
+    map, missions, record, recover, replay, rescue, restore, robot, schema, station, submit, test, token, watch, world,
 };
 use crate::demo;
 use crate::exit::Failure;
@@ -69,6 +69,8 @@ enum Command {
     Doctor(doctor::Args),
     Map(map::Args),
     DryRun(dry_run::Args),
+    Backup(backup::Args),
+    Restore(restore::Args),
     Recover(recover::Args),
     Cert(cert::Args),
     Token(token::Args),
@@ -109,6 +111,8 @@ pub fn run_with(kit: Kit, args: impl IntoIterator<Item = OsString>) -> ExitCode 
         Command::Doctor(args) => doctor::run(args),
         Command::Map(args) => map::run(args),
         Command::DryRun(args) => dry_run::run(args),
+        Command::Backup(args) => backup::run(args),
+        Command::Restore(args) => restore::run(args),
         Command::Recover(args) => recover::run(args),
         Command::Cert(args) => cert::run(args),
         Command::Token(args) => token::run(args),

@@ -17,6 +17,7 @@ pub mod demo;
 pub mod doctor;
 pub mod dry_run;
 pub mod exit;
+mod file;
 pub mod floor;
 pub mod kit;
 pub mod metrics;

@@ -63,8 +63,7 @@ impl Life {
             Some(folder) => {
                 let of = |problem: &dyn Display| Problems::from(Problem::of("data_dir", problem));
                 let owner = Owner { fleet: fleet.name.clone(), node: node.clone() };
-                let fresh = StoreIdentity(u128::from(random()) << 64 | u128::from(random()));
-                let store = DurableStore::open(folder, &owner, fresh).map_err(|problem| of(&problem))?;
+                let store = DurableStore::open(folder, &owner, fresh_store()).map_err(|problem| of(&problem))?;
                 let incarnation = store.begin_life(clock.wall_ms()).map_err(|problem| of(&problem))?;
                 (store.into_store(), incarnation)
             }
@@ -81,7 +80,13 @@ impl Life {
     }
 }
 
-fn random() -> u64 {
+/// A name for a store that no other has had.
+pub(crate) fn fresh_store() -> StoreIdentity {
+    StoreIdentity(u128::from(random()) << 64 | u128::from(random()))
+}
+
+/// Chance of the system's.
+pub(crate) fn random() -> u64 {
     SysRng.try_next_u64().expect("the system has random numbers")
 }
 

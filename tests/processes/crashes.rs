@@ -26,6 +26,11 @@ pub(crate) fn world(speed: f64) -> Table {
 /// meet.
 pub(crate) fn keepers(name: &str, speed: f64) -> Fleet {
     let mut fleet = Fleet::new(&with(example("fleet"), "name", name));
+    start_keepers(&mut fleet, speed);
+    fleet
+}
+
+fn start_keepers(fleet: &mut Fleet, speed: f64) {
     fleet.start("world", world(speed), &[]);
     for station in STATIONS {
         let data = fleet.path(&format!("{station}-data")).display().to_string();
@@ -34,17 +39,22 @@ pub(crate) fn keepers(name: &str, speed: f64) -> Fleet {
             ["world"].into_iter().chain(STATIONS).take_while(|other| *other != station).collect();
         fleet.start("station", table, &neighbours);
     }
-    fleet
 }
 
 /// The same with two robots: one carries, one is the arm.
 fn hospital(name: &str, speed: f64) -> Fleet {
-    let mut fleet = keepers(name, speed);
+    let mut fleet = Fleet::new(&with(example("fleet"), "name", name));
+    start_hospital(&mut fleet, speed);
+    fleet
+}
+
+/// Starts the nodes of such a hospital.
+pub(crate) fn start_hospital(fleet: &mut Fleet, speed: f64) {
+    start_keepers(fleet, speed);
     for (kind, robot) in [("robot", "ada"), ("arm", "lab-arm")] {
         let data = fleet.path(&format!("{robot}-data")).display().to_string();
         fleet.start("robot", with(with(example(kind), "may_vote", false), "data_dir", data), &["world", "station-1"]);
     }
-    fleet
 }
 
 /// Who coordinates, once somebody says so.

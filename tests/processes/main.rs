@@ -4,6 +4,7 @@
 //! in its environment. So what is left over can be found, and what belongs to others is never touched. Each process is
 //! killed when its handle is dropped, also when a test fails.
 
+mod backups;
 mod by_hand;
 mod closed;
 mod crashes;

@@ -5,8 +5,9 @@ use super::whereabouts::places;
 use crate::calls::{Changed, OnWord, Submit, Submitted, read};
 use crate::gossip::SharedKnowledge;
 use crate::replica::{ProposeError, Replica};
+use crate::store::Backup;
 use consort_protocol::codec;
-use consort_protocol::ids::{MissionId, RequestId};
+use consort_protocol::ids::{FleetId, MissionId, NodeId, RequestId};
 use consort_protocol::keys::ApiCall;
 use consort_protocol::ledger::{Command, Ledger, Outcome, Priority, Recovery, Submission, time_until_deadline};
 use consort_protocol::mission::{Domain, Format, MissionTemplate, shipped};
@@ -24,6 +25,8 @@ const MISSION_MAX: usize = codec::LIMIT / 2;
 /// What requests are carried out with.
 #[derive(Clone)]
 pub(super) struct Desk {
+    pub(super) fleet: FleetId,
+    pub(super) node: NodeId,
     pub(super) replica: Replica<Ledger>,
     pub(super) knowledge: SharedKnowledge,
     pub(super) domain: Arc<Domain>,
@@ -55,6 +58,7 @@ impl Desk {
             ApiCall::Submit => self.submit(payload).await,
             ApiCall::Cancel => self.cancel(payload).await,
             ApiCall::Rescued => self.rescued(payload).await,
+            ApiCall::Backup => self.backup().await,
             ApiCall::Get | ApiCall::List | ApiCall::Explain | ApiCall::Help => {
                 Err(format!("{} is answered by any node", call.word()).into())
             }
@@ -133,6 +137,15 @@ impl Desk {
     async fn rescued(&self, payload: &[u8]) -> Result<Value, Problem> {
         let OnWord { mission, by } = read(ApiCall::Rescued, payload)?;
         self.change(mission.clone(), Command::Rescued { mission, by }).await
+    }
+
+    /// A copy of the ledger. A majority says first that nobody else has taken over: all that was acknowledged is in it.
+    async fn backup(&self) -> Result<Value, Problem> {
+        self.replica.ensure_leader(LIMIT).await.map_err(|problem| not_committed(&problem))?;
+        let (last, ledger) = self.replica.copy();
+        let last = last.ok_or_else(|| "there is nothing in the ledger yet".to_owned())?;
+        let backup = Backup::of(&ledger, last, self.fleet.clone(), self.node.clone(), self.at_ms)?;
+        Ok(json!(backup))
     }
 
     async fn change(&self, mission: MissionId, command: Command) -> Result<Value, Problem> {

@@ -385,6 +385,8 @@ impl Reign {
         }
         self.requests += 1;
         let desk = Desk {
+            fleet: settings.keys.fleet().clone(),
+            node: settings.node.clone(),
             replica: settings.replica.clone(),
             knowledge: settings.knowledge.clone(),
             domain: Arc::clone(&settings.domain),

@@ -46,7 +46,7 @@ pub(crate) use journal::advised;
 pub use journal::{Journal, MemoryJournal, Recorded, StoreIdentity};
 pub use replica::Replica;
 pub use runtime::{SeededRuntime, seed_elections};
-pub use salvage::{Holdings, holdings, sole_voter};
+pub use salvage::{Holdings, holdings, sole_voter, sole_voter_with};
 pub use settings::{ReplicaSettings, SettingsError};
 pub use store::Applied;
 pub use types::{Epoch, Peer, RaftId, Reign, StateMachine};

@@ -267,6 +267,14 @@ impl<S: StateMachine> Replica<S> {
         self.inner.machine.read(look)
     }
 
+    /// A copy of this node's state, with the place of the last entry that is in it, if there is one.
+    pub fn copy(&self) -> (Option<Epoch>, S)
+    where
+        S: Clone,
+    {
+        self.inner.machine.copy()
+    }
+
     /// Asks a majority whether this node still leads, and waits until it has applied all that was committed when
     /// they were asked. A [`Replica::read`] after that is linearizable.
     ///

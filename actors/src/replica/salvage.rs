@@ -9,7 +9,7 @@ use super::journal::{Recorded, StoreIdentity};
 use super::store::{self, Held, Kept, Machine, write_record};
 use super::types::{Epoch, LogId, Peer, RaftId, SnapshotMeta, StateMachine, StoredMembership, Vote, epoch_of};
 use consort_protocol::ids::NodeId;
-use openraft::Membership;
+use openraft::{CommittedLeaderId, Membership};
 use std::collections::{BTreeMap, BTreeSet};
 use std::io;
 
@@ -81,15 +81,45 @@ pub fn sole_voter<S: StateMachine>(
         return Err(io::Error::new(io::ErrorKind::InvalidInput, "it holds no entry: there is nothing to recover"));
     };
     renew(&mut machine.state);
+    let snapshot = format!("recovered-{}@{:032x}", epoch_of(&last), store.0);
+    as_snapshot(&machine.state, last, vote, RaftId::of(node, store), node, snapshot)
+}
+
+/// The journal of `node`, whose store is called `store`, which holds `state` up to the entry `last` and nothing else, as that of
+/// the only voter.
+///
+/// # Errors
+/// The state cannot be written.
+pub fn sole_voter_with<S: StateMachine>(
+    state: &S,
+    last: Epoch,
+    node: &NodeId,
+    store: StoreIdentity,
+) -> io::Result<Recorded> {
     let id = RaftId::of(node, store);
+    let snapshot = format!("restored-{last}@{:032x}", store.0);
+    let last = LogId::new(CommittedLeaderId::new(last.term, id), last.index);
+    // Its term does not fall behind that of what it holds.
+    let vote = write_record(&Vote::new(last.leader_id.term, id))?;
+    as_snapshot(state, last, Some(vote), id, node, snapshot)
+}
+
+fn as_snapshot<S: StateMachine>(
+    state: &S,
+    last: LogId,
+    vote: Option<Vec<u8>>,
+    id: RaftId,
+    node: &NodeId,
+    snapshot_id: String,
+) -> io::Result<Recorded> {
     let members = BTreeMap::from([(id, Peer { name: node.clone() })]);
     let membership = Membership::new(vec![BTreeSet::from([id])], members);
     let meta = SnapshotMeta {
         last_log_id: Some(last),
         last_membership: StoredMembership::new(Some(last), membership),
-        snapshot_id: format!("recovered-{}@{:032x}", epoch_of(&last), store.0),
+        snapshot_id,
     };
-    let kept = Kept { meta, state: write_record(&machine.state)? };
+    let kept = Kept { meta, state: write_record(state)? };
     let last = write_record(&last)?;
     Ok(Recorded {
         vote,

@@ -347,6 +347,15 @@ impl<S: StateMachine> MachineStore<S> {
         look(&lock(&self.machine).state)
     }
 
+    /// The state as applied so far on this node, and the place of the last entry that is in it.
+    pub(super) fn copy(&self) -> (Option<Epoch>, S)
+    where
+        S: Clone,
+    {
+        let machine = lock(&self.machine);
+        (machine.applied.as_ref().map(epoch_of), machine.state.clone())
+    }
+
     /// Which founding the state belongs to, once it says so.
     pub(super) fn cluster(&self) -> watch::Receiver<Option<ClusterId>> {
         self.cluster.subscribe()

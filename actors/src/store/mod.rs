@@ -1,10 +1,12 @@
 //! What a node remembers from one life to the next.
 
+mod backup;
 mod durable;
 mod notebook;
 mod recover;
 
 use crate::replica::{Journal, MemoryJournal};
+pub use backup::{Backup, restore};
 pub use durable::{ADVICE, DurableStore, LEDGER, LOCK, OpenError, Owner, SEAL, StorageBackend};
 pub use notebook::{MemoryNotebook, Notebook};
 pub use recover::{ledger_of, recover};

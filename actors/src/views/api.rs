@@ -33,7 +33,7 @@ impl Looks {
                 Err(problem) => Err(problem),
             },
             ApiCall::Help => Ok(calls::help()),
-            ApiCall::Submit | ApiCall::Cancel | ApiCall::Rescued => {
+            ApiCall::Submit | ApiCall::Cancel | ApiCall::Rescued | ApiCall::Backup => {
                 Err(format!("{} is the coordinator's", call.word()))
             }
         };

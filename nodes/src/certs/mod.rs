@@ -11,13 +11,12 @@ mod issued;
 pub use issued::{Holder, State, fleet_of};
 
 use crate::config::{Problem, trust_files};
+use crate::file::write_whole;
 use consort_actors::trust::issue::{Authorising, Issued, Revoked, Validity, found};
 use consort_protocol::ids::FleetId;
 use consort_protocol::trust::{Bearer, Identity};
 use issued::revoked_in;
 use std::fs;
-use std::io::Write;
-use std::os::unix::fs::OpenOptionsExt;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
@@ -200,24 +199,10 @@ fn read(file: &Path) -> Result<String, Problem> {
 
 /// Writes a file as a whole or not at all: a node may be reading it.
 fn write(file: &Path, text: &str) -> Result<(), Problem> {
-    put(file, text, 0o644)
+    write_whole(file, text, 0o644)
 }
 
 /// The same of a file that only its owner may read.
 fn write_secret(file: &Path, text: &str) -> Result<(), Problem> {
-    put(file, text, 0o600)
-}
-
-fn put(file: &Path, text: &str, mode: u32) -> Result<(), Problem> {
-    let unfinished = file.with_extension("new");
-    let written = || {
-        let mut options = fs::OpenOptions::new();
-        // What a former attempt left may have been made with other rights.
-        let _ = fs::remove_file(&unfinished);
-        let mut to = options.write(true).create_new(true).mode(mode).open(&unfinished)?;
-        to.write_all(text.as_bytes())?;
-        to.sync_all()?;
-        fs::rename(&unfinished, file)
-    };
-    written().map_err(|problem| of(file, problem))
+    write_whole(file, text, 0o600)
 }

@@ -1,5 +1,6 @@
 //! The commands, one a file: each has its flags, and `run`.
 
+pub mod backup;
 pub mod bench;
 pub mod cancel;
 pub mod cert;
@@ -23,6 +24,7 @@ pub mod record;
 pub mod recover;
 pub mod replay;
 pub mod rescue;
+pub mod restore;
 pub mod robot;
 pub mod schema;
 pub mod station;

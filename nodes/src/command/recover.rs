@@ -2,12 +2,11 @@
 
 use crate::exit::Failure;
 use crate::output::{self, Waiting};
+use crate::wiring::random;
 use consort_actors::replica::Holdings;
 use consort_actors::store::{DurableStore, OpenError, ledger_of, recover};
 use consort_protocol::ids::{ClusterId, NodeId};
 use consort_protocol::ledger::Ledger;
-use rand::TryRng;
-use rand::rngs::SysRng;
 use std::collections::BTreeSet;
 use std::io;
 use std::path::PathBuf;
@@ -71,7 +70,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
         return Err(Failure::Unsuccessful(what.to_owned()));
     }
     let moment = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default().as_millis();
-    let cluster = ClusterId(SysRng.try_next_u64().expect("the system has random numbers"));
+    let cluster = ClusterId(random());
     waiting.say(format_args!("writing {file}"));
     let copies = recover(&store, u64::try_from(moment).unwrap_or(u64::MAX), cluster).map_err(failed)?;
     waiting.clear();

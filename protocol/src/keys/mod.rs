@@ -133,6 +133,8 @@ words! {
         Cancel = "cancel",
         /// Say that a person has taken care of what a mission left in robots' hands.
         Rescued = "rescued",
+        /// Ask for a copy of the ledger.
+        Backup = "backup",
         /// Look at one mission.
         Get = "get",
         /// Look at all missions.
@@ -178,10 +180,11 @@ words! {
 }
 
 impl ApiCall {
-    /// Whether it changes nothing, and any node answers it from what it knows.
+    /// Whether it changes nothing, and any node answers it from what it knows. A copy of the ledger is the coordinator's: nobody
+    /// else knows that nothing is missing.
     pub fn is_reading(self) -> bool {
         match self {
-            ApiCall::Submit | ApiCall::Cancel | ApiCall::Rescued => false,
+            ApiCall::Submit | ApiCall::Cancel | ApiCall::Rescued | ApiCall::Backup => false,
             ApiCall::Get | ApiCall::List | ApiCall::Explain | ApiCall::Help => true,
         }
     }
@@ -218,13 +221,19 @@ impl KeyKind {
 /// Writes and reads the keys of one fleet.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Keys {
+    fleet: FleetId,
     prefix: String,
 }
 
 impl Keys {
     /// The keys of a fleet.
     pub fn new(fleet: &FleetId) -> Keys {
-        Keys { prefix: format!("consort/{fleet}") }
+        Keys { fleet: fleet.clone(), prefix: format!("consort/{fleet}") }
+    }
+
+    /// Whose keys they are.
+    pub fn fleet(&self) -> &FleetId {
+        &self.fleet
     }
 
     /// The key as text.
