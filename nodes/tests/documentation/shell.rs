@@ -3,7 +3,7 @@
 //! - ```` ```yaml ward.yaml ```` is a file of that name.
 //! - ```` ```console ```` has commands behind `$ ` and, under each, what it prints; `…` stands for anything, in a line or for lines,
 //!   and how many blanks stand between words does not matter. A command must succeed, unless `$ echo $?` follows and says otherwise.
-//! - A command that ends in `&` runs until the end of the page. From then on a command that asks how things are is repeated
+//! - A command that ends in `&` runs until the end of the page, or until `$ kill -9 %N` for the Nth of them. From then on a command that asks how things are is repeated
 //!   until it prints what it should, for a generous while: nodes take their time to meet.
 //!
 //! Ports of the page are exchanged for free ones, so that pages do not get into one another's way.
@@ -106,15 +106,20 @@ impl Shell<'_> {
         let mut given = 0;
         while let Some(deed) = deeds.next() {
             given += 1;
-            if let Some(command) = deed.command.strip_suffix('&') {
+            if let Some(number) = deed.command.strip_prefix("kill -9 %") {
+                let number: usize = number.parse().unwrap_or_else(|_| panic!("line {}: which one?", deed.line));
+                let (_, child) = &mut self.running[number - 1];
+                child.kill().and_then(|()| child.wait()).expect("a program that this one has started");
+            } else if let Some(command) = deed.command.strip_suffix('&') {
                 self.start(command.trim_end(), deed);
-                continue;
+            } else {
+                let code = deeds.next_if(|next| next.command == "echo $?");
+                let code = code.map_or("0".to_owned(), |next| next.prints.concat());
+                self.until_it_prints(
+                    deed,
+                    code.trim().parse().unwrap_or_else(|_| panic!("line {}: {code}", deed.line)),
+                );
             }
-            let code = match deeds.next_if(|next| next.command == "echo $?") {
-                Some(next) => next.prints.concat().trim().parse().unwrap_or_else(|_| panic!("line {}", next.line)),
-                None => 0,
-            };
-            self.until_it_prints(deed, code);
         }
         given
     }
@@ -128,8 +133,9 @@ impl Shell<'_> {
 
     fn until_it_prints(&mut self, deed: &Deed, code: i32) {
         let since = Instant::now();
-        let asks =
-            ["fleet", "missions", "explain"].iter().any(|word| deed.command.starts_with(&format!("consort {word}")));
+        let asks = ["fleet", "missions", "explain", "doctor"]
+            .iter()
+            .any(|word| deed.command.starts_with(&format!("consort {word}")));
         loop {
             let output = self.command(&deed.command, deed).output().expect("the program starts");
             let out = String::from_utf8_lossy(&output.stdout);
@@ -142,7 +148,7 @@ impl Shell<'_> {
             let again = asks && !self.running.is_empty() && since.elapsed() < LIMIT;
             assert!(
                 again,
-                "{}:{}: $ {}\nended with {:?} instead of {code}, and printed:\n{printed}\n{}",
+                "{}:{}: $ {}\nended with {:?} where {code} was awaited, and printed:\n{printed}\n{}",
                 self.page.path.display(),
                 deed.line,
                 deed.command,

@@ -6,11 +6,20 @@ use consort_nodes::cli;
 use std::ffi::OsString;
 use std::io::Write;
 use std::path::Path;
+use std::process::ExitCode;
 
 /// Programs that tutorials have their readers write. They stand beside the example files, where cargo builds them.
 #[path = "../../examples/look_around.rs"]
 #[expect(dead_code, reason = "its `main` is for the program alone")]
 mod look_around;
+
+#[path = "../../examples/rover.rs"]
+#[expect(dead_code, reason = "its `main` is for the program alone")]
+mod rover;
+
+#[path = "../../examples/round_planner.rs"]
+#[expect(dead_code, reason = "its `main` is for the program alone")]
+mod round_planner;
 
 fn tutorial(name: &str) -> Page {
     Page::open(Path::new(&format!("nodes/docs/tutorials/{name}.md")))
@@ -21,22 +30,46 @@ fn tutorial(name: &str) -> Page {
 fn as_a_program() {
     let Some(name) = std::env::var_os("CONSORT_TUTORIAL") else { return };
     let args = std::env::var("CONSORT_TUTORIAL_ARGS").expect("it is given with the name");
-    let kit = match name.to_str() {
-        Some("look_around") => look_around::KIT,
+    let args: Vec<String> = args.lines().map(str::to_owned).collect();
+    std::io::stdout().write_all(MARK.as_bytes()).expect("somebody reads what it prints");
+    let succeeded = match (name.to_str(), &args[..]) {
+        (Some("look_around"), args) => {
+            let args = std::iter::once("consort").chain(args.iter().map(String::as_str)).map(OsString::from);
+            cli::run_with(look_around::KIT, args) == ExitCode::SUCCESS
+        }
+        (Some("rover"), [file, robot, place]) => rover::adapt(file, robot, place).is_ok(),
+        (Some("round_planner"), args) => round_planner::run(args).is_ok(),
         other => panic!("no tutorial has a program {other:?}"),
     };
-    let args = std::iter::once("consort").chain(args.lines()).map(OsString::from);
-    std::io::stdout().write_all(MARK.as_bytes()).expect("somebody reads what it prints");
-    let code = cli::run_with(kit, args);
-    std::process::exit(i32::from(code != std::process::ExitCode::SUCCESS));
+    std::process::exit(i32::from(!succeeded));
+}
+
+/// Whether a page shows the example that a test builds, and nothing else in Rust.
+fn shows(page: &Page, example: &str) -> String {
+    let code = std::fs::read_to_string(repository().join("nodes/examples").join(example)).expect("the example");
+    let shown: Vec<&str> = page.blocks.iter().filter(|b| b.language == "rust").map(|b| b.text.as_str()).collect();
+    assert!(shown == [code.as_str()], "{} does not show what nodes/examples/{example} is", page.path.display());
+    code
+}
+
+#[test]
+fn an_adapter_of_your_own() {
+    let page = tutorial("adapter");
+    shows(&page, "rover.rs");
+    play(&page, &[("cargo run --example rover --", |args| in_place_of("rover", args))]);
+}
+
+#[test]
+fn a_planner_of_your_own() {
+    let page = tutorial("planner");
+    shows(&page, "round_planner.rs");
+    play(&page, &[("cargo run --example round_planner --", |args| in_place_of("round_planner", args))]);
 }
 
 #[test]
 fn a_skill_of_your_own() {
     let page = tutorial("skill");
-    let code = std::fs::read_to_string(repository().join("nodes/examples/look_around.rs")).expect("the example");
-    let shown: Vec<&str> = page.blocks.iter().filter(|b| b.language == "rust").map(|b| b.text.as_str()).collect();
-    assert_eq!(shown, [code.as_str()], "the page shows what nodes/examples/look_around.rs is");
+    let code = shows(&page, "look_around.rs");
     assert!(code.lines().count() <= 50, "{} lines are not 50", code.lines().count());
     play(&page, &[("cargo run --example look_around --", |args| in_place_of("look_around", args))]);
 }
@@ -50,6 +83,11 @@ fn a_map_of_your_own() {
 #[test]
 fn an_ensemble_of_your_own() {
     play(&tutorial("ensemble"), &[]);
+}
+
+#[test]
+fn operations_look_as_they_are_shown() {
+    play(&Page::open(Path::new("nodes/docs/operations.md")), &[]);
 }
 
 #[test]
