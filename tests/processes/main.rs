@@ -17,6 +17,7 @@ mod interruption;
 mod mistakes;
 mod recordings;
 mod rest;
+mod service;
 mod stock_client;
 mod support;
 mod watch;
