@@ -3,6 +3,7 @@
 mod bench;
 mod certs;
 mod chaos;
+mod deploy;
 mod dry_run;
 mod experiment;
 mod files;
