@@ -1,8 +1,10 @@
 //! The topologies that are shipped, each through what it is meant to survive.
 
-use crate::lab::inside;
+use crate::lab::{inside, within};
 use crate::shipped::{LONG, Shipped};
 use serde_json::Value;
+use std::cell::RefCell;
+use std::process::{Child, Command};
 
 /// The world runs this much faster than the file says, in which it runs in real time.
 const QUICK: [&str; 1] = ["CONSORT_SPEED=10"];
@@ -65,47 +67,74 @@ fn one_network_loses_the_machine_that_coordinates() {
     });
 }
 
+/// A site of so many nodes whose router is killed, and started again, while a mission runs.
+fn a_router_is_restarted(count: usize, start: impl Fn(&mut Shipped), kill: impl Fn(&mut Shipped)) {
+    let stations = ["station-1", "station-2", "station-3"];
+    let mut shipped = Shipped::new(
+        "site",
+        &[
+            ("10.0.0.1", "station-1.ward.example"),
+            ("10.0.0.2", "station-2.ward.example"),
+            ("10.0.0.3", "station-3.ward.example"),
+            // On the wired network; robots know it by its address on theirs.
+            ("10.0.1.254", "router.ward.example"),
+        ],
+    );
+    for (number, name) in stations.into_iter().enumerate() {
+        shipped.machine(name, &[("wired", &format!("10.0.0.{}", number + 1))]);
+    }
+    shipped.machine("router", &[("wired", "10.0.0.254"), ("robots", "10.0.1.254")]);
+    for (number, name) in ["world", "ada", "lab-arm"].into_iter().enumerate() {
+        shipped.machine(name, &[("robots", &format!("10.0.1.{}", number + 1))]);
+    }
+    for station in stations {
+        shipped.start("station", station, &[]);
+    }
+    start(&mut shipped);
+    shipped.start("world", "world", &QUICK);
+    shipped.start("robot", "ada", &[]);
+    shipped.start("robot", "lab-arm", &[]);
+    shipped.await_started();
+    let coordinator = settled(&mut shipped, count, "ada", &[]);
+    assert!(stations.contains(&coordinator.as_str()), "{coordinator} coordinates");
+    let mission = shipped.begin(&SUBMIT, "ada");
+    shipped.begins("ada", "navto_room");
+    kill(&mut shipped);
+    shipped.linked("ada", &[]);
+    start(&mut shipped);
+    let ended = mission.end(LONG).expect(0);
+    assert!(ended.stdout.ends_with(" completed\n"), "{}", ended.stdout);
+    // She kept her role, and none of the stations took another for dead.
+    assert!(!shipped.log("ada").contains("suspend"), "{}", shipped.log("ada"));
+    assert_eq!(settled(&mut shipped, count, "ada", &[]), coordinator);
+}
+
 #[test]
 fn a_site_gets_over_a_restart_of_its_router() {
     inside("topologies::a_site_gets_over_a_restart_of_its_router", &[], || {
-        let stations = ["station-1", "station-2", "station-3"];
-        let mut shipped = Shipped::new(
-            "site",
-            &[
-                ("10.0.0.1", "station-1.ward.example"),
-                ("10.0.0.2", "station-2.ward.example"),
-                ("10.0.0.3", "station-3.ward.example"),
-                // On the wired network; robots know it by its address on theirs.
-                ("10.0.1.254", "router.ward.example"),
-            ],
-        );
-        for (number, name) in stations.into_iter().enumerate() {
-            shipped.machine(name, &[("wired", &format!("10.0.0.{}", number + 1))]);
-        }
-        shipped.machine("router", &[("wired", "10.0.0.254"), ("robots", "10.0.1.254")]);
-        for (number, name) in ["world", "ada", "lab-arm"].into_iter().enumerate() {
-            shipped.machine(name, &[("robots", &format!("10.0.1.{}", number + 1))]);
-        }
-        for station in stations.into_iter().chain(["router"]) {
-            shipped.start("station", station, &[]);
-        }
-        shipped.start("world", "world", &QUICK);
-        shipped.start("robot", "ada", &[]);
-        shipped.start("robot", "lab-arm", &[]);
-        shipped.await_started();
-        let coordinator = settled(&mut shipped, 7, "ada", &[]);
-        assert!(stations.contains(&coordinator.as_str()), "{coordinator} coordinates");
-        let mission = shipped.begin(&SUBMIT, "ada");
-        shipped.begins("ada", "navto_room");
-        shipped.kill("router");
-        shipped.linked("ada", &[]);
-        shipped.start("station", "router", &[]);
-        shipped.linked("ada", &["router"]);
-        let ended = mission.end(LONG).expect(0);
-        assert!(ended.stdout.ends_with(" completed\n"), "{}", ended.stdout);
-        // She kept her role, and none of the stations took another for dead.
-        assert!(!shipped.log("ada").contains("suspend"), "{}", shipped.log("ada"));
-        assert_eq!(settled(&mut shipped, 7, "ada", &[]), coordinator);
+        let start = |shipped: &mut Shipped| shipped.start("station", "router", &[]);
+        a_router_is_restarted(7, start, |shipped| shipped.kill("router"));
+    });
+}
+
+/// Zenoh's own router, where `tests/processes/foreign/router.sh` has built it.
+const ZENOHD: &str = concat!(env!("CARGO_TARGET_TMPDIR"), "/foreign-router/zenohd");
+
+#[test]
+fn a_site_gets_over_a_restart_of_a_router_of_zenohs_own() {
+    inside("topologies::a_site_gets_over_a_restart_of_a_router_of_zenohs_own", &[ZENOHD], || {
+        let stations = [1, 2, 3].map(|number| format!("--connect=tcp/station-{number}.ward.example:7447"));
+        let running = RefCell::new(None);
+        let start = |_: &mut Shipped| {
+            let mut zenohd = Command::new(within("router")[0]);
+            zenohd.args(&within("router")[1..]).args([ZENOHD, "--no-multicast-scouting", "--listen=tcp/0.0.0.0:7447"]);
+            zenohd.args(&stations).env("RUST_LOG", "off");
+            running.replace(Some(zenohd.spawn().expect("it was there a moment ago")));
+        };
+        a_router_is_restarted(6, start, |_| {
+            let mut zenohd: Child = running.take().expect("it was started");
+            zenohd.kill().and_then(|()| zenohd.wait()).expect("a child can be killed");
+        });
     });
 }
 
