@@ -28,6 +28,7 @@ pub mod recording;
 pub mod rendering;
 pub mod running;
 pub mod screen;
+mod service;
 pub mod source;
 pub mod telemetry;
 pub mod trust;

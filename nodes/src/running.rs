@@ -10,11 +10,12 @@ use crate::picture::FloorPlan;
 use crate::telemetry::Telemetry;
 use crate::trust::NodeTrust;
 use crate::wiring::bus_settings;
-use crate::{floor, output};
+use crate::{floor, output, service};
 use consort_actors::bus::{Bus, Link, MeteredBus, SharedBus, ZenohBus};
 use consort_actors::clock::Clock;
 use consort_actors::node::{NodeHandle, NodeSettings};
 use consort_actors::observe::SharedObserver;
+use consort_protocol::keys::Keys;
 use std::io::IsTerminal;
 use std::net::SocketAddr;
 use std::sync::Arc;
@@ -135,6 +136,8 @@ async fn until_told(
     };
     metrics.serve(&node, clock, admission, &mut watch);
     telemetry.belongs(node.allegiance.clone());
+    service::ready();
+    watch.spawn(service::keep_watch(zenoh.clone(), Keys::new(&fleet.name), name.clone()));
 
     let mut left = None;
     let ended = node.ended_or_left();
@@ -150,6 +153,7 @@ async fn until_told(
             Err(cause) => Err(cause),
         },
     };
+    service::stopping();
     let signal = signal.map_err(|cause| Failure::Unsuccessful(format!("{name} stopped: {cause}")))?;
     info!(node = %name, signal, "stops");
     let goodbye = async {
@@ -234,11 +238,22 @@ async fn say_links(bus: ZenohBus, connect: Vec<String>) {
         let mut links = bus.links().await;
         links.retain(|link| link.kind != "client"); // they come and go with every command
         if said.as_ref() != Some(&links) {
-            match (links.is_empty(), connect.is_empty()) {
-                (false, _) => info!(links = describe(&links), "linked"),
-                (true, true) => info!("linked to nobody yet; waits for others to connect"),
-                (true, false) => warn!(trying = connect.join(", "), "linked to nobody; keeps trying"),
-            }
+            let status = match (links.len(), connect.is_empty()) {
+                (0, true) => {
+                    info!("linked to nobody yet; waits for others to connect");
+                    "linked to nobody; waits for others to connect".to_owned()
+                }
+                (0, false) => {
+                    let trying = connect.join(", ");
+                    warn!(trying, "linked to nobody; keeps trying");
+                    format!("linked to nobody; keeps trying {trying}")
+                }
+                (count, _) => {
+                    info!(links = describe(&links), "linked");
+                    format!("linked with {count} {}", if count == 1 { "neighbour" } else { "neighbours" })
+                }
+            };
+            service::status(&status);
             said = Some(links);
         }
         tokio::time::sleep(LOOK).await;

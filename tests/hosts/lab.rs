@@ -67,7 +67,7 @@ fn hindrance(tools: &[&str]) -> Option<String> {
 
 /// Runs a program to its good end.
 #[track_caller]
-fn run(program: &str, arguments: &[&str]) {
+pub(crate) fn run(program: &str, arguments: &[&str]) {
     let ended = Command::new(program).args(arguments).output();
     let ended = ended.unwrap_or_else(|problem| panic!("{program}: {problem}"));
     assert!(
@@ -78,8 +78,9 @@ fn run(program: &str, arguments: &[&str]) {
     );
 }
 
+/// Runs `ip` with the words of a line.
 #[track_caller]
-fn ip(line: &str) {
+pub(crate) fn ip(line: &str) {
     run("ip", &line.split(' ').collect::<Vec<_>>());
 }
 
@@ -256,6 +257,7 @@ impl Lab {
     }
 }
 
-fn within(host: &str) -> [&str; 4] {
+/// What runs a program on a host.
+pub(crate) fn within(host: &str) -> [&str; 4] {
     ["ip", "netns", "exec", host]
 }

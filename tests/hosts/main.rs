@@ -9,7 +9,9 @@ mod chain;
 mod lab;
 mod loss;
 mod partition;
+mod shipped;
 mod story;
 #[path = "../processes/support/mod.rs"]
 #[expect(dead_code, unused_imports, reason = "the tests of processes use the rest")]
 mod support;
+mod topologies;

@@ -18,6 +18,7 @@ mod interruption;
 mod mistakes;
 mod recordings;
 mod rest;
+mod service;
 mod stock_client;
 mod support;
 mod watch;

@@ -22,22 +22,22 @@ impl Looks {
     pub(super) async fn request(&self, call: ApiCall, payload: &[u8]) -> Value {
         let answer = match call {
             ApiCall::List => {
-                self.view(&Key::ViewMissions).await.ok_or_else(|| "nothing is known of missions".to_owned())
+                self.view(&Key::ViewMissions).await.ok_or_else(|| refusal("nothing is known of missions".to_owned()))
             }
             ApiCall::Get => match calls::read(call, payload) {
                 Ok(Which { mission }) => self.mission(&mission).await,
-                Err(problem) => Err(problem),
+                Err(problem) => Err(refusal(problem)),
             },
             ApiCall::Explain => match calls::read(call, payload) {
                 Ok(Which { mission }) => self.explain(&mission).await,
-                Err(problem) => Err(problem),
+                Err(problem) => Err(refusal(problem)),
             },
             ApiCall::Help => Ok(calls::help()),
             ApiCall::Submit | ApiCall::Cancel | ApiCall::Rescued | ApiCall::Backup => {
-                Err(format!("{} is the coordinator's", call.word()))
+                Err(refusal(format!("{} is the coordinator's", call.word())))
             }
         };
-        answer.unwrap_or_else(|error| json!({ "error": error }))
+        answer.unwrap_or_else(|refusal| refusal)
     }
 
     async fn view(&self, key: &Key) -> Option<Value> {
@@ -46,7 +46,9 @@ impl Looks {
         all.pop().map(|(_, value)| value)
     }
 
-    async fn mission(&self, mission: &MissionId) -> Result<Value, String> {
+    /// A mission, or why it cannot be shown: where no keeper of the ledger is heard, there may be such a mission all the same,
+    /// and it may be asked for again.
+    async fn mission(&self, mission: &MissionId) -> Result<Value, Value> {
         let key = Key::ViewMission(mission.clone());
         let until = Instant::now() + ON_ITS_WAY;
         loop {
@@ -56,13 +58,17 @@ impl Looks {
             let standing = self.window().await.standing;
             // The coordinator knows all there are.
             if standing.coordinator.as_ref() == Some(&self.of.node) || Instant::now() >= until {
-                return Err(format!("no mission {mission} is known at {}; api/list has those there are", self.of.node));
+                let missions = self.view(&Key::ViewMissions).await;
+                let unheard = missions.filter(|view| view.get("retry_after_ms").is_some());
+                return Err(unheard.unwrap_or_else(|| {
+                    refusal(format!("no mission {mission} is known at {}; api/list has those there are", self.of.node))
+                }));
             }
             tokio::time::sleep(LOOK_AGAIN).await;
         }
     }
 
-    async fn explain(&self, mission: &MissionId) -> Result<Value, String> {
+    async fn explain(&self, mission: &MissionId) -> Result<Value, Value> {
         let seen = self.mission(mission).await?;
         let record: Option<AuctionRecord> = serde_json::from_value(seen["auction"].clone()).ok();
         let explanation = record.as_ref().map(explain);
@@ -105,6 +111,10 @@ impl Looks {
         };
         robots.into_iter().map(why).collect()
     }
+}
+
+fn refusal(problem: String) -> Value {
+    json!({ "error": problem })
 }
 
 fn words_of(ensemble: &Value) -> &str {

@@ -4,6 +4,7 @@ mod bench;
 mod binary;
 mod certs;
 mod chaos;
+mod deploy;
 mod dry_run;
 mod experiment;
 mod files;

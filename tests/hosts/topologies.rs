@@ -1,0 +1,208 @@
+//! The topologies that are shipped, each through what it is meant to survive.
+
+use crate::lab::{inside, within};
+use crate::shipped::{LONG, Shipped};
+use serde_json::Value;
+use std::cell::RefCell;
+use std::process::{Child, Command};
+
+/// The world runs this much faster than the file says, in which it runs in real time.
+const QUICK: [&str; 1] = ["CONSORT_SPEED=10"];
+
+/// Asks for a sample, and waits for the end of the mission.
+const SUBMIT: [&str; 7] = ["submit", "lab-samples", "--set", "room=IC Room 6", "--wait", "--timeout", "60"];
+
+/// How many nodes are alive, as a node sees it.
+fn alive(fleet: &Value) -> usize {
+    let nodes = fleet["fleet"]["nodes"].as_array().into_iter().flatten();
+    nodes.filter(|node| node["alive"] == true).count()
+}
+
+/// Who coordinates.
+fn coordinator(fleet: &Value) -> Option<String> {
+    fleet["coordinator"]["node"].as_str().map(str::to_owned)
+}
+
+/// Waits until so many are alive and somebody coordinates, as a node sees it, and says who.
+fn settled(shipped: &mut Shipped, count: usize, on: &str, more: &[&str]) -> String {
+    let asked = [&["fleet", "--json"], more].concat();
+    shipped.awaits(&format!("{count} are there"), &asked, on, |fleet| {
+        (alive(fleet) == count).then(|| coordinator(fleet)).flatten()
+    })
+}
+
+#[test]
+fn one_network_loses_the_machine_that_coordinates() {
+    inside("topologies::one_network_loses_the_machine_that_coordinates", &[], || {
+        let stations = ["station-1", "station-2", "station-3"];
+        let mut shipped = Shipped::new(
+            "lan",
+            &[
+                ("10.0.0.1", "station-1.ward.example"),
+                ("10.0.0.2", "station-2.ward.example"),
+                ("10.0.0.3", "station-3.ward.example"),
+            ],
+        );
+        for (number, name) in stations.into_iter().chain(["world", "ada", "lab-arm"]).enumerate() {
+            shipped.machine(name, &[("lan", &format!("10.0.0.{}", number + 1))]);
+        }
+        for station in stations {
+            shipped.start("station", station, &[]);
+        }
+        shipped.start("world", "world", &QUICK);
+        shipped.start("robot", "ada", &[]);
+        shipped.start("robot", "lab-arm", &[]);
+        shipped.await_started();
+        let first = settled(&mut shipped, 6, "ada", &[]);
+        assert!(stations.contains(&first.as_str()), "{first} coordinates");
+        let mission = shipped.begin(&SUBMIT, "ada");
+        shipped.begins("ada", "navto_room");
+        shipped.unplug(&first, "lan");
+        let ended = mission.end(LONG).expect(0);
+        assert!(ended.stdout.ends_with(" completed\n"), "{}", ended.stdout);
+        let second = settled(&mut shipped, 5, "ada", &[]);
+        assert!(second != first && stations.contains(&second.as_str()), "{second} coordinates after {first}");
+        shipped.plug(&first, "lan");
+        assert_eq!(settled(&mut shipped, 6, &first, &[]), settled(&mut shipped, 6, "ada", &[]));
+    });
+}
+
+/// A site of so many nodes whose router is killed, and started again, while a mission runs.
+fn a_router_is_restarted(count: usize, start: impl Fn(&mut Shipped), kill: impl Fn(&mut Shipped)) {
+    let stations = ["station-1", "station-2", "station-3"];
+    let mut shipped = Shipped::new(
+        "site",
+        &[
+            ("10.0.0.1", "station-1.ward.example"),
+            ("10.0.0.2", "station-2.ward.example"),
+            ("10.0.0.3", "station-3.ward.example"),
+            // On the wired network; robots know it by its address on theirs.
+            ("10.0.1.254", "router.ward.example"),
+        ],
+    );
+    for (number, name) in stations.into_iter().enumerate() {
+        shipped.machine(name, &[("wired", &format!("10.0.0.{}", number + 1))]);
+    }
+    shipped.machine("router", &[("wired", "10.0.0.254"), ("robots", "10.0.1.254")]);
+    for (number, name) in ["world", "ada", "lab-arm"].into_iter().enumerate() {
+        shipped.machine(name, &[("robots", &format!("10.0.1.{}", number + 1))]);
+    }
+    for station in stations {
+        shipped.start("station", station, &[]);
+    }
+    start(&mut shipped);
+    shipped.start("world", "world", &QUICK);
+    shipped.start("robot", "ada", &[]);
+    shipped.start("robot", "lab-arm", &[]);
+    shipped.await_started();
+    let coordinator = settled(&mut shipped, count, "ada", &[]);
+    assert!(stations.contains(&coordinator.as_str()), "{coordinator} coordinates");
+    let mission = shipped.begin(&SUBMIT, "ada");
+    shipped.begins("ada", "navto_room");
+    kill(&mut shipped);
+    shipped.linked("ada", &[]);
+    start(&mut shipped);
+    let ended = mission.end(LONG).expect(0);
+    assert!(ended.stdout.ends_with(" completed\n"), "{}", ended.stdout);
+    // She kept her role, and none of the stations took another for dead.
+    assert!(!shipped.log("ada").contains("suspend"), "{}", shipped.log("ada"));
+    assert_eq!(settled(&mut shipped, count, "ada", &[]), coordinator);
+}
+
+#[test]
+fn a_site_gets_over_a_restart_of_its_router() {
+    inside("topologies::a_site_gets_over_a_restart_of_its_router", &[], || {
+        let start = |shipped: &mut Shipped| shipped.start("station", "router", &[]);
+        a_router_is_restarted(7, start, |shipped| shipped.kill("router"));
+    });
+}
+
+/// Zenoh's own router, where `tests/processes/foreign/router.sh` has built it.
+const ZENOHD: &str = concat!(env!("CARGO_TARGET_TMPDIR"), "/foreign-router/zenohd");
+
+#[test]
+fn a_site_gets_over_a_restart_of_a_router_of_zenohs_own() {
+    inside("topologies::a_site_gets_over_a_restart_of_a_router_of_zenohs_own", &[ZENOHD], || {
+        let stations = [1, 2, 3].map(|number| format!("--connect=tcp/station-{number}.ward.example:7447"));
+        let running = RefCell::new(None);
+        let start = |_: &mut Shipped| {
+            let mut zenohd = Command::new(within("router")[0]);
+            zenohd.args(&within("router")[1..]).args([ZENOHD, "--no-multicast-scouting", "--listen=tcp/0.0.0.0:7447"]);
+            zenohd.args(&stations).env("RUST_LOG", "off");
+            running.replace(Some(zenohd.spawn().expect("it was there a moment ago")));
+        };
+        a_router_is_restarted(6, start, |_| {
+            let mut zenohd: Child = running.take().expect("it was started");
+            zenohd.kill().and_then(|()| zenohd.wait()).expect("a child can be killed");
+        });
+    });
+}
+
+/// The certificates of the two sites, by the commands of the documentation.
+fn certify(shipped: &mut Shipped) {
+    let dir = shipped.path("certs").display().to_string();
+    for line in documented("consort cert ") {
+        let arguments = [&["cert", "--dir", &dir][..], &line.iter().map(String::as_str).collect::<Vec<_>>()].concat();
+        shipped.tool(&arguments).expect(0);
+    }
+}
+
+/// The lines of the documentation that begin so, without that, in words.
+fn documented(command: &str) -> Vec<Vec<String>> {
+    let text = include_str!("../../nodes/docs/deployment.md");
+    let lines: Vec<_> = text.lines().filter_map(|line| line.strip_prefix(command)).collect();
+    assert!(lines.len() > 5, "the documentation says how certificates are made: {lines:?}");
+    lines.iter().map(|line| line.split_whitespace().map(str::to_owned).collect()).collect()
+}
+
+#[test]
+fn a_robot_roams_from_site_to_site_and_an_uplink_is_cut_while_it_works() {
+    inside("topologies::a_robot_roams_from_site_to_site_and_an_uplink_is_cut_while_it_works", &[], || {
+        let mut shipped = Shipped::new(
+            "sites",
+            &[
+                ("10.1.0.1", "north-1.ward.example"),
+                ("10.1.0.2", "north-2.ward.example"),
+                ("10.1.0.3", "north-3.ward.example"),
+                ("192.0.2.1", "north-1.public.ward.example"),
+                ("192.0.2.2", "north-2.public.ward.example"),
+                ("10.2.0.1", "gate-south.ward.example"),
+            ],
+        );
+        certify(&mut shipped);
+        shipped.machine("north-1", &[("north", "10.1.0.1"), ("between", "192.0.2.1")]);
+        shipped.machine("north-2", &[("north", "10.1.0.2"), ("between", "192.0.2.2")]);
+        for (number, name) in ["north-3", "world", "lab-arm", "ada"].into_iter().enumerate() {
+            shipped.machine(name, &[("north", &format!("10.1.0.{}", number + 3))]);
+        }
+        shipped.machine("gate-south", &[("south", "10.2.0.1"), ("between", "192.0.2.101")]);
+        for station in ["north-1", "north-2", "north-3", "gate-south"] {
+            shipped.start("station", station, &[]);
+        }
+        shipped.start("world", "world", &QUICK);
+        shipped.start("robot", "ada", &[]);
+        shipped.start("robot", "lab-arm", &[]);
+        shipped.await_started();
+        let kim = shipped.path("certs/kim").display().to_string();
+        let by_kim = ["--certs", &kim, "--connect", "tls/127.0.0.1:7447"];
+        // Asked for at the gate: whoever is in the south knows all there is in the north.
+        let coordinator = settled(&mut shipped, 7, "gate-south", &by_kim);
+        assert!(coordinator.starts_with("north-"), "{coordinator} coordinates");
+        let mut mission = shipped.begin(&[&SUBMIT[..], &by_kim].concat(), "gate-south");
+        shipped.begins("ada", "navto_room");
+
+        shipped.carry("ada", "north", "south", "10.2.0.2");
+        shipped.linked("ada", &["gate-south"]);
+        shipped.begins("ada", "approach_nurse");
+
+        shipped.unplug("gate-south", "between");
+        shipped.linked("gate-south", &["ada"]);
+        assert!(!mission.has_ended(), "{}{}", mission.stdout(), mission.stderr());
+        shipped.plug("gate-south", "between");
+        shipped.linked("gate-south", &["ada", "north-1", "north-2"]);
+        let ended = mission.end(LONG).expect(0);
+        assert!(ended.stdout.ends_with(" completed\n"), "{}", ended.stdout);
+        assert!(!shipped.log("ada").contains("suspend"), "{}", shipped.log("ada"));
+        assert_eq!(settled(&mut shipped, 7, "gate-south", &by_kim), coordinator);
+    });
+}
