@@ -62,7 +62,9 @@ pub(super) fn router(board: Arc<Board>, served: Served, address: SocketAddr) -> 
 
 async fn follow(State(shared): State<Shared>, upgrade: WebSocketUpgrade) -> Response {
     let frames = shared.board.frames();
-    upgrade.max_message_size(SAID_MAX).on_upgrade(move |socket| send_frames(socket, shared.board, frames))
+    // Before a frame has come whole, room is made for it.
+    let upgrade = upgrade.max_message_size(SAID_MAX).max_frame_size(SAID_MAX);
+    upgrade.on_upgrade(move |socket| send_frames(socket, shared.board, frames))
 }
 
 /// Sends the whole, then what changes. Whoever is slow misses frames, and gets the whole again.
