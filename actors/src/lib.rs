@@ -25,4 +25,5 @@ pub mod store;
 mod tasks;
 pub mod timing;
 pub mod trust;
+pub mod untrusted;
 pub mod views;
