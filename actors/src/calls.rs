@@ -21,6 +21,7 @@
 use crate::store::Backup;
 use consort_protocol::ids::{MissionId, RequestId};
 use consort_protocol::keys::ApiCall;
+use consort_protocol::mission::FILE_BYTES_MAX;
 use schemars::{JsonSchema, Schema, schema_for};
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
@@ -247,11 +248,18 @@ pub fn help() -> Value {
     json!({ "calls": ApiCall::ALL.iter().map(|call| help_on(*call)).collect::<Vec<_>>() })
 }
 
+/// Largest request in bytes: twice the largest mission file, which may be written with much space in it. Read, it takes some
+/// thirty times as much memory.
+const REQUEST_MAX: usize = 2 * FILE_BYTES_MAX;
+
 /// Reads what a call was given.
 ///
 /// # Errors
 /// What is wrong in words: which field, what is wrong with it, what is allowed, and an example.
 pub(crate) fn read<T: serde::de::DeserializeOwned>(call: ApiCall, payload: &[u8]) -> Result<T, String> {
+    if payload.len() > REQUEST_MAX {
+        return Err(format!("the request has {} bytes, where {REQUEST_MAX} are allowed", payload.len()));
+    }
     let fields = serde_json::from_slice::<Value>(payload);
     let misfit = fields.ok().and_then(|payload| misfit(call, &payload));
     let read = match misfit {
@@ -341,6 +349,13 @@ mod tests {
         assert_eq!(submit["answer_schema"]["required"], json!(["mission", "again"]));
         assert_eq!(of("list")["payload_schema"], Value::Null);
         assert_eq!(help["calls"].as_array().unwrap().len(), ApiCall::ALL.len());
+    }
+
+    #[test]
+    fn a_request_that_is_too_large_is_not_read() {
+        let long = format!("{{\"mission\": \"lab-samples-1\", \"by\": \"{}\"}}", "x".repeat(REQUEST_MAX));
+        let said = read::<OnWord>(ApiCall::Cancel, long.as_bytes()).map(drop).unwrap_err();
+        assert_eq!(said, format!("the request has {} bytes, where {REQUEST_MAX} are allowed", long.len()));
     }
 
     #[test]

@@ -25,6 +25,7 @@ pub mod store;
 mod tasks;
 pub mod timing;
 pub mod trust;
+pub mod untrusted;
 pub mod views;
 
 pub use calls::help as api_help;

@@ -2,7 +2,8 @@
 //!
 //! Every message has a size limit ([`LIMIT`]), which also bounds what decoding may allocate (16 times that), and must be used
 //! up exactly. Wire types are not recursive and skip no field: bincode does not describe itself. What a node stores for
-//! itself (snapshots, log entries) has the same layout and a larger limit ([`RECORD_LIMIT`]).
+//! itself (snapshots, log entries) has the same layout and a larger limit ([`RECORD_LIMIT`]); decoding one, too, may allocate
+//! only in proportion to its length, since snapshots come from others.
 
 use bincode::config::{self, Config};
 use serde::Serialize;
@@ -81,7 +82,19 @@ pub fn encode_record<T: Serialize>(record: &T) -> Result<Vec<u8>, CodecError> {
 /// # Errors
 /// As [`decode`], beyond [`RECORD_LIMIT`].
 pub fn decode_record<T: DeserializeOwned>(bytes: &[u8]) -> Result<T, CodecError> {
-    decode_within(bytes, RECORD_LIMIT, config::standard().with_limit::<{ RECORD_LIMIT.saturating_mul(WIDENING) }>())
+    // bincode's limit is a constant: the least of four that is enough for so many bytes.
+    const SOME: usize = 1 << 20;
+    const MANY: usize = 16 << 20;
+    match bytes.len() {
+        ..=LIMIT => decode_within(bytes, RECORD_LIMIT, config::standard().with_limit::<{ LIMIT * WIDENING }>()),
+        ..=SOME => decode_within(bytes, RECORD_LIMIT, config::standard().with_limit::<{ SOME * WIDENING }>()),
+        ..=MANY => decode_within(bytes, RECORD_LIMIT, config::standard().with_limit::<{ MANY * WIDENING }>()),
+        _ => decode_within(
+            bytes,
+            RECORD_LIMIT,
+            config::standard().with_limit::<{ RECORD_LIMIT.saturating_mul(WIDENING) }>(),
+        ),
+    }
 }
 
 fn encode_within<T: Serialize>(value: &T, limit: usize) -> Result<Vec<u8>, CodecError> {
@@ -136,6 +149,19 @@ mod tests {
         let bytes = [VERSION, 253, 0, 0, 0, 0, 0, 0, 0, 16];
         assert!(matches!(decode::<String>(&bytes), Err(CodecError::Malformed(_))));
         assert!(matches!(decode::<Vec<u64>>(&bytes), Err(CodecError::Malformed(_))));
+    }
+
+    #[test]
+    fn a_short_record_that_lies_takes_no_more_memory_than_a_message() {
+        // A text said to be 2 MiB long, and one said to be 1 GiB long: neither is looked for.
+        for lie in [2_u64 << 20, 1 << 30] {
+            let mut bytes = vec![VERSION, 253];
+            bytes.extend(lie.to_le_bytes());
+            let problem = decode_record::<String>(&bytes).unwrap_err().to_string();
+            assert!(problem.contains("LimitExceeded"), "{problem}");
+        }
+        let long = vec!["a".to_owned(); 2 << 20];
+        assert_eq!(decode_record::<Vec<String>>(&encode_record(&long).unwrap()).unwrap(), long);
     }
 
     #[test]

@@ -9,3 +9,4 @@ pub mod descriptor;
 pub mod environment;
 pub mod library;
 pub mod skill;
+pub mod xml;

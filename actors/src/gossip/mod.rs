@@ -65,11 +65,13 @@
 mod actor;
 mod exchange;
 mod gossiper;
+mod listener;
 mod memory;
 mod settings;
 mod shared;
 mod swim;
 
 pub use actor::{Gossip, GossipHandle, Start, Stopped};
+pub use listener::{Listener, Said};
 pub use settings::Settings;
 pub use shared::{Counters, SharedKnowledge, Status};

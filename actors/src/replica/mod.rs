@@ -30,6 +30,7 @@ mod errors;
 mod gather;
 mod journal;
 mod network;
+pub(crate) mod overheard;
 #[expect(clippy::module_inception, reason = "a module's main type has a file of its own, as elsewhere")]
 mod replica;
 mod runtime;

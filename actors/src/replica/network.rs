@@ -98,6 +98,11 @@ pub(super) enum Answer<A> {
     Mismatch(SnapshotMismatch),
 }
 
+/// Reads what a voter answered.
+pub(super) fn read_answer<A: DeserializeOwned>(bytes: &[u8]) -> Result<Answer<A>, CodecError> {
+    codec::decode(bytes)
+}
+
 /// When we sent what each voter answered last: the same measure as the age of the majority's acknowledgement.
 #[derive(Debug, Default)]
 pub(super) struct Heard(Mutex<BTreeMap<RaftId, Instant>>);
@@ -272,7 +277,7 @@ impl Line {
             return Err(if silent { Trouble::Silent(limit) } else { Trouble::Unserved(self.target) });
         };
         let answer = reply.payload.map_err(Trouble::Refused)?;
-        let answer = codec::decode(&answer).map_err(Trouble::Garbled)?;
+        let answer = read_answer(&answer).map_err(Trouble::Garbled)?;
         self.board.heard.note(self.target, asked_at);
         Ok(answer)
     }

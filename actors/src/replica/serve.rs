@@ -6,7 +6,7 @@ use super::network::{Answer, Beat};
 use super::succession::{self, Succession};
 use super::types::{Raft, RaftId, StateMachine, Types, Vote};
 use crate::bus::{BusError, Encoding, Query, Stream};
-use consort_protocol::codec;
+use consort_protocol::codec::{self, CodecError};
 use consort_protocol::ids::ClusterId;
 use consort_protocol::keys::{Key, Keys, RaftCall};
 use futures::StreamExt as _;
@@ -165,7 +165,7 @@ impl<S: StateMachine> Service<S> {
     }
 
     fn read_from<T: DeserializeOwned>(&self, query: &Query) -> Result<(Option<ClusterId>, T), String> {
-        let (asker, question): (Option<ClusterId>, T) = codec::decode(&query.payload).map_err(in_words)?;
+        let (asker, question) = read_question(&query.payload).map_err(in_words)?;
         let own = self.cluster.borrow().or_else(|| self.followed.get().copied());
         match (asker, own) {
             (Some(asker), Some(own)) if asker != own => {
@@ -181,6 +181,11 @@ impl<S: StateMachine> Service<S> {
         let knows_enough = asker.last >= self.raft.data_metrics().borrow().last_log;
         written(&Answer::Done(hears_none && knows_enough))
     }
+}
+
+/// Reads what a voter asks, and to which founding of the ledger it belongs.
+pub(super) fn read_question<T: DeserializeOwned>(bytes: &[u8]) -> Result<(Option<ClusterId>, T), CodecError> {
+    codec::decode(bytes)
 }
 
 async fn refuse(query: &Query, reason: &str, refused: &AtomicU64) -> Result<(), BusError> {

@@ -90,8 +90,9 @@ fn shown(log_id: Option<&LogId>) -> String {
 fn check_continuity<S: StateMachine>(log: &Log<S>) -> std::io::Result<()> {
     let mut last = log.purged;
     for (index, Held { entry, .. }) in &log.entries {
-        let expected = last.map_or(0, |last| last.index + 1);
-        if *index != expected || entry.log_id.index != expected || last >= Some(entry.log_id) {
+        // None after the last index of all.
+        let expected = last.map_or(Some(0), |last| last.index.checked_add(1));
+        if Some(*index) != expected || entry.log_id.index != *index || last >= Some(entry.log_id) {
             let (found, last) = (epoch_of(&entry.log_id), shown(last.as_ref()));
             return Err(unsound(format!("its log has entry {found} at place {index}, right after {last}")));
         }

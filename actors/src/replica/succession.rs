@@ -48,7 +48,7 @@ pub(super) struct Succession {
 impl Succession {
     /// The vote that it gives to the successor.
     pub(super) fn gives(&self) -> Vote {
-        Vote::new(self.ends.leader_id().term + 1, self.successor)
+        Vote::new(self.ends.leader_id().term.saturating_add(1), self.successor)
     }
 }
 

@@ -12,6 +12,9 @@ use toml::de::{DeTable, DeValue, Deserializer};
 /// Largest configuration file in bytes. A world of thousands of robots fits.
 const BYTES_MAX: u64 = 4 << 20;
 
+/// Most mistakes that are told of at once. For each the file is read anew.
+const PROBLEMS_MAX: usize = 50;
+
 /// A kind of configuration file.
 pub trait ConfigFile: DeserializeOwned + Serialize {
     /// What it describes, in a word: `fleet`, `robot`.
@@ -69,7 +72,7 @@ pub fn from_text<C: ConfigFile>(text: &str, file: &str) -> Result<C, Problems> {
             problems.push(Problem { file: file.to_owned(), at: place(error.span()), what });
         }
         // Once a mistake has been told of, the rest of the file is read without it.
-        if !error.span().is_some_and(|span| remove(table.get_mut(), &span)) {
+        if problems.len() >= PROBLEMS_MAX || !error.span().is_some_and(|span| remove(table.get_mut(), &span)) {
             break None;
         }
     };

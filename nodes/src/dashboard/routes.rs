@@ -89,7 +89,9 @@ async fn follow(
         return problem(StatusCode::SERVICE_UNAVAILABLE, &what);
     };
     let frames = shared.board.frames();
-    upgrade.max_message_size(SAID_MAX).on_upgrade(move |socket| send_frames(socket, shared, guest, frames, place))
+    // Before a frame has come whole, room is made for it.
+    let upgrade = upgrade.max_message_size(SAID_MAX).max_frame_size(SAID_MAX);
+    upgrade.on_upgrade(move |socket| send_frames(socket, shared, guest, frames, place))
 }
 
 /// Sends the whole, then what changes. Whoever is slow misses frames, and gets the whole again. Who was let in by a token follows

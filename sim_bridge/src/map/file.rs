@@ -27,6 +27,8 @@ pub mod limits {
     pub const LIFTS: usize = 1_000;
     /// Bytes that the compressed pages of a drawing may come to, all together.
     pub const INFLATED_BYTES: usize = 32 << 20;
+    /// Nodes of a page of a drawing: elements, and texts between them. Each takes some fifty bytes.
+    pub const XML_NODES: u32 = 1_000_000;
     /// Coordinates and lengths, in metres either way.
     pub const EXTENT_M: f64 = 100_000.0;
 }

@@ -5,9 +5,10 @@ use crate::map::limits;
 use base64::Engine;
 use base64::alphabet::STANDARD;
 use base64::engine::{DecodePaddingMode, GeneralPurpose, GeneralPurposeConfig};
+use consort_skills::xml;
 use flate2::read::DeflateDecoder;
 use percent_encoding::percent_decode;
-use roxmltree::{Document, Node};
+use roxmltree::Node;
 use std::collections::{BTreeMap, BTreeSet};
 use std::io::Read;
 
@@ -56,7 +57,7 @@ pub(super) struct Geometry {
 /// # Errors
 /// A sentence, with line and column where there are such.
 pub(super) fn pages(text: &str, problems: &mut Vec<Problem>) -> Result<Vec<Page>, String> {
-    let document = Document::parse(text).map_err(|error| format!("this is no XML: {error}"))?;
+    let document = xml::parse(text, limits::XML_NODES).map_err(|error| format!("this is no XML: {error}"))?;
     let root = document.root_element();
     let mut left = limits::INFLATED_BYTES;
     match root.tag_name().name() {
@@ -83,7 +84,8 @@ fn diagram_of(name: &str, diagram: Node, left: &mut usize, problems: &mut Vec<Pr
         return Ok(page(name, model, problems));
     }
     let text = inflate(diagram.text().unwrap_or_default(), left)?;
-    let document = Document::parse(&text).map_err(|error| format!("its inflated content is no XML: {error}"))?;
+    let document =
+        xml::parse(&text, limits::XML_NODES).map_err(|error| format!("its inflated content is no XML: {error}"))?;
     let root = document.root_element();
     if !root.has_tag_name("mxGraphModel") {
         let other = root.tag_name().name();

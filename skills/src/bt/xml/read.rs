@@ -6,7 +6,8 @@ use crate::bt::blueprint::{MAX_DEPTH, MAX_NODES};
 use crate::bt::error::{Problem, TreeError};
 use crate::bt::ports::{NodeKind, listed};
 use crate::bt::spec::{NodeSpec, TreeSpec};
-use roxmltree::{Document, Node, ParsingOptions};
+use crate::xml;
+use roxmltree::Node;
 use std::collections::BTreeMap;
 
 /// Largest file read, in bytes.
@@ -35,9 +36,8 @@ pub fn read_xml(source: &str, text: &str) -> Result<TreeSpec, TreeError> {
         return Err(refuse(None, format!("the file has {} bytes; allowed are {MAX_BYTES}", text.len())));
     }
     // Attributes count as no nodes; texts and comments between elements do.
-    let options = ParsingOptions { allow_dtd: false, nodes_limit: (4 * MAX_NODES) as u32, ..ParsingOptions::default() };
-    let document = Document::parse_with_options(text, options)
-        .map_err(|error| refuse(Some(error.pos().row), format!("this is not XML as read here: {error}")))?;
+    let document = xml::parse(text, (4 * MAX_NODES) as u32)
+        .map_err(|error| refuse(Some(error.line()), format!("this is not XML as read here: {error}")))?;
     // Asking the document for each line would search the text anew each time.
     let lines = text.bytes().enumerate().filter(|(_, byte)| *byte == b'\n').map(|(at, _)| at).collect();
     Reader { source, lines }.root(document.root_element())

@@ -1,0 +1,145 @@
+//! XML from others: parsed within bounds, so that what is small to send is not large, or long, to read.
+//!
+//! The parser compares each attribute of an element with all before it, and hands namespaces on to every element within; both
+//! grow with the square of what is written. So both are counted before anything is parsed. Entities are refused with their DTD.
+
+use roxmltree::{Document, ParsingOptions};
+use std::fmt;
+
+/// Most attributes of one element. Nodes of trees and shapes of drawings have a dozen.
+pub const ATTRIBUTES_MAX: usize = 256;
+
+/// Most namespaces that a text declares. Trees and drawings declare none, and editors a few.
+pub const NAMESPACES_MAX: usize = 64;
+
+/// Why a text is not parsed.
+#[derive(Debug, Clone, PartialEq)]
+pub enum XmlError {
+    /// An element has more than [`ATTRIBUTES_MAX`].
+    Attributes {
+        /// The line where it begins, from 1.
+        line: u32,
+    },
+    /// There are more than [`NAMESPACES_MAX`].
+    Namespaces {
+        /// The line of the element with the first too many, from 1.
+        line: u32,
+    },
+    /// It is no XML, or has more nodes than it may.
+    Syntax(roxmltree::Error),
+}
+
+impl XmlError {
+    /// The line that it is about, from 1.
+    pub fn line(&self) -> u32 {
+        match self {
+            XmlError::Attributes { line } | XmlError::Namespaces { line } => *line,
+            XmlError::Syntax(error) => error.pos().row,
+        }
+    }
+}
+
+impl fmt::Display for XmlError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            XmlError::Attributes { line } => {
+                write!(f, "the element in line {line} has more than the {ATTRIBUTES_MAX} attributes allowed")
+            }
+            XmlError::Namespaces { line } => {
+                write!(f, "up to line {line} more than the {NAMESPACES_MAX} namespaces allowed are declared")
+            }
+            XmlError::Syntax(error) => error.fmt(f),
+        }
+    }
+}
+
+impl std::error::Error for XmlError {}
+
+/// Parses a text of at most so many nodes: elements, and texts and comments between them. A DTD is refused.
+///
+/// # Errors
+/// [`XmlError`] with the line.
+pub fn parse(text: &str, nodes_max: u32) -> Result<Document<'_>, XmlError> {
+    count(text)?;
+    let options = ParsingOptions { allow_dtd: false, nodes_limit: nodes_max, ..ParsingOptions::default() };
+    Document::parse_with_options(text, options).map_err(XmlError::Syntax)
+}
+
+/// Looks at tags alone. Where the text is no XML, this may see others than the parser, which gets no further than there.
+fn count(text: &str) -> Result<(), XmlError> {
+    let mut rest = text;
+    let line_at = |rest: &str| {
+        let before = &text.as_bytes()[..text.len() - rest.len()];
+        u32::try_from(before.iter().filter(|byte| **byte == b'\n').count()).unwrap_or(u32::MAX).saturating_add(1)
+    };
+    let mut namespaces = 0;
+    while let Some(begin) = rest.find('<') {
+        let tag = &rest[begin..];
+        let plain = [("<!--", "-->"), ("<![CDATA[", "]]>"), ("<?", "?>")];
+        if let Some((open, close)) = plain.into_iter().find(|(open, _)| tag.starts_with(open)) {
+            let Some(end) = tag[open.len()..].find(close) else { return Ok(()) };
+            rest = &tag[open.len() + end + close.len()..];
+            continue;
+        }
+        let (mut quote, mut attributes, mut length) = (None, 0, tag.len());
+        for (at, byte) in tag.bytes().enumerate() {
+            match (quote, byte) {
+                (Some(open), _) if byte == open => quote = None,
+                (Some(_), _) => {}
+                (None, b'"' | b'\'') => quote = Some(byte),
+                (None, b'=') => attributes += 1,
+                (None, b'x') if tag.as_bytes()[at..].starts_with(b"xmlns") => namespaces += 1,
+                (None, b'>') => {
+                    length = at + 1;
+                    break;
+                }
+                (None, _) => {}
+            }
+            if attributes > ATTRIBUTES_MAX {
+                return Err(XmlError::Attributes { line: line_at(tag) });
+            }
+        }
+        if namespaces > NAMESPACES_MAX {
+            return Err(XmlError::Namespaces { line: line_at(tag) });
+        }
+        rest = &tag[length..];
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn with(attributes: usize) -> String {
+        let attributes: String = (0..attributes).map(|nth| format!(" a{nth}='=>x'")).collect();
+        format!("<?xml version='1.0'?>\n<!-- <a b='1' -->\n<a><b{attributes}/><![CDATA[ <c d= ]]></a>")
+    }
+
+    #[test]
+    fn attributes_are_counted_element_by_element() {
+        let text = with(ATTRIBUTES_MAX);
+        assert_eq!(parse(&text, 10).unwrap().root_element().first_element_child().unwrap().attributes().len(), 256);
+        let text = with(ATTRIBUTES_MAX + 1);
+        let why = parse(&text, 10).unwrap_err();
+        assert_eq!(why.to_string(), "the element in line 3 has more than the 256 attributes allowed");
+        assert_eq!(why.line(), 3);
+    }
+
+    #[test]
+    fn namespaces_are_counted_over_the_whole_text() {
+        let of = |count: usize| {
+            let open: String = (0..count).map(|nth| format!("<a xmlns:n{nth}='u{nth}' b='xmlns'>\n")).collect();
+            format!("{open}{}", "</a>".repeat(count))
+        };
+        assert!(parse(&of(NAMESPACES_MAX), 1000).is_ok());
+        assert_eq!(parse(&of(NAMESPACES_MAX + 1), 1000), Err(XmlError::Namespaces { line: 65 }));
+    }
+
+    #[test]
+    fn nodes_are_counted_by_the_parser_and_a_dtd_is_refused() {
+        assert!(parse("<a><b/></a>", 3).is_ok());
+        assert_eq!(parse("<a><b/></a>", 2).unwrap_err().to_string(), "nodes limit reached");
+        assert!(parse("<!DOCTYPE a [<!ENTITY b 'c'>]><a>&b;</a>", 9).unwrap_err().to_string().contains("DTD"));
+    }
+}

@@ -1,0 +1,35 @@
+#!/usr/bin/env bash
+# Fuzzes targets, one after the other, each for so many seconds:
+#   tests/fuzz/run.sh [SECONDS [TARGET…]]          default: 60 seconds, all targets
+# It needs a nightly toolchain and cargo-fuzz (`cargo install cargo-fuzz --locked`). What libFuzzer finds on its way is kept in
+# tests/fuzz/target/corpus/, failures in tests/fuzz/artifacts/; a failure that was mended goes into tests/fuzz/corpus/TARGET/.
+# No sanitizer: nothing here is unsafe code of ours, and with one everything has to be built once more.
+set -euo pipefail
+cd "$(dirname "$0")/../.."
+
+seconds="${1:-60}"
+[ $# -gt 0 ] && shift
+fuzz=tests/fuzz
+target="${CARGO_TARGET_DIR:-$PWD/$fuzz/target}"
+if [ $# -gt 0 ]; then targets=("$@"); else targets=($(cd $fuzz/fuzz_targets && printf '%s\n' *.rs | sed 's/\.rs$//')); fi
+
+# What the property run begins with, libFuzzer begins with.
+CONSORT_UNTRUSTED_SEEDS="$target/seeds" CONSORT_UNTRUSTED_CASES=0 cargo test --workspace --locked --test untrusted >/dev/null
+
+CARGO_TARGET_DIR="$target" cargo +nightly fuzz build --fuzz-dir $fuzz --sanitizer none --codegen-units 16
+
+failed=()
+for name in "${targets[@]}"; do
+    mkdir -p "$target/corpus/$name" "$fuzz/corpus/$name" "$target/seeds/$name" "$fuzz/artifacts/$name"
+    # As much time as an input may take in the property run, and more memory than any may.
+    if nice -n 10 "$target/x86_64-unknown-linux-gnu/release/$name" -max_total_time="$seconds" -timeout=10 -rss_limit_mb=2048 \
+        -max_len=65536 -print_final_stats=1 -artifact_prefix="$fuzz/artifacts/$name/" \
+        "$target/corpus/$name" "$target/seeds/$name" "$fuzz/corpus/$name" >"$target/$name.log" 2>&1; then
+        echo "$name: $(grep -c . "$target/$name.log" >/dev/null; grep -o 'number_of_executed_units: .*\|new_units_added: .*' "$target/$name.log" | tr '\n' ' ')"
+    else
+        echo "$name: FAILED, see $target/$name.log"
+        failed+=("$name")
+    fi
+done
+rmdir --ignore-fail-on-non-empty $fuzz/corpus/* $fuzz/artifacts/* $fuzz/artifacts 2>/dev/null || true
+[ ${#failed[@]} -eq 0 ]

@@ -1,0 +1,149 @@
+//! Whatever comes from others is read or refused: soon, in little memory, on a worker's stack, and never with a panic.
+//!
+//! Each [target](targets) is given its seeds, the inputs kept in `tests/fuzz/corpus/` (each was a failure once, or is a known trick),
+//! and seeded changes of both. `CONSORT_UNTRUSTED_CASES` says how many changes, `CONSORT_UNTRUSTED_SEED` which;
+//! `CONSORT_UNTRUSTED_SEEDS=DIR` has the seeds written to a folder for each target, for `tests/fuzz/run.sh` to begin with.
+
+mod mutate;
+mod regressions;
+mod seeds;
+mod targets;
+
+use mutate::Mutator;
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::sync::{Mutex, PoisonError};
+use std::thread;
+use std::time::{Duration, Instant};
+use targets::Target;
+
+/// What tokio gives its workers, which read what comes in.
+const STACK: usize = 2 << 20;
+
+/// How long one input may take, tests not being optimised.
+const SOON: Duration = Duration::from_secs(10);
+
+/// How much more memory than before a target may have in use at any time, in bytes: the largest input that is taken is some
+/// megabytes, and may be that much more when it is read.
+const MEMORY: u64 = 512 << 20;
+
+/// Changed inputs for each target, unless told otherwise.
+const CASES: u64 = 1000;
+
+macro_rules! tried {
+    ($($name:ident)*) => {
+        const TRIED: &[&str] = &[$(stringify!($name)),*];
+        $(#[test] fn $name() { try_out(stringify!($name)); })*
+    };
+}
+
+tried! {
+    wire seal certificate pem names gossip raft award notebook ledger store request mission_yaml mission_json ihtn map_yaml
+    map_json drawing building tree condition feature config design calibration tables recording picture dashboard
+}
+
+#[test]
+fn every_target_is_tried_and_can_be_fuzzed() {
+    let names: Vec<&str> = targets::ALL.iter().map(|target| target.name).collect();
+    assert_eq!(TRIED, names);
+    let manifest = fs::read_to_string(fuzz().join("Cargo.toml")).expect("the fuzz crate");
+    for name in names {
+        assert!(manifest.contains(&format!("name = \"{name}\"")), "{name} is no fuzz target");
+        let program = fs::read_to_string(fuzz().join(format!("fuzz_targets/{name}.rs"))).expect("its program");
+        assert!(program.contains(&format!("hit(\"{name}\"")), "{name}: {program}");
+    }
+}
+
+fn target(name: &str) -> &'static Target {
+    targets::ALL.iter().find(|target| target.name == name).expect("a target of that name")
+}
+
+fn fuzz() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("../tests/fuzz")
+}
+
+/// Inputs that are kept.
+fn kept(name: &str) -> Vec<Vec<u8>> {
+    let Ok(folder) = fs::read_dir(fuzz().join("corpus").join(name)) else { return vec![] };
+    let mut files: Vec<PathBuf> = folder.map(|file| file.expect("a file").path()).collect();
+    files.sort();
+    files.iter().map(|file| fs::read(file).expect("a kept input")).collect()
+}
+
+fn number(variable: &str, otherwise: u64) -> u64 {
+    match std::env::var(variable) {
+        Ok(text) => text.parse().unwrap_or_else(|_| panic!("{variable} is {text:?}; allowed is a number")),
+        Err(_) => otherwise,
+    }
+}
+
+fn try_out(name: &str) {
+    let target = target(name);
+    let seeds = seeds::of(name);
+    if let Ok(folder) = std::env::var("CONSORT_UNTRUSTED_SEEDS") {
+        let folder = Path::new(&folder).join(name);
+        fs::create_dir_all(&folder).expect("a folder");
+        for (nth, seed) in seeds.iter().enumerate() {
+            fs::write(folder.join(format!("seed-{nth}")), seed).expect("a file");
+        }
+    }
+    let kept = kept(name);
+    let (cases, seed) = (number("CONSORT_UNTRUSTED_CASES", CASES), number("CONSORT_UNTRUSTED_SEED", 1));
+    let trial = Trial { target, last: Mutex::default() };
+    let before = peak();
+    let tried = thread::scope(|scope| {
+        let all = || {
+            for (nth, seed) in seeds.iter().enumerate() {
+                assert!(trial.case(seed), "nothing of seed {nth} could be read: what is it good for?");
+            }
+            for input in &kept {
+                trial.case(input);
+            }
+            let mut mutator = Mutator::new(name, seed, seeds.iter().chain(&kept));
+            for _ in 0..cases {
+                trial.case(&mutator.next());
+            }
+        };
+        thread::Builder::new()
+            .stack_size(STACK)
+            .name(name.to_owned())
+            .spawn_scoped(scope, all)
+            .expect("a thread")
+            .join()
+    });
+    if tried.is_err() {
+        let input = trial.last.lock().unwrap_or_else(PoisonError::into_inner);
+        let file = Path::new(env!("CARGO_TARGET_TMPDIR")).join(format!("untrusted-{name}"));
+        fs::write(&file, &*input).expect("a file");
+        let words = String::from_utf8_lossy(&input[..input.len().min(400)]).into_owned();
+        panic!("{name}: see above; the input, {} bytes, is in {}: {words:?}", input.len(), file.display());
+    }
+    let grown = peak().saturating_sub(before);
+    assert!(grown <= MEMORY, "{name} took {} MiB of memory, where {} are allowed", grown >> 20, MEMORY >> 20);
+}
+
+struct Trial {
+    target: &'static Target,
+    /// What is being read.
+    last: Mutex<Vec<u8>>,
+}
+
+impl Trial {
+    /// Reads one input; whether anything of it made sense.
+    fn case(&self, input: &[u8]) -> bool {
+        input.clone_into(&mut self.last.lock().unwrap_or_else(PoisonError::into_inner));
+        let began = Instant::now();
+        let read = (self.target.hit)(input);
+        let took = began.elapsed();
+        assert!(took < SOON, "it took {took:?}, where {SOON:?} are allowed");
+        read
+    }
+}
+
+/// The most memory that this process has had in use, in bytes; nothing where the system does not tell.
+fn peak() -> u64 {
+    let status = fs::read_to_string("/proc/self/status").unwrap_or_default();
+    let line = status.lines().find_map(|line| line.strip_prefix("VmHWM:"));
+    let kibibytes = line.and_then(|line| line.trim().strip_suffix(" kB")?.trim().parse::<u64>().ok());
+    kibibytes.unwrap_or(0) * 1024
+}

@@ -1,0 +1,109 @@
+//! What was found once, each by its name. What is small is kept in `tests/fuzz/corpus/` too.
+
+use super::{SOON, STACK};
+use consort_nodes::address::Taken;
+use consort_nodes::config::{FleetConfig, Problems, WorldConfig, from_text};
+use consort_nodes::dashboard::{Board, Dashboard};
+use consort_nodes::picture::{FloorPlan, Picture};
+use consort_sim::map;
+use consort_skills::bt::xml::read_xml;
+use std::io::{Read, Write};
+use std::net::{SocketAddr, TcpStream};
+use std::sync::Arc;
+use std::thread;
+use std::time::{Duration, Instant};
+
+/// Has something read on a worker's stack, and sees that it takes no longer than it may.
+#[track_caller]
+fn soon<T: Send>(read: impl FnOnce() -> T + Send) -> T {
+    let began = Instant::now();
+    let done = thread::scope(|scope| {
+        let reading = thread::Builder::new().stack_size(STACK).spawn_scoped(scope, read);
+        reading.expect("a thread").join().expect("no panic")
+    });
+    assert!(began.elapsed() < SOON, "it took {:?}", began.elapsed());
+    done
+}
+
+fn attributes(count: usize) -> String {
+    (0..count).map(|nth| format!(" a{nth:x}=\"\"")).collect()
+}
+
+#[test]
+fn a_drawing_with_an_element_of_many_attributes() {
+    let text = format!("<mxGraphModel>\n<root{}/></mxGraphModel>", attributes(400_000));
+    let why = soon(|| map::read(&text, "a.drawio")).unwrap_err().to_string();
+    assert!(why.contains("the element in line 2 has more than the 256 attributes allowed"), "{why}");
+}
+
+#[test]
+fn a_tree_with_an_element_of_many_attributes() {
+    let text = format!("<root BTCPP_format=\"4\">\n<BehaviorTree ID=\"a\"{}/></root>", attributes(100_000));
+    let why = soon(|| read_xml("a.xml", &text)).unwrap_err().to_string();
+    assert!(why.starts_with("a.xml:2: "), "{why}");
+}
+
+#[test]
+fn elements_that_each_declare_a_namespace() {
+    let open: String = (0..5000).map(|nth| format!("<a xmlns:n{nth}=\"u{nth}\">")).collect();
+    let text = format!("<mxGraphModel>{open}{}</mxGraphModel>", "</a>".repeat(5000));
+    let why = soon(|| map::read(&text, "a.drawio")).unwrap_err().to_string();
+    assert!(why.contains("more than the 64 namespaces allowed are declared"), "{why}");
+}
+
+#[test]
+fn a_drawing_of_many_nodes_when_it_is_inflated() {
+    let text = include_str!("../fuzz/corpus/drawing/nodes_that_are_many_when_inflated");
+    let why = soon(|| map::read(text, "a.drawio")).unwrap_err().to_string();
+    assert!(why.contains("nodes limit reached"), "{why}");
+}
+
+#[test]
+fn a_file_of_many_keys_that_nobody_knows() {
+    let text: String = (0..20_000).map(|nth| format!("a{nth} = 1\n")).collect();
+    let Problems(problems) = soon(|| from_text::<FleetConfig>(&text, "a.toml")).unwrap_err();
+    assert_eq!(problems.len(), 50);
+    assert!(problems[0].to_string().starts_with("a.toml:1:1: unknown key `a0` in a fleet file; allowed: name, "));
+}
+
+#[test]
+fn a_file_of_tables_within_tables_without_end() {
+    let deep = "a.".repeat(50_000);
+    for text in [format!("[{deep}a]\n"), format!("{deep}a = 1\n"), format!("a = {}", "{ b = ".repeat(50_000))] {
+        assert!(soon(|| from_text::<WorldConfig>(&text, "a.toml").is_err()));
+    }
+}
+
+/// The dashboard makes room for what a frame says that it has, so it must not believe everything.
+#[test]
+fn a_web_socket_frame_that_says_it_is_large() {
+    let runtime =
+        tokio::runtime::Builder::new_multi_thread().worker_threads(1).enable_all().build().expect("a runtime");
+    let dashboard = runtime.block_on(async {
+        let address = Taken::take("--dashboard", SocketAddr::from(([127, 0, 0, 1], 0))).await.expect("a free port");
+        let picture = Picture::new("ward", "ada", FloorPlan::default(), 1000);
+        Dashboard::show(address, Arc::new(Board::new(picture, consort_actors::clock::Clock::real())))
+    });
+    let address = dashboard.address();
+    let mut stream = TcpStream::connect(address).expect("the dashboard takes connections");
+    stream.set_read_timeout(Some(Duration::from_secs(20))).expect("a socket");
+    let hello = format!(
+        "GET /ws HTTP/1.1\r\nhost: {address}\r\nconnection: upgrade\r\nupgrade: websocket\r\nsec-websocket-version: 13\r\n\
+         sec-websocket-key: dGhlIHNhbXBsZSBub25jZQ==\r\n\r\n"
+    );
+    stream.write_all(hello.as_bytes()).expect("a connection");
+    let mut head = [0; 12];
+    stream.read_exact(&mut head).expect("an answer");
+    assert_eq!(&head, b"HTTP/1.1 101");
+    // A binary frame, masked, of a megabyte, of which nothing comes.
+    let mut frame = vec![0x82, 0x80 | 127];
+    frame.extend((1_u64 << 20).to_be_bytes());
+    frame.extend([0; 4]);
+    stream.write_all(&frame).expect("a connection");
+    // It hangs up; until then it tells of the fleet.
+    let began = Instant::now();
+    let mut heard = [0; 4096];
+    while stream.read(&mut heard).expect("it hangs up before long") > 0 {
+        assert!(began.elapsed() < SOON, "it still waits for the rest of the frame");
+    }
+}

@@ -1,0 +1,144 @@
+//! A fleet with a mission: what is written of it, and what is seen.
+
+use super::spoken::{body_state, frame};
+use consort_nodes::floor;
+use consort_nodes::picture::{FloorPlan, Heard, Picture};
+use consort_nodes::recording::Tape;
+use consort_protocol::event::Event;
+use consort_protocol::keys::Key;
+use consort_protocol::ledger::Submission;
+use consort_protocol::message::Beacon;
+use consort_protocol::mission::{Domain, Format, MissionTemplate, shipped};
+use consort_protocol::plan::divide_and_check;
+use consort_sim::record::foxglove::Existing;
+use consort_tests::chaos::{Cast, Kind, generate};
+use serde_json::{Value, json};
+use std::collections::BTreeMap;
+use std::path::Path;
+
+/// Missions that are shipped, small ones and one with all that a mission may have.
+pub(super) const TEMPLATES: [&str; 3] = ["lab-samples", "vital-signs", "bed-transfer"];
+
+/// A mission as a client sends it.
+pub(super) fn template(name: &str) -> Value {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("../protocol/missions/{name}.yaml"));
+    let text = std::fs::read_to_string(path).expect("it is shipped");
+    MissionTemplate::request(&text, Format::Yaml).expect("it is shipped")
+}
+
+/// A mission as it is committed.
+pub(super) fn submission() -> Submission {
+    let template = &shipped()["lab-samples"];
+    let given = BTreeMap::from([("room".to_owned(), "IC Room 6".to_owned())]);
+    let mission = template.instantiate(&given, &Domain::hospital()).expect("it is shipped");
+    let division = divide_and_check(&mission).expect("it is shipped");
+    Submission::of("my-7".parse().expect("a slug"), mission, division)
+}
+
+/// A map of our own form in JSON.
+pub(super) fn map_in_json() -> Vec<u8> {
+    let map = json!({
+        "name": "hall",
+        "levels": [{ "name": "ground" }, { "name": "first", "elevation_m": 4.0, "walls": [[[0, 0], [1, 1]]] }],
+        "walls": [[[0, 0], [12, 0]]],
+        "places": [
+            { "name": "Dock", "kind": "dock", "x_m": 6, "y_m": 2.5 },
+            { "name": "Room", "kind": "room", "x_m": 10, "y_m": 5, "yaw_rad": 1.5 },
+            { "name": "Hall", "kind": "corridor", "x_m": 6, "y_m": 3, "level": "first" },
+        ],
+        "lanes": [{ "between": ["Dock", "Room"], "length_m": 5.5, "speed_limit_mps": 0.5, "facing": "backward" }],
+        "doors": [{ "name": "Door", "on": [["Dock", "Room"]], "opening_s": 1, "span": [[8, 3], [8, 4]] }],
+        "lifts": [{ "name": "Lift", "stops": ["Dock", "Hall"], "capacity": 1 }],
+    });
+    map.to_string().into_bytes()
+}
+
+pub(super) fn calibration() -> Vec<u8> {
+    let factor = "count = 12\nmean = 1.41\nsd = 0.35\nupper = 1.92\n";
+    let leg = "[[legs]]\nfrom = \"Dock\"\nto = \"Room\"\nfactor = { count = 12, mean = 1.4, sd = 0.3, upper = 1.9 }\n";
+    format!("quantile = 0.9\n[skills.navigation]\n{factor}[to.\"IC Room 2\"]\n{factor}[from.Dock]\n{factor}{leg}")
+        .into_bytes()
+}
+
+pub(super) fn schedule() -> Vec<u8> {
+    let schedule = generate(1, &Cast::of(6), 4.0, &Kind::FAULTS);
+    serde_json::to_vec(&schedule).expect("a schedule")
+}
+
+fn happened() -> [Value; 5] {
+    let robots = json!({ "r1": "ada" });
+    [
+        json!({ "event": "elected", "term": 2, "voters": ["s-1"] }),
+        json!({ "event": "submitted", "mission": "m-1", "parameters": { "room": "IC Room 6" } }),
+        json!({ "event": "awarded", "mission": "m-1", "holders": robots, "epoch": { "term": 2, "index": 3 }, "after_ms": 31.5 }),
+        json!({ "event": "released", "mission": "m-1", "role": "r1", "cause": "it is lost" }),
+        json!({ "event": "mission", "mission": "m-1", "state": "completed", "submitted_at_ms": 900 }),
+    ]
+}
+
+fn event(sequence: usize, at_ms: u64, what: &Value) -> Value {
+    let mut event = json!({ "node": "s-1", "sequence": sequence, "at_ms": at_ms });
+    event.as_object_mut().expect("an object").extend(what.as_object().expect("an object").clone());
+    event
+}
+
+fn views() -> [(u8, Key, Value); 4] {
+    let map: Value = serde_json::from_slice(&map_in_json()).expect("JSON");
+    let told = floor::read(&map.to_string(), "hall.json").expect("a map").show();
+    let robot = json!({
+        "skills": ["navigation"], "place": "Dock", "pose": { "x_m": 6.0, "y_m": 2.5, "yaw_rad": 0.5 }, "battery": 0.75,
+        "useful_charge": 0.125, "speed": 0.5, "availability": "free",
+    });
+    let node = json!({ "node": "ada", "alive": true, "status": "alive", "age_ms": 20, "robot": robot });
+    let person = json!({ "name": "Nia", "role": "nurse", "place": "Room", "away": false, "samples": ["blood"] });
+    let mission = json!({
+        "mission": "m-1", "state": "running", "done": 1, "steps": 9, "holders": { "r1": "ada" }, "submitted_at_ms": 900,
+        "parameters": {},
+    });
+    [
+        (6, Key::ViewFleet, json!({ "age_ms": 5, "nodes": [node], "ensembles": [] })),
+        (6 + 8 * 2, Key::ViewMissions, json!({ "age_ms": 5, "missions": [mission] })),
+        (6 + 8 * 4, Key::ViewWorld, json!({ "people": [person], "doors": [{ "name": "Door", "state": "open" }] })),
+        (6 + 8 * 6, Key::ViewMap, told),
+    ]
+}
+
+/// What somebody hears who shows a fleet.
+pub(super) fn heard() -> Vec<u8> {
+    let beacon = json!({ "node": "s-1", "term": 2, "voters": ["s-1"], "since_ms": 40, "cluster": null });
+    let views = views().map(|(kind, _, view)| frame(kind, view.to_string().as_bytes()));
+    let events =
+        (1..).zip(happened()).map(|(sequence, what)| frame(0, event(sequence, 1000, &what).to_string().as_bytes()));
+    let mut all =
+        vec![frame(4, b"two"), frame(5, beacon.to_string().as_bytes()), frame(2, &body_state()), frame(83, &[])];
+    all.extend(events);
+    all.extend(views);
+    all.concat()
+}
+
+/// A recording of some seconds.
+pub(super) fn recording() -> Vec<u8> {
+    let began_ms = 1_795_000_000_000;
+    let file = std::env::temp_dir().join(format!("consort-untrusted-seed-{}.mcap", std::process::id()));
+    let fleet = "ward".parse().expect("a slug");
+    let mut tape = Tape::create(&file, Existing::Replace, &fleet, "s-1", began_ms).expect("a file");
+    let mut picture = Picture::new("ward", "s-1", FloorPlan::default(), began_ms);
+    let node: consort_protocol::ids::NodeId = "s-1".parse().expect("a slug");
+    let beacon = Beacon { node: node.clone(), term: 2, voters: [node].into(), since_ms: 40, cluster: None };
+    let mut all = vec![Heard::Beacon(beacon), Heard::Links(2)];
+    all.extend(views().map(|(_, key, view)| Heard::View { key, view }));
+    for (sequence, what) in (1..).zip(happened()) {
+        let event: Event = serde_json::from_value(event(sequence, began_ms, &what)).expect("an event");
+        all.push(Heard::Event(Box::new(event)));
+    }
+    all.extend(views().map(|(_, key, view)| Heard::View { key, view }));
+    for (now_ms, heard) in (began_ms..).step_by(300).zip(all) {
+        picture.take(&heard, now_ms);
+        tape.take(&heard, &picture, now_ms).expect("a file");
+        tape.pass(now_ms).expect("a file");
+    }
+    tape.end().expect("a file");
+    let bytes = std::fs::read(&file).expect("the same file");
+    std::fs::remove_file(file).expect("the same file");
+    bytes
+}

@@ -1,0 +1,52 @@
+//! What voters agree upon.
+
+use super::frames::frames;
+use consort_protocol::codec;
+use consort_protocol::lease::Epoch;
+use consort_protocol::ledger::{Command, Ledger, Outcome};
+
+/// Whatever is committed, the ledger goes on: what it refuses changes nothing, and what it holds can be looked at, written down
+/// and read back.
+pub(super) fn ledger(bytes: &[u8]) -> bool {
+    let (mut ledger, mut applied) = (Ledger::default(), 0);
+    for (index, (_, piece)) in (1..).zip(frames(bytes).take(40)) {
+        let Ok(command) = codec::decode::<Command>(piece) else { continue };
+        let before = written(&ledger);
+        let outcome = ledger.apply(Epoch { term: 1, index }, command);
+        if let Outcome::Refused(refused) = &outcome {
+            assert!(written(&ledger) == before, "a refused command has changed the ledger: {refused}");
+        } else {
+            applied += 1;
+        }
+        codec::encode(&outcome).expect("an outcome fits a message");
+        look(&ledger);
+    }
+    let whole = written(&ledger);
+    let again: Ledger = codec::decode_record(&whole).expect("what was written can be read");
+    assert!(written(&again) == whole, "it reads back as something else");
+    applied > 0
+}
+
+fn written(ledger: &Ledger) -> Vec<u8> {
+    codec::encode_record(ledger).expect("a small ledger")
+}
+
+fn look(ledger: &Ledger) {
+    ledger.stranded().for_each(drop);
+    for entry in ledger.live() {
+        entry.rank();
+    }
+    for entry in ledger.missions() {
+        entry.custody();
+        entry.holders();
+        entry.progress();
+        entry.open_roles();
+        entry.state.word();
+        for (role, holding) in entry.holdings() {
+            entry.told(&role);
+            entry.plan(&role);
+            entry.excluded(&role);
+            ledger.held_by(&holding.robot);
+        }
+    }
+}

@@ -1,0 +1,67 @@
+//! Maps of all forms.
+
+use super::frames::text;
+use consort_nodes::floor;
+use consort_sim::map::{self, Map, MapError, MapFile, Options, show};
+
+/// A map that was taken is sound, can be told and drawn, and reads back the same.
+fn sound(file: &MapFile, name: &str) -> bool {
+    let sound = match file.clone().check(name) {
+        Ok(sound) => sound,
+        Err(problem) => {
+            named(&problem, name);
+            return false;
+        }
+    };
+    let json = serde_json::to_string(file).expect("numbers that a sound map has");
+    let again = map::read(&json, "again.json").expect("what was written can be read");
+    assert_eq!(again, sound, "it reads back as something else");
+    Map::told(&sound.show(), "view/map").expect("what is told can be read");
+    sound.topology();
+    if sound.places().len() <= 100 {
+        show::svg(&sound, &[]);
+    }
+    true
+}
+
+fn named(problem: &MapError, name: &str) {
+    assert!(problem.to_string().contains(name), "it does not say which file: {problem}");
+}
+
+fn read(bytes: &[u8], name: &str) -> bool {
+    let Some(text) = text(bytes) else { return false };
+    match map::open(text, name, &Options::default()) {
+        Ok(drawing) => sound(&drawing.map, name),
+        Err(problem) => {
+            named(&problem, name);
+            false
+        }
+    }
+}
+
+pub(super) fn yaml(bytes: &[u8]) -> bool {
+    read(bytes, "a.yaml")
+}
+
+pub(super) fn json(bytes: &[u8]) -> bool {
+    let read = read(bytes, "a.json");
+    let Some(text) = text(bytes).filter(|text| floor::is_published_form(text)) else { return read };
+    match floor::read(text, "published.json") {
+        Ok(floor) => {
+            floor.show();
+            true
+        }
+        Err(problems) => {
+            assert!(!problems.0.is_empty());
+            read
+        }
+    }
+}
+
+pub(super) fn drawing(bytes: &[u8]) -> bool {
+    read(bytes, "a.drawio")
+}
+
+pub(super) fn building(bytes: &[u8]) -> bool {
+    read(bytes, "a.building.yaml")
+}

@@ -1,0 +1,101 @@
+//! Missions, as files and as clients ask for them.
+
+use super::frames::text;
+use consort_actors::untrusted::{Request, request as asked};
+use consort_protocol::codec;
+use consort_protocol::keys::ApiCall;
+use consort_protocol::mission::{Domain, Format, IhtnReading, Mission, MissionTemplate, TemplateKind, import_ihtn};
+use consort_protocol::plan::{check_division, divide_and_check};
+use std::collections::{BTreeMap, BTreeSet};
+
+/// A mission that was taken is sound, is divided or refused with words, and survives the wire.
+fn sound(mission: &Mission, domain: &Domain) {
+    mission.check(domain).expect("a mission that was taken is sound");
+    match divide_and_check(mission) {
+        Ok(division) => check_division(mission, &division).expect("it was checked"),
+        Err(problem) => assert!(!problem.to_string().is_empty()),
+    }
+    if let Ok(bytes) = codec::encode(mission) {
+        assert_eq!(&codec::decode::<Mission>(&bytes).expect("what was written can be read"), mission);
+    }
+}
+
+fn instantiated(template: &MissionTemplate) {
+    let domain = Domain::hospital();
+    let open = template.parameters().iter().filter(|(_, parameter)| parameter.default.is_none());
+    let value = |kind: TemplateKind| match kind {
+        TemplateKind::Place => "IC Room 6",
+        TemplateKind::Seconds => "1",
+        TemplateKind::Text => "some text",
+    };
+    let given: BTreeMap<String, String> =
+        open.map(|(name, parameter)| (name.clone(), value(parameter.kind).to_owned())).collect();
+    match template.instantiate_both(&given, &domain) {
+        Ok((mission, _)) => sound(&mission, &domain),
+        Err(errors) => assert!(!errors.problems.is_empty()),
+    }
+}
+
+fn read(bytes: &[u8], format: Format) -> bool {
+    let Some(text) = text(bytes) else { return false };
+    match MissionTemplate::parse(text, format) {
+        Ok(template) => {
+            instantiated(&template);
+            let request =
+                MissionTemplate::request(text, format).expect("what can be read can be asked for").to_string();
+            let again = MissionTemplate::parse(&request, Format::Json).expect("what is asked for can be read");
+            assert_eq!((again.name(), again.parameters()), (template.name(), template.parameters()));
+            true
+        }
+        Err(problem) => {
+            assert!(!problem.to_string().is_empty());
+            false
+        }
+    }
+}
+
+pub(super) fn yaml(bytes: &[u8]) -> bool {
+    read(bytes, Format::Yaml)
+}
+
+pub(super) fn json(bytes: &[u8]) -> bool {
+    read(bytes, Format::Json)
+}
+
+pub(super) fn ihtn(bytes: &[u8]) -> bool {
+    let Some(text) = text(bytes) else { return false };
+    let slug = |text: &str| text.parse().expect("a slug");
+    let reading = IhtnReading {
+        name: "mission".parse().expect("a slug"),
+        unmanaged: BTreeSet::from(["nurse".parse().expect("a slug")]),
+        aliases: BTreeMap::from([("navto".to_owned(), slug("navigation"))]),
+    };
+    let domain = Domain::hospital();
+    match import_ihtn(text, &reading, &domain) {
+        Ok(mission) => {
+            sound(&mission, &domain);
+            true
+        }
+        Err(errors) => {
+            assert!(errors.problems.iter().all(|problem| !problem.path.is_empty()), "where is it wrong?");
+            false
+        }
+    }
+}
+
+/// What a client asks for is carried out or answered with words.
+pub(super) fn request(bytes: &[u8]) -> bool {
+    let mut taken = false;
+    for call in ApiCall::ALL {
+        match asked(*call, bytes) {
+            Ok(Request::Submit(template)) => {
+                instantiated(&template);
+                taken = true;
+            }
+            // These two take nothing, whatever they are given.
+            Ok(Request::Other) => taken |= !matches!(call, ApiCall::List | ApiCall::Help),
+            Err(problem) => assert!(!problem.is_empty()),
+        }
+    }
+    taken
+}

@@ -1,0 +1,163 @@
+//! What a fleet looks like: as it is heard of, as it was recorded, as the dashboard is asked for it.
+
+use super::frames::{frames, text};
+use super::scratch;
+use consort_actors::body::BodyState;
+use consort_actors::clock::Clock;
+use consort_nodes::address::Taken;
+use consort_nodes::dashboard::{Board, Dashboard};
+use consort_nodes::floor::Floor;
+use consort_nodes::picture::{FloorPlan, Heard, Picture, delta};
+use consort_nodes::recording::Reel;
+use consort_protocol::codec;
+use consort_protocol::ids::FleetId;
+use consort_protocol::keys::{Key, Keys};
+use consort_protocol::message::Beacon;
+use serde_json::Value;
+use std::io::{Read, Write};
+use std::net::{Shutdown, SocketAddr, TcpStream};
+use std::sync::{Arc, OnceLock};
+use std::time::Duration;
+use tokio::runtime::Runtime;
+
+/// A recording that is shown shows the same however one comes to an instant of it.
+pub(super) fn recording(bytes: &[u8]) -> bool {
+    let file = scratch::file("a.mcap", bytes);
+    let reel = match Reel::open(&file) {
+        Ok(reel) => reel,
+        Err(problem) => {
+            assert!(problem.to_string().contains("a.mcap"), "{problem}");
+            return false;
+        }
+    };
+    let (from, to) = (reel.from_ms(), reel.to_ms());
+    let middle = from + to.saturating_sub(from) / 2;
+    let mut picture = reel.picture_at(from);
+    let mut taken = 0;
+    for at in [from, middle, to, middle] {
+        taken = reel.bring(&mut picture, taken, at);
+        assert_eq!(picture.value(), reel.picture_at(at).value(), "at {at} ms, of {from} to {to}");
+    }
+    true
+}
+
+/// Whatever is heard, and whenever, what is drawn by changes is what is drawn at once.
+pub(super) fn picture(bytes: &[u8]) -> bool {
+    let keys = Keys::new(&FleetId::new("ward").expect("a slug"));
+    let mut picture = Picture::new("ward", "ada", FloorPlan::default(), 1000);
+    let mut drawn = Value::Null;
+    picture.redraw(&mut drawn);
+    let (mut patched, mut now_ms, mut taken) = (drawn.clone(), 1000u64, 0);
+    for (kind, piece) in frames(bytes).take(60) {
+        let json = || serde_json::from_slice::<Value>(piece).ok();
+        let heard = match kind % 8 {
+            0 => serde_json::from_slice(piece).ok().map(Heard::Event),
+            1 => codec::decode::<Beacon>(piece).ok().map(Heard::Beacon),
+            2 => codec::decode::<BodyState>(piece)
+                .ok()
+                .map(|state| Heard::Body { robot: state.robot.to_string(), telemetry: state.telemetry }),
+            3 => {
+                now_ms = now_ms.saturating_add(1 << (kind / 8));
+                None
+            }
+            4 => Some(Heard::Links(piece.len())),
+            5 => serde_json::from_slice::<Beacon>(piece).ok().map(Heard::Beacon),
+            _ => json().and_then(|view| Some(Heard::View { key: view_key(kind, &keys, &view)?, view })),
+        };
+        if let Some(Heard::View { key: Key::ViewMap, view }) = &heard
+            && let Ok(floor) = Floor::told(view)
+        {
+            floor.show();
+        }
+        let Some(heard) = heard else { continue };
+        picture.take(&heard, now_ms);
+        taken += 1;
+        if let Some(patch) = picture.redraw(&mut drawn) {
+            delta::apply(&mut patched, &patch);
+        }
+        assert_eq!(patched, drawn, "the changes make another picture");
+    }
+    assert_eq!(drawn, picture.value(), "drawn bit by bit it is another picture");
+    taken > 0
+}
+
+/// Of a view: by the key that it names, or else one of those that are asked for.
+fn view_key(kind: u8, keys: &Keys, view: &Value) -> Option<Key> {
+    if let Some(key) = view["key"].as_str() {
+        return keys.read(key);
+    }
+    let all = [
+        Key::ViewFleet,
+        Key::ViewCoordinator,
+        Key::ViewMissions,
+        Key::ViewAuctions,
+        Key::ViewWorld,
+        Key::ViewHealth,
+        Key::ViewMap,
+        Key::ViewEnsembles,
+        Key::ViewMission("m-1".parse().ok()?),
+    ];
+    let place = usize::from(kind / 8) % all.len();
+    all.into_iter().nth(place)
+}
+
+struct Server {
+    _runtime: Runtime,
+    _dashboard: Dashboard,
+    address: SocketAddr,
+}
+
+fn server() -> &'static Server {
+    static SERVER: OnceLock<Server> = OnceLock::new();
+    SERVER.get_or_init(|| {
+        let runtime = tokio::runtime::Builder::new_multi_thread().worker_threads(1).enable_all().build();
+        let runtime = runtime.expect("a runtime");
+        let dashboard = runtime.block_on(async {
+            let picture = Picture::new("ward", "ada", FloorPlan::default(), 1000);
+            let taken = Taken::take("--dashboard", SocketAddr::from(([127, 0, 0, 1], 0))).await.expect("a free port");
+            Dashboard::show(taken, Arc::new(Board::new(picture, Clock::real())))
+        });
+        let address = dashboard.address();
+        Server { _runtime: runtime, _dashboard: dashboard, address }
+    })
+}
+
+/// The first line is what is asked for (`GET /api/events?after=1`), the rest is sent with it. Everything is answered, and
+/// nothing by a mistake of the server's own. Without a space in the first line all of it is sent as it is.
+pub(super) fn dashboard(bytes: &[u8]) -> bool {
+    let address = server().address;
+    let (line, body) = match bytes.iter().position(|byte| *byte == b'\n') {
+        Some(end) => (&bytes[..end], &bytes[end + 1..]),
+        None => (bytes, &b""[..]),
+    };
+    let whole = text(line).filter(|line| line.contains(' ')).map(|line| {
+        let head = format!(
+            "{line} HTTP/1.1\r\nhost: {address}\r\nconnection: close\r\ncontent-type: application/json\r\n\
+             content-length: {}\r\n\r\n",
+            body.len()
+        );
+        [head.as_bytes(), body].concat()
+    });
+    let mut stream = TcpStream::connect(address).expect("the dashboard takes connections");
+    stream.set_read_timeout(Some(Duration::from_secs(5))).expect("a socket");
+    // It may hang up before it was told all.
+    let _ = stream.write_all(whole.as_deref().unwrap_or(bytes));
+    if whole.is_none() {
+        let _ = stream.shutdown(Shutdown::Write);
+    }
+    let mut answer = [0; 12];
+    let answered = stream.read_exact(&mut answer).is_ok();
+    if answered {
+        let status = String::from_utf8_lossy(&answer[9..]).into_owned();
+        assert!(answer.starts_with(b"HTTP/1."), "that is no answer: {answer:?}");
+        assert!(status != "500", "a mistake of the server's own");
+    }
+    let taken = answered && answer[9] == b'2';
+    assert!(answered || whole.is_none() || bytes.is_empty() || is_no_http(line), "it was not answered");
+    taken
+}
+
+/// Whether hyper may hang up on what begins so without a word.
+fn is_no_http(line: &[u8]) -> bool {
+    line.iter().any(|byte| !(0x20..0x7f).contains(byte))
+}
