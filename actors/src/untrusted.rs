@@ -69,6 +69,6 @@ pub fn request(call: ApiCall, payload: &[u8]) -> Result<Request, String> {
         }
         ApiCall::Cancel | ApiCall::Rescued => calls::read::<OnWord>(call, payload).map(|_| Request::Other),
         ApiCall::Get | ApiCall::Explain => calls::read::<Which>(call, payload).map(|_| Request::Other),
-        ApiCall::List | ApiCall::Help => Ok(Request::Other),
+        ApiCall::List | ApiCall::Help | ApiCall::Backup => Ok(Request::Other),
     }
 }

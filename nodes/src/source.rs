@@ -106,7 +106,7 @@ pub struct WorkerEntry {
     pub place: PlaceId,
     /// The task types it has skills for.
     pub skills: BTreeSet<TaskType>,
-    /// Its average speed; none if it does not drive.
+    /// Its average speed in metres per second; none if it does not drive.
     #[serde(default)]
     pub speed_mps: Option<MetresPerSecond>,
     /// Its charge, as a share.
@@ -115,7 +115,7 @@ pub struct WorkerEntry {
     /// Charge that it loses in a second, as a share.
     #[serde(default = "nothing")]
     pub discharge_share_per_s: SharePerSecond,
-    /// Below this charge it is of no use.
+    /// Below this charge it is of no use, as a share.
     #[serde(default = "crate::config::useful_charge")]
     pub useful_charge: BatteryShare,
 }

@@ -4,6 +4,16 @@
 //! up exactly. Wire types are not recursive and skip no field: bincode does not describe itself. What a node stores for
 //! itself (snapshots, log entries) has the same layout and a larger limit ([`RECORD_LIMIT`]); decoding one, too, may allocate
 //! only in proportion to its length, since snapshots come from others.
+//!
+//! ```
+//! use consort_protocol::codec::{self, CodecError};
+//!
+//! let mut bytes = codec::encode(&("IC Room 6", 0.9))?;
+//! assert_eq!(codec::decode::<(String, f64)>(&bytes)?, ("IC Room 6".to_owned(), 0.9));
+//! bytes[0] += 1;
+//! assert!(matches!(codec::decode::<(String, f64)>(&bytes), Err(CodecError::Version { .. })));
+//! # Ok::<(), CodecError>(())
+//! ```
 
 use bincode::config::{self, Config};
 use serde::Serialize;

@@ -256,6 +256,9 @@ impl Ensemble {
 
     /// Whether a node may coordinate the ensemble, by what it says of itself: conditions on the coordinator see it in both
     /// places.
+    ///
+    /// # Errors
+    /// Why not, in words: the first condition that is false, or cannot be evaluated for what the node says.
     pub fn may_coordinate(&self, node: &NodeId, heard: &Heard) -> Result<(), String> {
         let itself = (node, &heard.record.knowledge);
         let facts = self.facts(itself, itself)?;

@@ -3,6 +3,33 @@
 //! Missions and their division into local plans, knowledge and membership, bids and their selection, leases, the
 //! ledger's state machine, the messages between nodes and every key they travel on. Nothing here waits: there is no
 //! async, no clock, no socket and no actor in this crate, so every decision can be called, compared and fuzzed alone.
+//!
+//! From a mission file to what each role does:
+//!
+//! ```
+//! use consort_protocol::mission::{Domain, Format, MissionTemplate};
+//! use consort_protocol::plan::divide_and_check;
+//!
+//! let file = r#"
+//! mission: greet
+//! parameters: { room: { kind: place } }
+//! roles: { r1: { kind: managed }, nurse: { kind: unmanaged } }
+//! root:
+//!   task: greet
+//!   method: sequential
+//!   tasks:
+//!     - { task: go, type: navigation, roles: [r1], parameters: { to: "${room}" } }
+//!     - { task: meet, type: wait, roles: [r1, nurse], parameters: { seconds: "5" } }
+//! "#;
+//! let template = MissionTemplate::parse(file, Format::Yaml)?;
+//! let room = [("room".to_owned(), "IC Room 6".to_owned())].into();
+//! let mission = template.instantiate(&room, &Domain::hospital())?;
+//! let division = divide_and_check(&mission)?;
+//! // Messages between the roles are put in: the nurse is told when the robot has come.
+//! let steps = |role: &str| division.plans.iter().find(|(id, _)| id.as_str() == role).map(|(_, plan)| plan.steps.len());
+//! assert!(steps("r1") > Some(2) && steps("nurse") > Some(1));
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
 
 pub mod auction;
 pub mod codec;

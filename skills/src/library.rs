@@ -1,4 +1,42 @@
 //! The skill library: by task type, the tree that realises it.
+//!
+//! ```
+//! use consort_protocol::ids::TaskType;
+//! use consort_protocol::mission::TaskSpec;
+//! use consort_skills::actions::{Goal, GoalId, GoalStatus, RobotActions, Telemetry};
+//! use consort_skills::environment::Environment;
+//! use consort_skills::library::{SkillContext, SkillLibrary, SkillStatus};
+//!
+//! /// A body that does at once what it is told.
+//! #[derive(Default)]
+//! struct Quick(Vec<Goal>);
+//!
+//! impl RobotActions for Quick {
+//!     fn send_goal(&mut self, goal: Goal) -> GoalId {
+//!         self.0.push(goal);
+//!         GoalId(self.0.len() as u64)
+//!     }
+//!     fn status(&self, _: GoalId) -> Option<GoalStatus> {
+//!         Some(GoalStatus::Succeeded)
+//!     }
+//!     fn cancel(&mut self, _: GoalId) {}
+//!     fn telemetry(&self) -> Option<&Telemetry> {
+//!         None
+//!     }
+//! }
+//!
+//! let library = SkillLibrary::standard(Environment::new());
+//! let mut task = TaskSpec::of(TaskType::new("operate_drawer")?, vec!["r1".parse()?]);
+//! let wrong = library.load(&task, &SkillContext::default()).err().map(|error| error.to_string());
+//! assert!(wrong.is_some_and(|error| error.starts_with("operate_drawer needs the parameter `action`")));
+//!
+//! task.parameters.insert("action".to_owned(), "open".to_owned());
+//! let mut skill = library.load(&task, &SkillContext::default())?;
+//! let mut body = Quick::default();
+//! while skill.tick(&mut body) == SkillStatus::Running {}
+//! assert_eq!(body.0, [Goal::OperateDrawer { open: true }]);
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
 
 use crate::actions::RobotActions;
 use crate::bt::xml::read_xml;

@@ -10,6 +10,26 @@
 //! - A query streams the replies of all matching services and ends when all have finished, or at its limit.
 //! - A query of the nearest gives one answer on each key, whoever gives it.
 //! - A token's disappearance is a hint that its node is gone, never a proof.
+//!
+//! ```
+//! use consort_actors::bus::{Bus, Delivery, Encoding, LinkModel, VirtualNetwork};
+//!
+//! # #[tokio::main(flavor = "current_thread", start_paused = true)]
+//! # async fn main() -> Result<(), Box<dyn std::error::Error>> {
+//! // A seed is a run: what is lost, and how long the rest takes, follow from it.
+//! let network = VirtualNetwork::new(7, LinkModel::LAN);
+//! let (ada, bob) = (network.bus("ada".parse()?), network.bus("bob".parse()?));
+//! let mut heard = bob.subscribe("consort/ward/events/*").await?;
+//! ada.publish("consort/ward/events/ada", "{}".into(), Encoding::Json, Delivery::Drop).await?;
+//! assert_eq!(heard.recv().await.map(|sample| sample.key).as_deref(), Some("consort/ward/events/ada"));
+//!
+//! network.isolate("ada".parse()?); // her cable is cut, both ways
+//! ada.publish("consort/ward/events/ada", "{}".into(), Encoding::Json, Delivery::Drop).await?;
+//! tokio::time::sleep(std::time::Duration::from_secs(60)).await; // virtual: no time passes
+//! assert!(heard.try_recv().is_none());
+//! # Ok(())
+//! # }
+//! ```
 
 mod keys;
 mod metered;
@@ -175,9 +195,15 @@ pub struct Query {
 #[async_trait]
 pub trait Replier: Send + Sync {
     /// Answers on `key`, which must match the query's key expression.
+    ///
+    /// # Errors
+    /// [`BusError`] if `key` does not match the query, the payload is larger than [`MESSAGE_MAX`], or the bus is closed.
     async fn reply(&self, key: &str, payload: Bytes, encoding: Encoding) -> Result<(), BusError>;
 
     /// Answers that it cannot answer, and why.
+    ///
+    /// # Errors
+    /// [`BusError::Failed`] if the bus is closed.
     async fn refuse(&self, reason: &str) -> Result<(), BusError>;
 }
 
@@ -206,31 +232,55 @@ pub struct Link {
 #[async_trait]
 pub trait Bus: Send + Sync + 'static {
     /// Publishes on a key.
+    ///
+    /// # Errors
+    /// [`BusError`] if `key` is no key, the payload is larger than [`MESSAGE_MAX`], or the bus is closed. That nobody hears it is none.
     async fn publish(&self, key: &str, payload: Bytes, encoding: Encoding, delivery: Delivery) -> Result<(), BusError>;
 
     /// Hears what is published on keys that match.
+    ///
+    /// # Errors
+    /// [`BusError`] if the text is no key expression, or the bus is closed.
     async fn subscribe(&self, key_expr: &str) -> Result<Stream<Sample>, BusError>;
 
     /// Asks all services that match; the stream ends when all have answered, or at the limit.
+    ///
+    /// # Errors
+    /// [`BusError`] if `key_expr` is none, the payload is larger than [`MESSAGE_MAX`], or the bus is closed. That nobody answers is none.
     async fn query(&self, key_expr: &str, payload: Bytes, limit: Duration) -> Result<Stream<Reply>, BusError>;
 
     /// Asks for one answer on each key. If services that match are [complete](Self::serve_complete) for all that is asked,
     /// the nearest is asked instead of all (on Zenoh the nearest here and the nearest elsewhere). Of several answers on one key
     /// one is given, and of two services that answer on the same keys those of one. All that was answered is given when the query ends, or at the limit. That is how Zenoh asks unless it is
     /// told otherwise.
+    ///
+    /// # Errors
+    /// As [`query`](Self::query).
     async fn query_nearest(&self, key_expr: &str, payload: Bytes, limit: Duration) -> Result<Stream<Reply>, BusError>;
 
     /// Answers queries that match.
+    ///
+    /// # Errors
+    /// [`BusError`] if the text is no key expression, or the bus is closed.
     async fn serve(&self, key_expr: &str) -> Result<Stream<Query>, BusError>;
 
     /// Answers queries that match, and knows everything there is below `key_expr`, as others do that serve the same:
     /// [`query_nearest`](Self::query_nearest) asks one of them.
+    ///
+    /// # Errors
+    /// [`BusError`] if the text is no key expression, or the bus is closed.
     async fn serve_complete(&self, key_expr: &str) -> Result<Stream<Query>, BusError>;
 
     /// Declares presence under a key.
+    ///
+    /// # Errors
+    /// [`BusError`] if the text is no key expression, or the bus is closed.
     async fn announce(&self, key: &str) -> Result<Token, BusError>;
 
     /// Hears of presence: what is there already, then every change.
+    ///
+    /// # Errors
+    /// [`BusError`] if the text is no key expression, or the bus is closed.
     async fn watch(&self, key_expr: &str) -> Result<Stream<Presence>, BusError>;
 
     /// The neighbours this node is connected to at this moment, in order.

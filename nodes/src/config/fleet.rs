@@ -99,11 +99,11 @@ pub struct RequestsConfig {
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct LeaseConfig {
-    /// A robot suspends its role this long after its last contact with the coordinator. Longer: blackouts are survived in
-    /// motion; lost robots are replaced later. Default 4000.
+    /// A robot suspends its role this long after its last contact with the coordinator, in milliseconds. Longer: blackouts are
+    /// survived in motion; lost robots are replaced later. Default 4000.
     pub lease_ms: u64,
-    /// The coordinator waits this much longer before it gives the role to another. It covers the drift of clocks.
-    /// Default 2000.
+    /// The coordinator waits this much longer before it gives the role to another, in milliseconds. It covers the drift of
+    /// clocks. Default 2000.
     pub grace_ms: u64,
 }
 

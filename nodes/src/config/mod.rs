@@ -4,6 +4,17 @@
 //! for one node, which names its fleet file. Flags prevail over environment variables (`CONSORT_…`), those over files,
 //! those over defaults. A key that is not known is an error which names those that are. A relative path is relative to
 //! the file that names it.
+//!
+//! ```
+//! use consort_nodes::config::{FleetConfig, from_text};
+//!
+//! let fleet: FleetConfig = from_text("name = \"ward\"\nvoters = 3\n", "fleet.toml")?;
+//! assert_eq!((fleet.voters, fleet.lease.lease_ms), (3, 4000));
+//!
+//! let wrong = from_text::<FleetConfig>("name = \"ward\"\nvotters = 3\n", "fleet.toml").unwrap_err();
+//! assert!(wrong.to_string().starts_with("fleet.toml:2:1: unknown key `votters` in a fleet file; allowed: name, map, "));
+//! # Ok::<(), consort_nodes::config::Problems>(())
+//! ```
 
 mod bus;
 mod design;

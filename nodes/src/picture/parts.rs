@@ -100,7 +100,7 @@ pub struct RobotShown {
     pub yaw: f64,
     /// Charge, as a share.
     pub battery: f64,
-    /// Charge below which it takes no work.
+    /// Charge below which it takes no work, as a share.
     pub useful_charge: f64,
     /// Whether it can move.
     pub able: bool,

@@ -1,6 +1,7 @@
 //! Links within the repository lead to what is there.
 
 use super::page::{Page, repository};
+use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
 /// Every page of the repository.
@@ -46,12 +47,20 @@ fn every_link_to_a_file_or_a_heading_of_the_repository_leads_there() {
 }
 
 #[test]
-fn every_page_can_be_come_upon_from_the_index() {
-    let folder = repository().join("nodes/docs");
-    let index = Page::open(&folder.join("README.md"));
-    let linked: Vec<PathBuf> = index.links().iter().map(|(_, target)| folder.join(target)).collect();
-    let mut found = vec![];
-    pages(&folder, &mut found);
-    let lost: Vec<&PathBuf> = found.iter().filter(|page| **page != index.path && !linked.contains(page)).collect();
-    assert!(lost.is_empty(), "nodes/docs/README.md does not name {lost:?}");
+fn every_page_can_be_come_upon_from_the_readme() {
+    let whole = |path: &Path| path.canonicalize().unwrap_or_else(|problem| panic!("{}: {problem}", path.display()));
+    let mut come_upon = BTreeSet::new();
+    let mut open = vec![whole(&repository().join("README.md"))];
+    while let Some(path) = open.pop() {
+        if come_upon.insert(path.clone()) {
+            let page = Page::open(&path);
+            let targets = page.links().into_iter().map(|(_, target)| target.split('#').next().unwrap_or_default());
+            let pages = targets.filter(|target| target.ends_with(".md") && !target.contains("://"));
+            open.extend(pages.map(|target| whole(&path.with_file_name(target))));
+        }
+    }
+    let mut all = vec![];
+    pages(&repository().join("nodes/docs"), &mut all);
+    let lost: Vec<PathBuf> = all.iter().map(|path| whole(path)).filter(|path| !come_upon.contains(path)).collect();
+    assert!(lost.is_empty(), "no page that is linked to names {lost:?}");
 }

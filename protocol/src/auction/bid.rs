@@ -61,7 +61,7 @@ pub struct Bid {
     /// Charge to have for it, as a share of a full battery: what the steps use by estimate, and a reserve if the robot knows
     /// how far its estimates are off. It may exceed 1.
     pub energy: f64,
-    /// Charge left afterwards; negative when it would not last.
+    /// Charge left afterwards, as a share of a full battery; negative when it would not last.
     pub remaining: f64,
     /// Below this charge the robot is of no further use, by its own account.
     pub useful_charge: BatteryShare,

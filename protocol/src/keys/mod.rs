@@ -10,6 +10,18 @@
 //! ```
 //!
 //! [`TABLE`] has each of them with who says it, how and what.
+//!
+//! ```
+//! use consort_protocol::ids::{FleetId, RobotId};
+//! use consort_protocol::keys::{Key, Keys};
+//!
+//! let keys = Keys::new(&FleetId::new("ward")?);
+//! let award = Key::Award(RobotId::new("ada")?);
+//! assert_eq!(keys.write(&award), "consort/ward/wire/award/ada");
+//! assert_eq!(keys.read("consort/ward/wire/award/ada"), Some(award));
+//! assert_eq!(keys.read("consort/annex/wire/award/ada"), None); // another fleet's
+//! # Ok::<(), consort_protocol::ids::NameError>(())
+//! ```
 
 mod table;
 

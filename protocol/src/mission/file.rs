@@ -333,6 +333,17 @@ fn yaml_options() -> serde_saphyr::Options {
 impl MissionTemplate {
     /// Reads a mission file. Tasks, roles and parameters are judged by [`MissionTemplate::instantiate`].
     ///
+    /// ```
+    /// use consort_protocol::mission::{Domain, Format, MissionTemplate};
+    ///
+    /// let file = r#"{ "mission": "go", "roles": { "r1": { "kind": "managed" } },
+    ///     "root": { "task": "go", "type": "navigate", "roles": ["r1"], "parameters": { "to": "Dock" } } }"#;
+    /// let template = MissionTemplate::parse(file, Format::Json)?;
+    /// let wrong = template.instantiate(&Default::default(), &Domain::hospital()).unwrap_err().to_string();
+    /// assert!(wrong.contains("unknown task type `navigate`") && wrong.ends_with("did you mean `navigation`?"), "{wrong}");
+    /// # Ok::<(), Box<dyn std::error::Error>>(())
+    /// ```
+    ///
     /// # Errors
     /// [`FileError`] says where the text is not of the documented form.
     pub fn parse(text: &str, format: Format) -> Result<Self, FileError> {

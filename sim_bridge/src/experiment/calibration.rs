@@ -42,7 +42,7 @@ pub struct Observation {
     pub actual_s: f64,
     /// Estimated energy, as a share of a full battery.
     pub predicted_share: f64,
-    /// What was used.
+    /// What was used, as a share of a full battery.
     pub actual_share: f64,
     /// The energy with which it was reckoned to be safe: the estimate, and the reserve for this task alone.
     pub budget_share: f64,

@@ -52,7 +52,7 @@ pub struct TrialLimits {
     pub sim_s: f64,
     /// Real seconds. Default 2700.
     pub wall_s: f64,
-    /// An assigned mobile robot with less charge has failed. Default 0.05.
+    /// An assigned mobile robot with less charge than this share of a full battery has failed. Default 0.05.
     pub battery_share: f64,
 }
 

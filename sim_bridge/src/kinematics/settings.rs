@@ -23,7 +23,7 @@ pub enum Kinematics {
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct DifferentialSettings {
-    /// How quickly it changes its speed.
+    /// How quickly it changes its speed, in metres per second squared.
     pub acceleration_mps2: f64,
     /// How fast it turns at most, in radians per second.
     pub turn_rate_rps: f64,
@@ -54,7 +54,7 @@ impl Default for DifferentialSettings {
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct OmnidirectionalSettings {
-    /// How quickly it changes its velocity.
+    /// How quickly it changes its velocity, in metres per second squared.
     pub acceleration_mps2: f64,
     /// How fast it turns at most, in radians per second.
     pub turn_rate_rps: f64,
@@ -74,7 +74,7 @@ impl Default for OmnidirectionalSettings {
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct AckermannSettings {
-    /// How quickly it changes its speed.
+    /// How quickly it changes its speed, in metres per second squared.
     pub acceleration_mps2: f64,
     /// Radius of its tightest turn, in metres.
     pub turning_radius_m: f64,
@@ -92,11 +92,11 @@ impl Default for AckermannSettings {
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct AerialSettings {
-    /// How quickly it changes its velocity over ground.
+    /// How quickly it changes its velocity over ground, in metres per second squared.
     pub acceleration_mps2: f64,
-    /// How fast it climbs and sinks at most.
+    /// How fast it climbs and sinks at most, in metres per second.
     pub climb_mps: f64,
-    /// How quickly it changes that.
+    /// How quickly it changes that, in metres per second squared.
     pub climb_acceleration_mps2: f64,
     /// How fast it turns at most, in radians per second.
     pub turn_rate_rps: f64,

@@ -25,6 +25,30 @@
 //!
 //! **Preconditions** are checked when a goal begins and again when it ends: a drawer that was closed meanwhile, or a
 //! robot that left, aborts it, and nothing has changed.
+//!
+//! ```
+//! use consort_protocol::ids::RobotId;
+//! use consort_protocol::units::{BatteryShare, MetresPerSecond, SharePerSecond, WorldTime};
+//! use consort_sim::map;
+//! use consort_sim::world::{RobotBody, World, WorldSetup};
+//! use consort_skills::actions::{BodyHost, Goal, GoalId, GoalStatus};
+//!
+//! let ada = RobotId::new("ada")?;
+//! let (speed, discharge) = (MetresPerSecond::new(0.5)?, SharePerSecond::new(0.001)?);
+//! let body = RobotBody::carrier(ada.clone(), "Dock".parse()?, speed, BatteryShare::FULL, discharge);
+//! let mut world = World::new(WorldSetup::new(map::shipped("hospital")?, 7).robot(body))?;
+//!
+//! let place = "Crossing".parse()?;
+//! let pose = world.map().topology().places[&place];
+//! world.start(&ada, GoalId(1), Goal::NavigateToPose { pose, place: Some(place) });
+//! while let Some(due) = world.next_due() {
+//!     world.advance(due);
+//! }
+//! let told = world.telemetry(&ada).expect("she is here");
+//! assert_eq!((world.status(&ada, GoalId(1)), told.place.as_str()), (Some(GoalStatus::Succeeded), "Crossing"));
+//! assert!(told.time > WorldTime::ZERO && told.battery < BatteryShare::FULL);
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
 
 mod build;
 mod components;

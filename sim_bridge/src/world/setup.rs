@@ -101,18 +101,18 @@ pub struct RobotBody {
     pub id: RobotId,
     /// Where it stands at first.
     pub place: PlaceId,
-    /// How fast it drives.
+    /// How fast it drives, in metres per second.
     #[serde(rename = "speed_mps")]
     pub speed: MetresPerSecond,
-    /// Charge it has at first.
+    /// Charge it has at first, as a share.
     pub battery: BatteryShare,
-    /// What it loses while a goal is under way: the rate that its estimator is to reckon with too.
+    /// What it loses in a second while a goal is under way, as a share: the rate that its estimator is to reckon with too.
     #[serde(rename = "discharge_share_per_s")]
     pub discharge: SharePerSecond,
     /// What it loses otherwise, as a part of `discharge`: 0 to 1, by default 0.1 as in the published rig.
     #[serde(default = "default_idle_factor")]
     pub idle_factor: f64,
-    /// What it gains while it is docked at a charger; what it loses meanwhile goes off that. By default 0.0005 /s, a guess:
+    /// What it gains in a second while it is docked at a charger; what it loses meanwhile goes off that. By default 0.0005 /s, a guess:
     /// full in somewhat more than half an hour.
     #[serde(rename = "charging_share_per_s", default = "default_charging")]
     pub charging: SharePerSecond,
@@ -131,7 +131,7 @@ pub struct RobotBody {
     /// How far the arm reaches from where the robot stands, in metres. By default 1, a guess.
     #[serde(default = "one_metre")]
     pub reach_m: f64,
-    /// From its middle to its outermost part.
+    /// From its middle to its outermost part, in metres.
     #[serde(default = "default_radius_m")]
     pub radius_m: f64,
     /// How it moves. Without this it drives in straight lines that are computed ahead, which costs nothing while it is under

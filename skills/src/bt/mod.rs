@@ -10,6 +10,19 @@
 //! like) are not supported and are refused. Where we differ: loops that can turn within one tick stop after
 //! [`MAX_TURNS`] and go on at the next, and times are world time. See Colledanchise & Ögren, *Behavior Trees in Robotics
 //! and AI* (2018), for the theory.
+//!
+//! ```
+//! use consort_skills::bt::Registry;
+//! use consort_skills::bt::xml::read_xml;
+//!
+//! let tree = read_xml("wait.xml", r#"<root BTCPP_format="4"><BehaviorTree ID="wait">
+//!     <Sequence><AlwaysSuccess/><Wiat seconds="1"/></Sequence>
+//!     </BehaviorTree></root>"#)?;
+//! // A mistake shows before anything moves, with file and line.
+//! let wrong = Registry::<()>::new().check(&tree).err().map(|error| error.to_string()).unwrap_or_default();
+//! assert!(wrong.starts_with("wait.xml:2: ") && wrong.contains("Wiat"), "{wrong}");
+//! # Ok::<(), consort_skills::bt::TreeError>(())
+//! ```
 
 mod blackboard;
 mod blueprint;

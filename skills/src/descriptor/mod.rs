@@ -6,6 +6,27 @@
 //!
 //! Tasks are chained: where one ends, the next begins. A descriptor may say how far off its estimate of energy may be; a
 //! [cautious](DescriptorRegistry::cautious) robot then bids only if its battery lasts in all but the worst cases.
+//!
+//! ```
+//! use consort_protocol::mission::TaskSpec;
+//! use consort_protocol::units::{MetresPerSecond, Seconds, SharePerSecond};
+//! use consort_skills::descriptor::{Context, DescriptorRegistry, FixedTime};
+//! use consort_skills::environment::Environment;
+//!
+//! let estimator = DescriptorRegistry::new()
+//!     .with(FixedTime::new("wave".parse()?, Seconds::new(4.0)?))
+//!     .resolve(Environment::new())?;
+//! let robot = Context {
+//!     place: "Dock".parse()?,
+//!     pose: None,
+//!     speed: MetresPerSecond::new(0.5)?,
+//!     discharge: SharePerSecond::new(0.001)?,
+//!     closed: vec![],
+//! };
+//! let estimate = estimator.estimate(&TaskSpec::of("wave".parse()?, vec!["r1".parse()?]), &robot)?;
+//! assert_eq!((estimate.time.get(), estimate.energy), (4.0, 0.004));
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
 
 mod fixed;
 mod navigation;
