@@ -25,7 +25,7 @@ for name in "${targets[@]}"; do
     if nice -n 10 "$target/x86_64-unknown-linux-gnu/release/$name" -max_total_time="$seconds" -timeout=10 -rss_limit_mb=2048 \
         -max_len=65536 -print_final_stats=1 -artifact_prefix="$fuzz/artifacts/$name/" \
         "$target/corpus/$name" "$target/seeds/$name" "$fuzz/corpus/$name" >"$target/$name.log" 2>&1; then
-        echo "$name: $(grep -c . "$target/$name.log" >/dev/null; grep -o 'number_of_executed_units: .*\|new_units_added: .*' "$target/$name.log" | tr '\n' ' ')"
+        echo "$name: $(grep -oE 'number_of_executed_units: +[0-9]+|new_units_added: +[0-9]+' "$target/$name.log" | tr '\n' ' ')"
     else
         echo "$name: FAILED, see $target/$name.log"
         failed+=("$name")

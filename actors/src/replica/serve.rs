@@ -103,6 +103,7 @@ impl<S: StateMachine> Service<S> {
 
     async fn snapshot(&self, query: &Query) -> Result<Vec<u8>, String> {
         let question: InstallSnapshotRequest<Types<S>> = self.read_and_follow(query)?;
+        fits(question.offset, question.data.len())?;
         self.note_leader(&question.vote);
         match self.raft.install_snapshot(question).await {
             Ok(answer) => written(&Answer::Done(answer)),
@@ -183,6 +184,15 @@ impl<S: StateMachine> Service<S> {
     }
 }
 
+/// Whether a piece of a snapshot may be taken in: openraft makes room for all that would stand before it.
+fn fits(offset: u64, length: usize) -> Result<(), String> {
+    let end = offset.saturating_add(length as u64);
+    match end > codec::RECORD_LIMIT as u64 {
+        true => Err(format!("a snapshot of {end} bytes or more, where {} are allowed", codec::RECORD_LIMIT)),
+        false => Ok(()),
+    }
+}
+
 /// Reads what a voter asks, and to which founding of the ledger it belongs.
 pub(super) fn read_question<T: DeserializeOwned>(bytes: &[u8]) -> Result<(Option<ClusterId>, T), CodecError> {
     codec::decode(bytes)
@@ -200,4 +210,18 @@ fn written<T: Serialize>(answer: &T) -> Result<Vec<u8>, String> {
 
 fn in_words(error: impl Display) -> String {
     error.to_string()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_piece_of_a_snapshot_stands_within_what_a_snapshot_may_be() {
+        let limit = codec::RECORD_LIMIT as u64;
+        assert_eq!(fits(limit - 3, 3), Ok(()));
+        let refused = "a snapshot of 268435457 bytes or more, where 268435456 are allowed";
+        assert_eq!(fits(limit - 3, 4), Err(refused.to_owned()));
+        assert!(fits(u64::MAX, 1).is_err());
+    }
 }
