@@ -2,6 +2,7 @@
 
 use super::interregnum::{RETRY_AFTER_MS, busy};
 use super::whereabouts::places;
+use crate::bus::MESSAGE_MAX;
 use crate::calls::{Changed, OnWord, Submit, Submitted, read};
 use crate::gossip::SharedKnowledge;
 use crate::replica::{ProposeError, Replica};
@@ -145,7 +146,14 @@ impl Desk {
         let (last, ledger) = self.replica.copy();
         let last = last.ok_or_else(|| "there is nothing in the ledger yet".to_owned())?;
         let backup = Backup::of(&ledger, last, self.fleet.clone(), self.node.clone(), self.at_ms)?;
-        Ok(json!(backup))
+        let copy = json!(backup);
+        match copy.to_string().len() {
+            size if size > MESSAGE_MAX => Err(format!(
+                "the copy takes {size} bytes, where {MESSAGE_MAX} go over the bus at once; stop one of the voters and copy its data directory"
+            )
+            .into()),
+            _ => Ok(copy),
+        }
     }
 
     async fn change(&self, mission: MissionId, command: Command) -> Result<Value, Problem> {

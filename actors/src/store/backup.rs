@@ -7,9 +7,12 @@ use base64::engine::general_purpose::STANDARD;
 use consort_protocol::codec;
 use consort_protocol::ids::{ClusterId, FleetId, NodeId};
 use consort_protocol::ledger::Ledger;
+use flate2::Compression;
+use flate2::read::GzDecoder;
+use flate2::write::GzEncoder;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
-use std::io;
+use std::io::{self, Read as _, Write as _};
 
 /// A copy of a ledger: what can be read of it, and the whole.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
@@ -33,9 +36,7 @@ pub struct Backup {
     pub missions: usize,
     /// How many of them had not ended.
     pub under_way: usize,
-    /// The CRC-32 of the ledger's bytes (IEEE 802.3).
-    pub crc32: u32,
-    /// The ledger, in base64: a version byte, then bincode.
+    /// The ledger: a version byte, then bincode; packed by gzip, which has a checksum, and written in base64.
     pub ledger: String,
 }
 
@@ -55,8 +56,7 @@ impl Backup {
             index: last.index,
             missions: ledger.missions().count(),
             under_way: ledger.live().len(),
-            crc32: crc32fast::hash(&bytes),
-            ledger: STANDARD.encode(bytes),
+            ledger: STANDARD.encode(packed(&bytes).map_err(|problem| problem.to_string())?),
         })
     }
 
@@ -66,12 +66,24 @@ impl Backup {
     /// In words, if it is damaged or of another release.
     pub fn open(&self) -> Result<(Ledger, Epoch), String> {
         let bytes = STANDARD.decode(&self.ledger).map_err(|problem| format!("ledger: it is damaged: {problem}"))?;
-        if crc32fast::hash(&bytes) != self.crc32 {
-            return Err("ledger: it is damaged: its bytes are not those that crc32 was made of".to_owned());
-        }
+        let bytes = unpacked(&bytes).map_err(|problem| format!("ledger: it is damaged: {problem}"))?;
         let ledger = codec::decode_record(&bytes).map_err(|problem| format!("ledger: {problem}"))?;
         Ok((ledger, Epoch { term: self.term, index: self.index }))
     }
+}
+
+fn packed(bytes: &[u8]) -> io::Result<Vec<u8>> {
+    let mut packed = GzEncoder::new(Vec::new(), Compression::default());
+    packed.write_all(bytes)?;
+    packed.finish()
+}
+
+/// What was packed, if it is not more than a record may be.
+fn unpacked(bytes: &[u8]) -> io::Result<Vec<u8>> {
+    let most = u64::try_from(codec::RECORD_LIMIT).unwrap_or(u64::MAX);
+    let mut unpacked = Vec::new();
+    GzDecoder::new(bytes).take(most + 1).read_to_end(&mut unpacked)?;
+    Ok(unpacked)
 }
 
 /// Makes an empty store that of its fleet's only voter, with this ledger, as that of `cluster`, an id that no other founding has;
@@ -101,7 +113,8 @@ mod tests {
         let read: Backup = serde_json::from_str(&text).unwrap();
         assert_eq!(read.open(), Ok((Ledger::default(), last)));
         let mut bytes = STANDARD.decode(&read.ledger).unwrap();
-        for at in 0..bytes.len() {
+        // The head of gzip says what nobody needs: when it was packed, and where.
+        for at in 10..bytes.len() {
             bytes[at] ^= 1;
             let damaged = Backup { ledger: STANDARD.encode(&bytes), ..read.clone() };
             assert!(damaged.open().unwrap_err().contains("it is damaged"), "at {at}");

@@ -23,7 +23,7 @@ Examples:
   # the same with any Zenoh client, or curl and a router with the REST plug-in
   curl -s http://127.0.0.1:8000/consort/ward/api/backup
 
-What is in it can be read: fleet, when, by whom, how many missions; the ledger itself is in base64, with a checksum.")]
+What is in it can be read: fleet, when, by whom, how many missions; the ledger itself is packed by gzip and written in base64.")]
 pub struct Args {
     /// The file; one that is there already is not replaced without --force
     #[arg(long, env = "CONSORT_OUT", value_name = "FILE.json")]
