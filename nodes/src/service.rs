@@ -39,11 +39,10 @@ pub(crate) async fn keep_watch(bus: impl Bus, keys: Keys, node: NodeId) {
     ticks.set_missed_tick_behavior(MissedTickBehavior::Delay);
     loop {
         ticks.tick().await;
-        match answers_itself(&bus, &keys, &node, period).await {
-            true => tell(&[NotifyState::Watchdog]),
-            false => {
-                warn!(%node, "does not answer itself within {period:?}: the service manager hears no sign of life")
-            }
+        if answers_itself(&bus, &keys, &node, period).await {
+            tell(&[NotifyState::Watchdog]);
+        } else {
+            warn!(%node, "does not answer itself within {period:?}: the service manager hears no sign of life");
         }
     }
 }

@@ -1,7 +1,7 @@
 //! A fleet whose nodes have certificates: it works as any other, and whoever is not of it, or goes beyond what it may, gets
 //! nowhere and leaves a trace.
 
-use crate::support::{Answer, Closed, example, http, until};
+use crate::support::{Answer, Closed, Folder, Program, example, http, until};
 use bytes::Bytes;
 use consort_actors::bus::zenoh_bus::{LinkTrust, Mode};
 use consort_actors::bus::{Bus, Delivery, Encoding, ZenohBus, ZenohSettings};
@@ -181,6 +181,19 @@ fn a_persons_link_lets_in_what_the_scope_allows_and_nothing_else() {
     assert_eq!(asked(&submits, "consort/ward/wire/live/ada", ""), [] as [Value; 0]);
     assert_eq!(closed.refused("station-1"), "");
     drop((heard, reads, submits));
+    closed.fleet.stop();
+}
+
+#[test]
+fn a_person_who_stays_keeps_the_session_that_was_opened_first() {
+    let mut closed = Closed::new();
+    closed.start("station", example("station"), &[]);
+    let (address, certs) = (closed.fleet.address("station-1"), closed.of("read").display().to_string());
+    let folder = Folder::new();
+    // Longer than it takes to find that one is not heard.
+    let record = ["record", "--out", "run.mcap", "--for", "6s", "--certs", &certs, "--connect", &address];
+    let ended = Program::start_by(&["env", "RUST_LOG=info"], &folder, "record", &record).end(LIMIT).expect(0);
+    assert!(ended.stdout.contains("6 s, ") && !ended.stderr.contains("anew"), "{}{}", ended.stdout, ended.stderr);
     closed.fleet.stop();
 }
 

@@ -107,7 +107,8 @@ impl Ended {
     #[track_caller]
     pub(crate) fn code(&self) -> i32 {
         let signal = self.status.signal();
-        self.status.code().unwrap_or_else(|| panic!("{} was ended by signal {signal:?}", self.what))
+        let Ended { what, stderr, .. } = self;
+        self.status.code().unwrap_or_else(|| panic!("{what} was ended by signal {signal:?}\n--- its errors\n{stderr}"))
     }
 
     /// Checks the exit code, and tells what was said if it is another.

@@ -8,7 +8,7 @@
 //! stays away for long enough to be new to everybody.
 
 use super::current::Current;
-use super::{BusError, failed};
+use super::{BusError, Mode, ZenohSettings, failed};
 use std::collections::BTreeSet;
 use std::sync::{Arc, Weak};
 use std::time::Duration;
@@ -38,8 +38,14 @@ const ENOUGH: u32 = 6;
 /// So many sessions are opened for one neighbour in vain: it may speak another language.
 const SESSIONS: u32 = 3;
 
-/// Answers neighbours, and asks those to whom this session opens a link; `listen` is where they open links to it.
-pub(super) async fn attend(current: &Arc<Current>, listen: &[String]) -> Result<(), BusError> {
+/// Answers neighbours, and asks those to whom this session opens a link.
+///
+/// Not as a client with a certificate: that is a person, whose link lets in no answers, so that nobody could say that the person
+/// hears, and one session after the other would be opened anew in vain.
+pub(super) async fn attend(current: &Arc<Current>, settings: &ZenohSettings) -> Result<(), BusError> {
+    if settings.mode == Mode::Client && settings.links.is_some() {
+        return Ok(());
+    }
     let (session, runtime) = (current.session(), Handle::current());
     let own = session.zid();
     let key = format!("{HEARING}/{own}");
@@ -59,7 +65,7 @@ pub(super) async fn attend(current: &Arc<Current>, listen: &[String]) -> Result<
     session.declare_queryable(key).callback(answer).background().await.map_err(|problem| failed("serve", problem))?;
 
     let weak = Arc::downgrade(current);
-    let accepting: BTreeSet<String> = listen.iter().filter_map(|address| port(address)).collect();
+    let accepting: BTreeSet<String> = settings.listen.iter().filter_map(|address| port(address)).collect();
     let linked = move |event: zenoh::session::LinkEvent| {
         let (link, opened) = (event.link(), event.kind() == SampleKind::Put);
         if opened && port(link.src().as_str()).is_some_and(|port| !accepting.contains(&port)) {

@@ -163,7 +163,7 @@ impl Life {
             entries: Mutex::default(),
             declaring: tokio::sync::Mutex::default(),
         });
-        hearing::attend(&life.current, &life.settings.listen).await?;
+        hearing::attend(&life.current, &life.settings).await?;
         let weak = Arc::downgrade(&life);
         tokio::spawn(async move {
             while let Some(stale) = asked.recv().await {
@@ -278,7 +278,7 @@ impl Life {
             return;
         }
         info!(id = %session.zid(), "opened its session anew");
-        if let Err(problem) = hearing::attend(&self.current, &self.settings.listen).await {
+        if let Err(problem) = hearing::attend(&self.current, &self.settings).await {
             warn!(%problem, "does not notice if it is not heard");
         }
     }
