@@ -137,7 +137,7 @@ impl BodyHost for Rover {
 
 /// Runs the adapter's node: `rover FILE ROBOT PLACE`.
 pub(crate) fn adapt(file: &str, robot: &str, place: &str) -> Result<(), Failure> {
-    let wrong = |problem: String| Failure::Usage(problem);
+    let wrong = Failure::Usage;
     let mut station: StationConfig = load(Path::new(file))?;
     let fleet = station.fleet.resolve()?;
     let place: PlaceId = place.parse().map_err(|problem| wrong(format!("{problem}")))?;

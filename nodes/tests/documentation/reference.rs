@@ -89,7 +89,7 @@ fn doc_table(path: &str) -> String {
     let source = source(path);
     let rows = source.lines().filter_map(|line| line.strip_prefix("//! |"));
     let row = |row: &str| {
-        let cells = row.trim_end().trim_end_matches('|').split('|').map(|cell| plain(cell));
+        let cells = row.trim_end().trim_end_matches('|').split('|').map(plain);
         format!("| {} |\n", cells.collect::<Vec<_>>().join(" | ")).replace("|  ", "| ")
     };
     rows.map(row).collect()
