@@ -133,7 +133,7 @@ mod tests {
             format!("{open}{}", "</a>".repeat(count))
         };
         assert!(parse(&of(NAMESPACES_MAX), 1000).is_ok());
-        assert_eq!(parse(&of(NAMESPACES_MAX + 1), 1000).err(), Some(XmlError::Namespaces { line: 65 }));
+        assert_eq!(parse(&of(NAMESPACES_MAX + 1), 1000).unwrap_err(), XmlError::Namespaces { line: 65 });
     }
 
     #[test]

@@ -28,7 +28,7 @@ const SOON: Duration = Duration::from_secs(10);
 const MEMORY: u64 = 512 << 20;
 
 /// Changed inputs for each target, unless told otherwise.
-const CASES: u64 = 1000;
+const CASES: u64 = 600;
 
 macro_rules! tried {
     ($($name:ident)*) => {

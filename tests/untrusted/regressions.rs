@@ -5,6 +5,7 @@ use consort_nodes::address::Taken;
 use consort_nodes::config::{FleetConfig, Problems, WorldConfig, from_text};
 use consort_nodes::dashboard::{Board, Dashboard};
 use consort_nodes::picture::{FloorPlan, Picture};
+use consort_nodes::recording::Reel;
 use consort_sim::map;
 use consort_skills::bt::xml::read_xml;
 use std::io::{Read, Write};
@@ -106,4 +107,18 @@ fn a_web_socket_frame_that_says_it_is_large() {
     while stream.read(&mut heard).expect("it hangs up before long") > 0 {
         assert!(began.elapsed() < SOON, "it still waits for the rest of the frame");
     }
+}
+
+#[test]
+fn a_recording_with_a_record_that_is_longer_than_its_chunk() {
+    let recording = include_bytes!("../fuzz/corpus/recording/chunk_whose_last_record_is_longer_than_it");
+    let file = std::env::temp_dir().join(format!("consort-untrusted-long-{}.mcap", std::process::id()));
+    std::fs::write(&file, recording).expect("a file");
+    let opened = soon(|| Reel::open(&file));
+    std::fs::remove_file(&file).expect("the same file");
+    let problem = match opened {
+        Ok(reel) => reel.problem().unwrap_or_default(),
+        Err(problem) => problem.to_string(),
+    };
+    assert!(problem.contains("it has no end"), "{problem:?}");
 }
