@@ -96,9 +96,15 @@ pub fn decode_record<T: DeserializeOwned>(bytes: &[u8]) -> Result<T, CodecError>
     const SOME: usize = 1 << 20;
     const MANY: usize = 16 << 20;
     match bytes.len() {
-        ..=LIMIT => decode_within(bytes, RECORD_LIMIT, config::standard().with_limit::<{ LIMIT * WIDENING }>()),
-        ..=SOME => decode_within(bytes, RECORD_LIMIT, config::standard().with_limit::<{ SOME * WIDENING }>()),
-        ..=MANY => decode_within(bytes, RECORD_LIMIT, config::standard().with_limit::<{ MANY * WIDENING }>()),
+        size if size <= LIMIT => {
+            decode_within(bytes, RECORD_LIMIT, config::standard().with_limit::<{ LIMIT * WIDENING }>())
+        }
+        size if size <= SOME => {
+            decode_within(bytes, RECORD_LIMIT, config::standard().with_limit::<{ SOME * WIDENING }>())
+        }
+        size if size <= MANY => {
+            decode_within(bytes, RECORD_LIMIT, config::standard().with_limit::<{ MANY * WIDENING }>())
+        }
         _ => decode_within(
             bytes,
             RECORD_LIMIT,
