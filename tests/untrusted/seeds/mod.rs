@@ -29,14 +29,13 @@ pub(crate) fn of(name: &str) -> Vec<Vec<u8>> {
             "consort/ward/api/submit/help",
             "IC Room 2",
         ]),
-        "request" => vec![
+        "request" => [
             json!({ "mission": "lab-samples", "parameters": { "room": "IC Room 6" }, "request": "my-7" }),
             json!({ "mission": fleet::template("lab-samples"), "priority": 7, "deadline_s": 60.5 }),
             json!({ "mission": "lab-samples-1", "by": "Nia" }),
         ]
-        .iter()
         .map(|value| value.to_string().into_bytes())
-        .collect(),
+        .into(),
         "mission_yaml" => files("protocol/missions", ".yaml"),
         "mission_json" => fleet::TEMPLATES.iter().map(|name| fleet::template(name).to_string().into_bytes()).collect(),
         "ihtn" => vec![ihtn().to_string().into_bytes()],
