@@ -1,6 +1,7 @@
 //! Files that are there whole or not at all.
 
 use crate::config::Problem;
+use crate::exit::Failure;
 use std::fs;
 use std::io::{self, Write};
 use std::os::unix::fs::OpenOptionsExt;
@@ -22,4 +23,9 @@ pub(crate) fn write_whole(file: &Path, text: &str, mode: u32) -> Result<(), Prob
         fs::rename(&unfinished, file)
     };
     written().map_err(|problem: io::Error| Problem::of(file.display(), problem))
+}
+
+/// What somebody hears whose file is there already, where `--force` replaces it.
+pub(crate) fn there_already(file: &Path) -> Failure {
+    Failure::Usage(format!("{}: this file is there already; --force replaces it", file.display()))
 }

@@ -2,7 +2,7 @@
 
 use crate::client::ClientFlags;
 use crate::exit::Failure;
-use crate::file::write_whole;
+use crate::file::{there_already, write_whole};
 use crate::output;
 use consort_actors::store::Backup;
 use consort_protocol::keys::ApiCall;
@@ -46,7 +46,7 @@ pub struct Args {
 pub fn run(args: Args) -> Result<(), Failure> {
     let Args { out, force, json, client } = args;
     if !force && out.exists() {
-        return Err(Failure::Usage(format!("{}: this file is there already; --force replaces it", out.display())));
+        return Err(there_already(&out));
     }
     let given = client.connected(async |client| client.api(ApiCall::Backup, &json!({})).await)?;
     let unsound = |problem: String| Failure::Unsuccessful(format!("what was given is not whole: {problem}"));

@@ -4,6 +4,7 @@ use crate::client::{Client, ClientFlags};
 use crate::command::length::length;
 use crate::dashboard::follow;
 use crate::exit::Failure;
+use crate::file::there_already;
 use crate::output::{self, Waiting};
 use crate::picture::{Ear, FloorPlan, Picture};
 use crate::recording::{Recorded, Recorder, Tape};
@@ -126,8 +127,4 @@ fn words(recorded: &Recorded) -> String {
         _ => format!(", {lost} events not heard in {gaps} gaps"),
     };
     format!("{seconds:.0} s, {events} events{gaps}, {reports} reports of bodies, {views} views, {}", HumanBytes(*bytes))
-}
-
-fn there_already(out: &std::path::Path) -> Failure {
-    Failure::Usage(format!("{}: this file is there already; --force replaces it", out.display()))
 }
