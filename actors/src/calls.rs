@@ -6,12 +6,13 @@
 //! | `cancel` | `{"mission": "lab-samples-1", "by": "a nurse"}` | `{"mission": …, "state": …}` |
 //! | `rescued` | `{"mission": "lab-samples-1", "by": "Nia"}`: what the mission left in robots' hands has been taken care of | `{"mission": …, "state": …}` |
 //! | `backup` | nothing | a copy of the ledger, with all that was acknowledged before it was asked for: see [`Backup`] |
+//! | `upgrade` | `{"finish": false}`: which versions of the wire each node reads; with `true` the fleet writes the next one from then on | `{"wire": 1, "next": 2, "nodes": […]}` |
 //! | `get` | `{"mission": "lab-samples-1"}` | the mission, as `view/mission/{id}` has it |
 //! | `list` | nothing | `{"missions": […]}`, as `view/missions` has it |
 //! | `explain` | `{"mission": "lab-samples-1"}` | why each robot did or did not get each role |
 //! | `help` | nothing | `{"calls": […]}`: all this, with JSON Schemas; `api/{call}/help` has one call |
 //!
-//! The first four are answered by the coordinator alone; the first three change something. What cannot be done gets `{"error": "…"}`,
+//! The first five are answered by the coordinator alone; all of them but `backup` may change something. What cannot be done gets `{"error": "…"}`,
 //! and nothing was changed. With `"retry_after_ms"` beside it the same may be asked again after that time, with the same
 //! `request`: nobody coordinates yet, or the ledger could not be heard in time. A submission is answered once the mission
 //! is committed; the same `request` again gets the same answer. The others are answered by any node (see [`crate::views`]).
@@ -59,6 +60,41 @@ pub(crate) struct OnWord {
     /// On whose word, to show.
     #[serde(default = "a_client")]
     pub(crate) by: String,
+}
+
+/// Asks how far the fleet is on its way to the next version of the wire.
+#[derive(Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub(crate) struct Upgrade {
+    /// Whether the fleet shall write the next version from now on, which cannot be taken back.
+    #[serde(default)]
+    pub(crate) finish: bool,
+}
+
+/// How far the fleet is on its way to the next version of the wire.
+#[derive(Serialize, JsonSchema)]
+pub(crate) struct Upgrading {
+    /// The version that the fleet writes.
+    pub(crate) wire: u8,
+    /// The next one; null if the coordinator's release reads none later.
+    pub(crate) next: Option<u8>,
+    /// Everybody of whom something is known or who keeps the ledger, by name.
+    pub(crate) nodes: Vec<Reader>,
+}
+
+/// Which versions of the wire a node reads.
+#[derive(Serialize, JsonSchema)]
+pub(crate) struct Reader {
+    /// Its name.
+    pub(crate) node: String,
+    /// Whether it is believed to be there.
+    pub(crate) alive: bool,
+    /// The oldest version that it reads; null if nothing is known of it.
+    pub(crate) oldest: Option<u8>,
+    /// The newest.
+    pub(crate) newest: Option<u8>,
+    /// Whether it reads the next version; null if there is none.
+    pub(crate) ready: Option<bool>,
 }
 
 /// Asks about a mission.
@@ -209,6 +245,7 @@ fn example(call: ApiCall) -> Option<Value> {
         ApiCall::Cancel => Some(json!({ "mission": "lab-samples-1", "by": "a nurse" })),
         ApiCall::Rescued => Some(json!({ "mission": "lab-samples-1", "by": "Nia" })),
         ApiCall::Get | ApiCall::Explain => Some(json!({ "mission": "lab-samples-1" })),
+        ApiCall::Upgrade => Some(json!({ "finish": false })),
         ApiCall::List | ApiCall::Help | ApiCall::Backup => None,
     }
 }
@@ -223,6 +260,7 @@ fn schemas(call: ApiCall) -> (Option<Schema>, Schema) {
         ApiCall::Explain => (Some(schema_for!(Which)), schema_for!(Explained)),
         ApiCall::Help => (None, schema_for!(Calls)),
         ApiCall::Backup => (None, schema_for!(Backup)),
+        ApiCall::Upgrade => (Some(schema_for!(Upgrade)), schema_for!(Upgrading)),
     }
 }
 
@@ -326,6 +364,7 @@ mod tests {
                 ApiCall::Submit => read::<Submit>(*call, bytes.as_bytes()).map(drop),
                 ApiCall::Cancel | ApiCall::Rescued => read::<OnWord>(*call, bytes.as_bytes()).map(drop),
                 ApiCall::Get | ApiCall::Explain => read::<Which>(*call, bytes.as_bytes()).map(drop),
+                ApiCall::Upgrade => read::<Upgrade>(*call, bytes.as_bytes()).map(drop),
                 ApiCall::List | ApiCall::Help | ApiCall::Backup => Ok(()),
             };
             assert_eq!(taken, Ok(()), "{}", call.word());

@@ -24,6 +24,7 @@ impl StateMachine for Ledger {
             | Command::Fail { .. }
             | Command::Cancel { .. }
             | Command::Rescued { .. }
+            | Command::Raise { .. }
             | Command::Found { .. } => false,
         }
     }

@@ -27,5 +27,6 @@ pub mod timing;
 pub mod trust;
 pub mod untrusted;
 pub mod views;
+pub mod wire;
 
 pub use calls::help as api_help;

@@ -22,6 +22,7 @@ use crate::store::{Notebook, Store};
 use crate::tasks::Tasks;
 use crate::timing::Timing;
 use crate::views::Views;
+use crate::wire::Wire;
 use consort_protocol::auction::{Choice, Limits};
 use consort_protocol::ensemble::Ensemble;
 use consort_protocol::ids::{FleetId, NodeId, RobotId};
@@ -31,6 +32,7 @@ use consort_protocol::lease::LeaseTerms;
 use consort_protocol::ledger::{Command, Ledger};
 use consort_protocol::message::Founder;
 use consort_protocol::mission::Domain;
+use consort_protocol::versions::Versions;
 use consort_skills::actions::BodyHost;
 use consort_skills::descriptor::Estimator;
 use consort_skills::library::SkillLibrary;
@@ -276,6 +278,8 @@ struct Root {
 enum NodeMessage {
     /// The copy of the ledger can no longer be kept, and why.
     LedgerFailed(String),
+    /// The fleet writes what this program does not read, and what to do.
+    LeftBehind(String),
 }
 
 impl Root {
@@ -305,9 +309,16 @@ impl Actor for Root {
         message: NodeMessage,
         node: &mut NodeId,
     ) -> Result<(), ActorProcessingErr> {
-        let NodeMessage::LedgerFailed(problem) = message;
-        error!(%node, %problem, "the copy of the ledger can no longer be kept: the node stops");
-        self.end(&myself, format!("its copy of the ledger can no longer be kept: {problem}"));
+        match message {
+            NodeMessage::LedgerFailed(problem) => {
+                error!(%node, %problem, "the copy of the ledger can no longer be kept: the node stops");
+                self.end(&myself, format!("its copy of the ledger can no longer be kept: {problem}"));
+            }
+            NodeMessage::LeftBehind(advice) => {
+                error!(%node, %advice, "the fleet has gone on without this program: the node stops");
+                self.end(&myself, advice);
+            }
+        }
         Ok(())
     }
 
@@ -362,6 +373,7 @@ async fn assemble(
         replica: replica.as_ref().map(|replica| replica.id().0),
         cluster: None,
         leaving: false,
+        speaks: Versions::OWN,
         worker: settings.robot.as_ref().map(|robot| robot.worker.clone()),
     };
     let shared = SharedKnowledge::default();
@@ -385,6 +397,14 @@ async fn assemble(
         allegiance.clone().follow(move |own| told.update_with(move |knowledge| knowledge.cluster = own).is_ok()),
     );
     let times = fleet.timing.times();
+    let wire = Wire::default();
+    wire.clone().follow(&bus, &keys, &mut tasks).await?;
+    let (heard, to) = (wire.clone(), root.clone());
+    tasks.spawn(async move {
+        let advice = heard.left_behind().await;
+        // A root that has gone needs not be told.
+        let _ = to.send_message(NodeMessage::LeftBehind(advice));
+    });
 
     let mut own_coordinator = None;
     if let Some(replica) = &replica {
@@ -407,6 +427,7 @@ async fn assemble(
             clock,
             replica: replica.clone(),
             knowledge: shared.clone(),
+            wire: wire.clone(),
             events: events.clone(),
             ensemble: Arc::clone(&fleet.ensemble),
             domain: Arc::clone(&fleet.domain),

@@ -3,7 +3,7 @@
 //!
 //! Each gives again, written anew, what was read.
 
-use crate::calls::{self, OnWord, Submit, Which};
+use crate::calls::{self, OnWord, Submit, Upgrade, Which};
 use crate::replica::{StateMachine, overheard};
 use consort_protocol::codec::CodecError;
 use consort_protocol::keys::{ApiCall, RaftCall};
@@ -69,6 +69,7 @@ pub fn request(call: ApiCall, payload: &[u8]) -> Result<Request, String> {
         }
         ApiCall::Cancel | ApiCall::Rescued => calls::read::<OnWord>(call, payload).map(|_| Request::Other),
         ApiCall::Get | ApiCall::Explain => calls::read::<Which>(call, payload).map(|_| Request::Other),
+        ApiCall::Upgrade => calls::read::<Upgrade>(call, payload).map(|_| Request::Other),
         ApiCall::List | ApiCall::Help | ApiCall::Backup => Ok(Request::Other),
     }
 }

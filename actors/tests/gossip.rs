@@ -9,6 +9,7 @@ use consort_protocol::ids::{FleetId, NodeId};
 use consort_protocol::keys::{Key, Keys};
 use consort_protocol::knowledge::{Knowledge, Stamp};
 use consort_protocol::message::Statement;
+use consort_protocol::versions::Versions;
 use ractor::{Actor, ActorProcessingErr, ActorRef, SupervisionEvent};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
@@ -48,6 +49,7 @@ fn knowledge(replica: u64) -> Knowledge {
         replica: Some(replica),
         cluster: None,
         leaving: false,
+        speaks: Versions::OWN,
         worker: None,
     }
 }

@@ -119,7 +119,7 @@ fn node(name: &str) -> NodeId {
 }
 
 fn beacon(of: &str) -> Vec<u8> {
-    let beacon = Beacon { node: node(of), term: 3, voters: BTreeSet::new(), since_ms: 0, cluster: None };
+    let beacon = Beacon { node: node(of), term: 3, voters: BTreeSet::new(), since_ms: 0, cluster: None, wire: None };
     codec::encode(&Within { cluster: None, said: codec::encode(&beacon).unwrap() }).unwrap()
 }
 

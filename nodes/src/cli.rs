@@ -2,7 +2,8 @@
 
 use crate::command::{
     backup, bench, cancel, cert, chaos, check, completions, doctor, dry_run, experiment, explain, fleet, keys, leave,
-    map, missions, record, recover, replay, rescue, restore, robot, schema, station, submit, test, token, watch, world,
+    map, missions, record, recover, replay, rescue, restore, robot, schema, station, submit, test, token, upgrade,
+    watch, world,
 };
 use crate::demo;
 use crate::exit::Failure;
@@ -71,6 +72,7 @@ enum Command {
     DryRun(dry_run::Args),
     Backup(backup::Args),
     Restore(restore::Args),
+    Upgrade(upgrade::Args),
     Recover(recover::Args),
     Cert(cert::Args),
     Token(token::Args),
@@ -113,6 +115,7 @@ pub fn run_with(kit: Kit, args: impl IntoIterator<Item = OsString>) -> ExitCode 
         Command::DryRun(args) => dry_run::run(args),
         Command::Backup(args) => backup::run(args),
         Command::Restore(args) => restore::run(args),
+        Command::Upgrade(args) => upgrade::run(args),
         Command::Recover(args) => recover::run(args),
         Command::Cert(args) => cert::run(args),
         Command::Token(args) => token::run(args),

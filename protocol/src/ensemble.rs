@@ -343,6 +343,7 @@ fn example_knowledge() -> Knowledge {
         replica: None,
         cluster: None,
         leaving: false,
+        speaks: crate::versions::Versions::OWN,
         worker: Some(crate::knowledge::Worker {
             skills: BTreeSet::from([TaskType::new("navigation").expect("a slug")]),
             place: PlaceId::new("dock").expect("a label"),

@@ -7,6 +7,7 @@
 use crate::ids::{ClusterId, MissionId, NodeId, PlaceId, RoleId, TaskType};
 use crate::pose::Pose;
 use crate::units::{BatteryShare, MetresPerSecond, NodeTime, SharePerSecond};
+use crate::versions::Versions;
 use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
@@ -46,6 +47,8 @@ pub struct Knowledge {
     pub cluster: Option<ClusterId>,
     /// Whether it is about to leave the fleet for good.
     pub leaving: bool,
+    /// Which versions of the wire its program reads.
+    pub speaks: Versions,
     /// Its robot, if it is a robot's node.
     pub worker: Option<Worker>,
 }
@@ -298,6 +301,7 @@ mod tests {
                 replica: Some(incarnation * 1000 + version),
                 cluster: None,
                 leaving: false,
+                speaks: Versions::OWN,
                 worker: None,
             },
         }

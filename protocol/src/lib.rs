@@ -47,4 +47,5 @@ pub mod plan;
 pub mod pose;
 pub mod trust;
 pub mod units;
+pub mod versions;
 mod words;

@@ -98,6 +98,9 @@ pub struct Beacon {
     pub since_ms: u64,
     /// Its cluster; `None` while that is being founded.
     pub cluster: Option<ClusterId>,
+    /// Which version of the wire the fleet writes, once that is said. Beacons have one layout in all versions: whoever is left
+    /// behind must be able to read that it is.
+    pub wire: Option<u8>,
 }
 
 impl Beacon {
@@ -267,6 +270,7 @@ mod tests {
             voters: BTreeSet::new(),
             since_ms: 0,
             cluster: (cluster > 0).then_some(ClusterId(cluster)),
+            wire: None,
         };
         for (known, heard, follows) in [
             (None, beacon(1, 1), true),

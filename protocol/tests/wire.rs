@@ -21,6 +21,7 @@ use consort_protocol::mission::{
 use consort_protocol::plan::{Alternative, Division, LocalPlan, Signal, SignalKind, Step, StepAction};
 use consort_protocol::pose::Pose;
 use consort_protocol::units::{BatteryShare, MetresPerSecond, Seconds, SharePerSecond};
+use consort_protocol::versions::Versions;
 use proptest::collection::{btree_map, btree_set, vec};
 use proptest::option;
 use proptest::prelude::*;
@@ -144,11 +145,12 @@ fn worker() -> impl Strategy<Value = Worker> {
 fn record() -> impl Strategy<Value = Record> {
     let flags = (any::<bool>(), any::<bool>(), any::<bool>(), any::<bool>());
     let numbers = (option::of(any::<u64>()), option::of(any::<u64>().prop_map(ClusterId)));
-    (name(), stamp(), flags, numbers, option::of(worker())).prop_map(
-        |(owner, stamp, (may_vote, stationary, mains_powered, leaving), (replica, cluster), worker)| Record {
+    let speaks = (any::<u8>(), any::<u8>()).prop_map(|(oldest, newest)| Versions { oldest, newest });
+    (name(), stamp(), flags, numbers, speaks, option::of(worker())).prop_map(
+        |(owner, stamp, (may_vote, stationary, mains_powered, leaving), (replica, cluster), speaks, worker)| Record {
             owner,
             stamp,
-            knowledge: Knowledge { may_vote, stationary, mains_powered, replica, cluster, leaving, worker },
+            knowledge: Knowledge { may_vote, stationary, mains_powered, replica, cluster, leaving, speaks, worker },
         },
     )
 }
@@ -283,6 +285,7 @@ fn command() -> impl Strategy<Value = Command> {
         }),
         (name(), text(), places()).prop_map(|(mission, by, places)| Command::Cancel { mission, by, places }),
         (name(), text()).prop_map(|(mission, by)| Command::Rescued { mission, by }),
+        any::<u8>().prop_map(|wire| Command::Raise { wire }),
     ]
 }
 
@@ -461,7 +464,7 @@ proptest! {
     ) {
         survives(&Within { cluster: Some(ClusterId(term)), said: vec![1, 2, 3] })?;
         survives(&Said { mission: mission.clone(), epoch, signals: signals.clone() })?;
-        survives(&Beacon { node: node.clone(), term, voters, since_ms: term, cluster: (term % 2 == 0).then_some(ClusterId(term)) })?;
+        survives(&Beacon { node: node.clone(), term, voters, since_ms: term, cluster: (term % 2 == 0).then_some(ClusterId(term)), wire: (term % 3 == 0).then_some(2) })?;
         let founder = Founder { mobile: term % 2 == 0, on_battery: term % 3 == 0, node: node.clone() };
         survives(&FoundingAnswer::Refused { reason: founder.node.to_string() })?;
         survives(&founder)?;

@@ -61,7 +61,7 @@ fn telemetry(index: usize, now_ms: u64) -> Telemetry {
 
 fn report(board: &Board) {
     let coordinator = NodeId::new(name(0)).expect("a slug");
-    let beacon = Beacon { node: coordinator, term: 1, voters: [].into(), since_ms: 1000, cluster: None };
+    let beacon = Beacon { node: coordinator, term: 1, voters: [].into(), since_ms: 1000, cluster: None, wire: None };
     board.with(|picture, now_ms| {
         picture.take_beacon(&beacon, now_ms);
         picture.take_links(3, now_ms);

@@ -12,6 +12,7 @@ use crate::gossip::SharedKnowledge;
 use crate::replica::{ProposeError, Replica};
 use crate::tasks::Tasks;
 use crate::views::Shown;
+use crate::wire::Wire;
 use consort_protocol::auction::{AuctionId, CallForBids, Choice, Limits, Tender};
 use consort_protocol::codec;
 use consort_protocol::ensemble::Ensemble;
@@ -46,6 +47,8 @@ pub struct CoordinatorSettings {
     pub replica: Replica<Ledger>,
     /// What the node has heard.
     pub knowledge: SharedKnowledge,
+    /// Which version of the wire the node writes.
+    pub wire: Wire,
     /// Where it tells what happens.
     pub events: Events,
     /// Whose members are asked for bids.

@@ -3,7 +3,7 @@
 use super::interregnum::{RETRY_AFTER_MS, busy};
 use super::whereabouts::places;
 use crate::bus::MESSAGE_MAX;
-use crate::calls::{Changed, OnWord, Submit, Submitted, read};
+use crate::calls::{Changed, OnWord, Reader, Submit, Submitted, Upgrade, Upgrading, read};
 use crate::gossip::SharedKnowledge;
 use crate::replica::{ProposeError, Replica};
 use crate::store::Backup;
@@ -13,7 +13,9 @@ use consort_protocol::keys::ApiCall;
 use consort_protocol::ledger::{Command, Ledger, Outcome, Priority, Recovery, Submission, time_until_deadline};
 use consort_protocol::mission::{Domain, Format, MissionTemplate, shipped};
 use consort_protocol::plan::divide_and_check;
+use consort_protocol::versions::{self, Versions};
 use serde_json::{Value, json};
+use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -60,6 +62,7 @@ impl Desk {
             ApiCall::Cancel => self.cancel(payload).await,
             ApiCall::Rescued => self.rescued(payload).await,
             ApiCall::Backup => self.backup().await,
+            ApiCall::Upgrade => self.upgrade(payload).await,
             ApiCall::Get | ApiCall::List | ApiCall::Explain | ApiCall::Help => {
                 Err(format!("{} is answered by any node", call.word()).into())
             }
@@ -154,6 +157,65 @@ impl Desk {
             .into()),
             _ => Ok(copy),
         }
+    }
+
+    /// Which versions of the wire everybody reads, and, if that is asked for, the step to the next.
+    async fn upgrade(&self, payload: &[u8]) -> Result<Value, Problem> {
+        let Upgrade { finish } = read(ApiCall::Upgrade, payload)?;
+        let wire = self.replica.read(Ledger::wire).unwrap_or(Versions::OWN.oldest);
+        let needed = self.needed();
+        let step = self.knowledge.read(|base| versions::Upgrade::of(wire, Versions::OWN, needed.clone(), base));
+        match (finish, step) {
+            (false, _) => Ok(json!(self.upgrading(wire, &needed))),
+            (true, versions::Upgrade::Newest) => Err(format!(
+                "the fleet writes version {wire} of the wire, and {}, which coordinates, reads none later: upgrade the nodes first",
+                self.node
+            )
+            .into()),
+            (true, versions::Upgrade::Waits { next, behind }) => {
+                let alive = |node: &NodeId| if self.knowledge.alive(node) { "" } else { ", is down" };
+                let who = |(node, reads): (&NodeId, &Option<Versions>)| match reads {
+                    Some(reads) => format!("{node} (reads {reads}{})", alive(node)),
+                    None => format!("{node} (nothing is known of it)"),
+                };
+                Err(format!(
+                    "not yet: version {next} of the wire is not read by {}; upgrade them, or have those leave that will not come back \
+                     (`consort leave`)",
+                    behind.iter().map(who).collect::<Vec<_>>().join(", ")
+                )
+                .into())
+            }
+            (true, versions::Upgrade::Ready { next }) => {
+                self.replica.propose(Command::Raise { wire: next }, LIMIT).await.map_err(|problem| not_committed(&problem))?;
+                Ok(json!(self.upgrading(next, &needed)))
+            }
+        }
+    }
+
+    /// Who must read what the fleet writes even if this node has not heard of him: keepers of the ledger, and holders of roles.
+    fn needed(&self) -> BTreeSet<NodeId> {
+        let keepers: Vec<NodeId> = self.replica.leadership().borrow().voters.values().cloned().collect();
+        let holders = self.replica.read(|ledger| {
+            let holders = ledger.live().into_iter().flat_map(|entry| entry.holders().into_values());
+            holders.map(NodeId::from).collect::<Vec<_>>()
+        });
+        keepers.into_iter().chain(holders).collect()
+    }
+
+    fn upgrading(&self, wire: u8, needed: &BTreeSet<NodeId>) -> Upgrading {
+        let next = wire.checked_add(1).filter(|next| Versions::OWN.hold(*next));
+        let reads: BTreeMap<NodeId, Option<Versions>> = self.knowledge.read(|base| {
+            let known = base.iter().map(|(node, heard)| (node.clone(), Some(heard.record.knowledge.speaks)));
+            needed.iter().map(|node| (node.clone(), None)).chain(known).collect()
+        });
+        let reader = |(node, reads): (NodeId, Option<Versions>)| Reader {
+            alive: node == self.node || self.knowledge.alive(&node),
+            oldest: reads.map(|reads| reads.oldest),
+            newest: reads.map(|reads| reads.newest),
+            ready: next.map(|next| reads.is_some_and(|reads| reads.hold(next))),
+            node: node.to_string(),
+        };
+        Upgrading { wire, next, nodes: reads.into_iter().map(reader).collect() }
     }
 
     async fn change(&self, mission: MissionId, command: Command) -> Result<Value, Problem> {

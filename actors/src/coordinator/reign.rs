@@ -21,10 +21,11 @@ use consort_protocol::event::Happening;
 use consort_protocol::ids::{ClusterId, MissionId, NodeId, RobotId, RoleId};
 use consort_protocol::keys::{ApiCall, Key};
 use consort_protocol::lease::{Award, Epoch, Watch};
-use consort_protocol::ledger::{Command, MissionEntry, Outcome};
+use consort_protocol::ledger::{Command, Ledger, MissionEntry, Outcome};
 use consort_protocol::message::{AwardAnswer, AwardNotice, Beacon, Live, LivePlan, Report};
 use consort_protocol::mission::RoleKind;
 use consort_protocol::units::NodeTime;
+use consort_protocol::versions::Versions;
 use ractor::ActorRef;
 use serde_json::json;
 use std::collections::{BTreeMap, BTreeSet};
@@ -98,11 +99,16 @@ impl Reign {
         settings.events.tell(Happening::Elected { term, voters });
         if settings.replica.cluster().borrow().is_none() {
             let (replica, cluster) = (settings.replica.clone(), ClusterId(settings.cluster_seed));
+            let wire = first_version(settings);
             tasks.spawn(async move {
                 // Should it fail, this node no longer leads, and the next one does it.
                 match replica.propose(Command::Found { cluster }, FOUND_LIMIT).await {
                     Ok(_) => info!(%cluster, "founded the ledger"),
                     Err(problem) => debug!(%cluster, %problem, "did not found the ledger"),
+                }
+                // Should only this fail, the fleet writes the oldest version until somebody finishes the upgrade.
+                if let Err(problem) = replica.propose(Command::Raise { wire }, FOUND_LIMIT).await {
+                    debug!(%problem, "did not say which version of the wire the fleet writes");
                 }
             });
         }
@@ -139,6 +145,7 @@ impl Reign {
 
     /// Says that this node coordinates, and looks after everything.
     pub(super) async fn beat(&mut self, settings: &CoordinatorSettings, myself: &ActorRef<CoordinatorMessage>) {
+        settings.wire.hear(settings.replica.read(Ledger::wire));
         self.say_so(settings).await;
         self.follow_members(settings);
         self.look_abroad(settings);
@@ -151,7 +158,8 @@ impl Reign {
         let voters = settings.replica.leadership().borrow().voters.values().cloned().collect();
         let since_ms = u64::try_from(settings.clock.now().since(self.since).as_millis()).unwrap_or(u64::MAX);
         let cluster = *settings.replica.cluster().borrow();
-        let beacon = Beacon { node: settings.node.clone(), term: self.term, voters, since_ms, cluster };
+        let wire = settings.replica.read(Ledger::wire);
+        let beacon = Beacon { node: settings.node.clone(), term: self.term, voters, since_ms, cluster, wire };
         publish(settings, &Key::Beacon, &beacon).await;
     }
 
@@ -411,6 +419,14 @@ impl Reign {
         let since_ms = u64::try_from(settings.clock.now().since(self.since).as_millis()).unwrap_or(u64::MAX);
         Shown { term: self.term, since_ms, autopilot: self.autopilot.show() }
     }
+}
+
+/// Which version of the wire a fleet writes that is founded now: the newest, unless somebody is known who does not read it.
+fn first_version(settings: &CoordinatorSettings) -> u8 {
+    let Versions { oldest, newest } = Versions::OWN;
+    let read_by_all =
+        settings.knowledge.read(|base| base.iter().all(|(_, heard)| heard.record.knowledge.speaks.hold(newest)));
+    if read_by_all { newest } else { oldest }
 }
 
 /// Lets the ledger hear something whose outcome it will show.

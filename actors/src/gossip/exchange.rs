@@ -72,6 +72,7 @@ fn fitting<T: Serialize>(
 mod tests {
     use super::*;
     use consort_protocol::knowledge::{Knowledge, Stamp};
+    use consort_protocol::versions::Versions;
     use std::collections::BTreeSet;
 
     fn records(count: usize, name: impl Fn(usize) -> String) -> Vec<Record> {
@@ -82,6 +83,7 @@ mod tests {
             replica: Some(u64::MAX),
             cluster: None,
             leaving: false,
+            speaks: Versions::OWN,
             worker: None,
         };
         let record = |n| Record {

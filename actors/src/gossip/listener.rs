@@ -9,6 +9,7 @@ use consort_protocol::ids::{FleetId, NodeId};
 use consort_protocol::knowledge::Knowledge;
 use consort_protocol::message::{Exchange, Statement};
 use consort_protocol::units::NodeTime;
+use consort_protocol::versions::Versions;
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
 use std::time::Duration;
@@ -43,6 +44,7 @@ impl Listener {
             replica: None,
             cluster: None,
             leaving: false,
+            speaks: Versions::OWN,
             worker: None,
         };
         let (mut known, rng) = (Known::default(), ChaCha8Rng::seed_from_u64(1));

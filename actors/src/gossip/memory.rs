@@ -219,6 +219,7 @@ fn next(stamp: Stamp) -> Option<Stamp> {
 mod tests {
     use super::*;
     use crate::gossip::Status;
+    use consort_protocol::versions::Versions;
 
     const T0: NodeTime = NodeTime::ZERO;
 
@@ -234,6 +235,7 @@ mod tests {
             replica: Some(replica),
             cluster: None,
             leaving: false,
+            speaks: Versions::OWN,
             worker: None,
         }
     }

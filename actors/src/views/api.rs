@@ -33,7 +33,7 @@ impl Looks {
                 Err(problem) => Err(refusal(problem)),
             },
             ApiCall::Help => Ok(calls::help()),
-            ApiCall::Submit | ApiCall::Cancel | ApiCall::Rescued | ApiCall::Backup => {
+            ApiCall::Submit | ApiCall::Cancel | ApiCall::Rescued | ApiCall::Backup | ApiCall::Upgrade => {
                 Err(refusal(format!("{} is the coordinator's", call.word())))
             }
         };

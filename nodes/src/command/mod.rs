@@ -31,5 +31,6 @@ pub mod station;
 pub mod submit;
 pub mod test;
 pub mod token;
+pub mod upgrade;
 pub mod watch;
 pub mod world;

@@ -29,7 +29,7 @@ fn event(node: &str, sequence: u64, at_ms: u64, what: Value) -> Event {
 
 fn beacon(node: &str, term: u64, since_ms: u64) -> Beacon {
     let node = NodeId::new(node).unwrap();
-    Beacon { node: node.clone(), term, voters: [node].into(), since_ms, cluster: None }
+    Beacon { node: node.clone(), term, voters: [node].into(), since_ms, cluster: None, wire: None }
 }
 
 fn worker(availability: Value) -> Value {

@@ -102,7 +102,7 @@ pub(crate) fn event(node: &str, sequence: u64, after_ms: u64, what: Value) -> He
 
 pub(crate) fn beacon(node: &str, term: u64, since_ms: u64) -> Heard {
     let node: consort_protocol::ids::NodeId = node.parse().unwrap();
-    Heard::Beacon(Beacon { node: node.clone(), term, voters: [node].into(), since_ms, cluster: None })
+    Heard::Beacon(Beacon { node: node.clone(), term, voters: [node].into(), since_ms, cluster: None, wire: None })
 }
 
 pub(crate) fn body(robot: &str, x: f64) -> Heard {

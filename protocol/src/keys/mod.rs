@@ -147,6 +147,8 @@ words! {
         Rescued = "rescued",
         /// Ask for a copy of the ledger.
         Backup = "backup",
+        /// Ask how far the fleet is on its way to the next version of the wire, and finish it.
+        Upgrade = "upgrade",
         /// Look at one mission.
         Get = "get",
         /// Look at all missions.
@@ -196,7 +198,7 @@ impl ApiCall {
     /// else knows that nothing is missing.
     pub fn is_reading(self) -> bool {
         match self {
-            ApiCall::Submit | ApiCall::Cancel | ApiCall::Rescued | ApiCall::Backup => false,
+            ApiCall::Submit | ApiCall::Cancel | ApiCall::Rescued | ApiCall::Backup | ApiCall::Upgrade => false,
             ApiCall::Get | ApiCall::List | ApiCall::Explain | ApiCall::Help => true,
         }
     }

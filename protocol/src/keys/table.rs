@@ -82,6 +82,7 @@ table! {
     Key::Api(ApiCall::Cancel) => "api/cancel", "the coordinator" Answers JSON, "withdraws a mission";
     Key::Api(ApiCall::Rescued) => "api/rescued", "the coordinator" Answers JSON, "says that a person has taken care of what a mission left behind";
     Key::Api(ApiCall::Backup) => "api/backup", "the coordinator" Answers JSON, "a copy of the ledger, with all that is acknowledged, for `consort restore`";
+    Key::Api(ApiCall::Upgrade) => "api/upgrade", "the coordinator" Answers JSON, "which versions of the wire each node reads; has the fleet write the next one";
     Key::Api(ApiCall::Get) => "api/get", "any node" Answers JSON, "one mission, as view/mission/{mission}";
     Key::Api(ApiCall::List) => "api/list", "any node" Answers JSON, "all missions, as view/missions";
     Key::Api(ApiCall::Explain) => "api/explain", "any node" Answers JSON, "why each robot did or did not get each role of a mission";

@@ -22,6 +22,7 @@ pub struct Ledger {
     pub(super) missions: BTreeMap<MissionId, MissionEntry>,
     requests: BTreeMap<RequestId, MissionId>,
     submitted: u64,
+    wire: Option<u8>,
 }
 
 /// Something the coordinator wants to hold for all.
@@ -122,6 +123,12 @@ pub enum Command {
         mission: MissionId,
         /// Who.
         by: String,
+    },
+    /// From now on the fleet writes this version of the wire, and what comes with it may stand in the ledger. Whoever proposes it
+    /// has seen to it that everybody can read it; nothing lowers it again.
+    Raise {
+        /// The version.
+        wire: u8,
     },
 }
 
@@ -268,6 +275,7 @@ impl Ledger {
             Command::Fail { mission, cause, branch, places } => self.fail(&mission, cause, branch, &places),
             Command::Cancel { mission, by, places } => self.cancel(&mission, by, &places),
             Command::Rescued { mission, by } => self.rescued(&mission, &by),
+            Command::Raise { wire } => Ok(self.raise(wire)),
         };
         done.unwrap_or_else(Outcome::Refused)
     }
@@ -275,6 +283,11 @@ impl Ledger {
     /// Which founding of the fleet's ledger this is; `None` until the founding is committed.
     pub fn cluster(&self) -> Option<ClusterId> {
         self.cluster
+    }
+
+    /// Which version of the wire the fleet writes; `None` until that is said first, right after the founding.
+    pub fn wire(&self) -> Option<u8> {
+        self.wire
     }
 
     /// Makes this the ledger of another cluster, with all that it holds. Never part of the log: only whoever recovers one
@@ -338,6 +351,11 @@ impl Ledger {
     /// Once founded, a ledger stays what it is: a second founder may have stood in for the first.
     fn found(&mut self, cluster: ClusterId) -> Outcome {
         self.cluster.get_or_insert(cluster);
+        Outcome::Done
+    }
+
+    fn raise(&mut self, wire: u8) -> Outcome {
+        self.wire = self.wire.max(Some(wire));
         Outcome::Done
     }
 

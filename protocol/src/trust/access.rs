@@ -122,7 +122,7 @@ pub fn needed(call: ApiCall) -> Scope {
     match call {
         ApiCall::Get | ApiCall::List | ApiCall::Explain | ApiCall::Help => Scope::Read,
         ApiCall::Submit | ApiCall::Cancel => Scope::Submit,
-        ApiCall::Rescued | ApiCall::Backup => Scope::Operate,
+        ApiCall::Rescued | ApiCall::Backup | ApiCall::Upgrade => Scope::Operate,
     }
 }
 

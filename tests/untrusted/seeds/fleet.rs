@@ -124,7 +124,7 @@ pub(super) fn recording() -> Vec<u8> {
     let mut tape = Tape::create(&file, Existing::Replace, &fleet, "s-1", began_ms).expect("a file");
     let mut picture = Picture::new("ward", "s-1", FloorPlan::default(), began_ms);
     let node: consort_protocol::ids::NodeId = "s-1".parse().expect("a slug");
-    let beacon = Beacon { node: node.clone(), term: 2, voters: [node].into(), since_ms: 40, cluster: None };
+    let beacon = Beacon { node: node.clone(), term: 2, voters: [node].into(), since_ms: 40, cluster: None, wire: None };
     let mut all = vec![Heard::Beacon(beacon), Heard::Links(2)];
     all.extend(views().map(|(_, key, view)| Heard::View { key, view }));
     for (sequence, what) in (1..).zip(happened()) {

@@ -18,6 +18,7 @@ use consort_protocol::plan::{LocalPlan, StepAction, StepIndex};
 use consort_protocol::pose::Pose;
 use consort_protocol::trust::{Fingerprint, Kind, SIGNATURE, Sealed, write};
 use consort_protocol::units::{BatteryShare, Seconds, SharePerSecond};
+use consort_protocol::versions::Versions;
 use consort_skills::actions::{Goal, GoalId, GoalStatus};
 use serde::Serialize;
 use std::collections::{BTreeMap, BTreeSet};
@@ -74,6 +75,7 @@ fn record(owner: &str) -> Record {
         replica: Some(7),
         cluster: Some(ClusterId(1)),
         leaving: false,
+        speaks: Versions::OWN,
         worker: Some(worker),
     };
     Record { owner: slug(owner), stamp: Stamp { incarnation: 5, version: 9 }, knowledge }
@@ -207,7 +209,7 @@ pub(super) fn messages() -> Vec<Vec<u8>> {
 
 fn beacon() -> Beacon {
     let voters = BTreeSet::from([slug("ada"), slug("bob")]);
-    Beacon { node: slug("ada"), term: 3, voters, since_ms: 500, cluster: Some(ClusterId(1)) }
+    Beacon { node: slug("ada"), term: 3, voters, since_ms: 500, cluster: Some(ClusterId(1)), wire: None }
 }
 
 fn said_to_the_ledger() -> Vec<Command> {

@@ -6,6 +6,7 @@ use consort_protocol::ensemble::{Ensemble, EnsembleSpec};
 use consort_protocol::ids::{EnsembleId, NodeId, TaskType};
 use consort_protocol::knowledge::{Knowledge, KnowledgeBase, Record, Stamp};
 use consort_protocol::units::NodeTime;
+use consort_protocol::versions::Versions;
 use consort_skills::bt::xml::{read_xml, write_xml};
 use consort_skills::bt::{NodeSpec, TreeSpec};
 use consort_skills::library::SkillLibrary;
@@ -88,6 +89,7 @@ fn station() -> Knowledge {
         replica: Some(1),
         cluster: None,
         leaving: false,
+        speaks: Versions::OWN,
         worker: None,
     }
 }

@@ -1,5 +1,6 @@
 use super::*;
 use consort_protocol::ids::FleetId;
+use consort_protocol::versions::Versions;
 
 fn node(name: &str) -> NodeId {
     NodeId::new(name).unwrap()
@@ -17,6 +18,7 @@ fn knowledge(replica: Option<u64>) -> Knowledge {
         replica,
         cluster: None,
         leaving: false,
+        speaks: Versions::OWN,
         worker: None,
     }
 }

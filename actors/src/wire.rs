@@ -1,0 +1,87 @@
+//! Which version of the wire a node writes, and what becomes of one whose program does not read its fleet's.
+
+use crate::bus::{BusError, SharedBus};
+use crate::tasks::Tasks;
+use consort_protocol::codec;
+use consort_protocol::keys::{Key, Keys};
+use consort_protocol::message::Beacon;
+use consort_protocol::versions::Versions;
+use std::sync::Arc;
+use tokio::sync::watch;
+use tracing::{debug, info};
+
+/// The version of the wire that a node writes: the oldest that it reads, until it has heard what the fleet writes. Clones are one.
+#[derive(Debug, Clone)]
+pub struct Wire(Arc<watch::Sender<u8>>);
+
+impl Default for Wire {
+    fn default() -> Self {
+        Wire(Arc::new(watch::Sender::new(Versions::OWN.oldest)))
+    }
+}
+
+impl Wire {
+    /// The version.
+    pub fn version(&self) -> u8 {
+        *self.0.borrow()
+    }
+
+    /// Takes in what the fleet writes, as the ledger or whoever coordinates says; of a fleet that is being founded nothing is said.
+    pub(crate) fn hear(&self, version: Option<u8>) {
+        let Some(version) = version else { return };
+        let news = self.0.send_if_modified(|own| std::mem::replace(own, version) != version);
+        if news {
+            info!(version, "the fleet writes a version of the wire");
+        }
+    }
+
+    /// Listens to what coordinators of this node's cluster say.
+    pub(crate) async fn follow(self, bus: &SharedBus, keys: &Keys, tasks: &mut Tasks) -> Result<(), BusError> {
+        let mut beacons = bus.subscribe(&keys.write(&Key::Beacon)).await?;
+        tasks.spawn(async move {
+            while let Some(sample) = beacons.recv().await {
+                match codec::decode::<Beacon>(&sample.payload) {
+                    Ok(beacon) => self.hear(beacon.wire),
+                    Err(problem) => debug!(%problem, "a beacon that cannot be read"),
+                }
+            }
+        });
+        Ok(())
+    }
+
+    /// Waits until the fleet writes what this program does not read, and says what is to be done.
+    pub(crate) async fn left_behind(&self) -> String {
+        let mut heard = self.0.subscribe();
+        let version = heard.wait_for(|version| !Versions::OWN.hold(*version)).await.map(|version| *version);
+        left_behind(version.expect("this is the sender"))
+    }
+}
+
+fn left_behind(fleet: u8) -> String {
+    let release = env!("CARGO_PKG_VERSION");
+    let own = Versions::OWN;
+    let advice = match fleet > own.newest {
+        true => "install the release that the others run",
+        false => "bring the others to a release between the two, one at a time, and `consort upgrade --finish`, first",
+    };
+    format!("the fleet writes version {fleet} of the wire, and this program, {release}, reads {own}: {advice}")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[tokio::test]
+    async fn whoever_does_not_read_what_the_fleet_writes_is_told_what_to_do() {
+        let wire = Wire::default();
+        assert_eq!(wire.version(), Versions::OWN.oldest);
+        wire.hear(Some(Versions::OWN.newest));
+        assert_eq!(wire.version(), Versions::OWN.newest);
+        let waiting = wire.clone();
+        let told = tokio::spawn(async move { waiting.left_behind().await });
+        wire.hear(Some(Versions::OWN.newest + 1));
+        let told = told.await.unwrap();
+        assert!(told.ends_with(": install the release that the others run"), "{told}");
+        assert!(left_behind(0).contains("bring the others to a release between"), "{}", left_behind(0));
+    }
+}
