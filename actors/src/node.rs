@@ -14,7 +14,7 @@ use crate::bus::{BusError, Query, SharedBus, Stream};
 use crate::clock::Clock;
 use crate::coordinator::{Coordinator, CoordinatorSettings, IntakeLimits};
 use crate::events::Events;
-use crate::gossip::{self, Gossip, GossipHandle, SharedKnowledge};
+use crate::gossip::{self, Gossip, GossipHandle, SharedKnowledge, SharedNotary};
 use crate::observe::SharedObserver;
 use crate::replica::{Applied, Replica, ReplicaSettings, StartError};
 use crate::robot::{Patience, Robot, RobotMessage, RobotSettings};
@@ -101,6 +101,8 @@ pub struct NodeSettings {
     pub stationary: bool,
     /// Whether it lives on mains power.
     pub mains_powered: bool,
+    /// Who signs what it says of itself and judges what others hand on of third ones, where the fleet has certificates.
+    pub notary: Option<SharedNotary>,
     /// Its robot, if it has one.
     pub robot: Option<RobotPart>,
     /// The bodies and people it hosts, if it does.
@@ -348,7 +350,7 @@ async fn assemble(
     bus: SharedBus,
     root: &ActorRef<NodeMessage>,
 ) -> Result<Assembled, NodeError> {
-    let NodeSettings { fleet, node, incarnation, seed, store, clock, observer, .. } = settings;
+    let NodeSettings { fleet, node, incarnation, seed, store, clock, notary, observer, .. } = settings;
     let keys = Keys::new(&fleet.fleet);
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     let mut tasks = Tasks::default();
@@ -376,7 +378,7 @@ async fn assemble(
         speaks: Versions::OWN,
         worker: settings.robot.as_ref().map(|robot| robot.worker.clone()),
     };
-    let shared = SharedKnowledge::default();
+    let (shared, wire) = (SharedKnowledge::default(), Wire::default());
     let start = gossip::Start {
         settings: gossip::Settings::new(fleet.fleet.clone(), node.clone(), incarnation).with_timing(fleet.timing),
         knowledge,
@@ -384,6 +386,8 @@ async fn assemble(
         bus: bus.clone(),
         clock,
         rng: ChaCha8Rng::from_rng(&mut rng),
+        wire: wire.clone(),
+        notary,
     };
     let supervisor = root.get_cell();
     let (gossip, _) =
@@ -397,7 +401,6 @@ async fn assemble(
         allegiance.clone().follow(move |own| told.update_with(move |knowledge| knowledge.cluster = own).is_ok()),
     );
     let times = fleet.timing.times();
-    let wire = Wire::default();
     wire.clone().follow(&bus, &keys, &mut tasks).await?;
     let (heard, to) = (wire.clone(), root.clone());
     tasks.spawn(async move {

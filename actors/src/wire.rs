@@ -26,6 +26,11 @@ impl Wire {
         *self.0.borrow()
     }
 
+    /// Hears whenever it changes.
+    pub(crate) fn changes(&self) -> watch::Receiver<u8> {
+        self.0.subscribe()
+    }
+
     /// Takes in what the fleet writes, as the ledger or whoever coordinates says; of a fleet that is being founded nothing is said.
     pub(crate) fn hear(&self, version: Option<u8>) {
         let Some(version) = version else { return };

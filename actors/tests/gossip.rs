@@ -4,6 +4,7 @@ use bytes::Bytes;
 use consort_actors::bus::{Bus, Delivery, Encoding, LinkModel, VirtualNetwork};
 use consort_actors::clock::Clock;
 use consort_actors::gossip::{Counters, Gossip, GossipHandle, Settings, SharedKnowledge, Start, Status};
+use consort_actors::wire::Wire;
 use consort_protocol::codec;
 use consort_protocol::ids::{FleetId, NodeId};
 use consort_protocol::keys::{Key, Keys};
@@ -109,6 +110,8 @@ impl Fleet {
             bus: Arc::new(self.network.bus(node.clone())),
             clock,
             rng: ChaCha8Rng::seed_from_u64(self.seed * 1000 + number as u64 * 10 + incarnation),
+            wire: Wire::default(),
+            notary: None,
         };
         let (gossip, _) = Gossip::start(start, supervisor).await.expect("a bus that takes declarations");
         self.nodes.insert(node, Node { gossip, shared, clock });
@@ -554,7 +557,7 @@ fn nonsense_is_counted_and_changes_nothing() {
         let before = fleet.node(0).stamp_of(&name(1)).unwrap();
         let mut forged = fleet.node(0).shared.read(|base| base.get(&name(1)).unwrap().record.clone());
         forged.stamp.version += 1000;
-        let forged = Bytes::from(codec::encode(&Statement::Record(forged)).unwrap());
+        let forged = Bytes::from(codec::encode_for(2, Statement::Record(forged)).unwrap());
         for (key, payload) in [
             (Key::Knowledge(name(50)), Bytes::from_static(b"\x01nonsense")),
             (Key::Knowledge(name(50)), Bytes::new()),

@@ -121,7 +121,7 @@ async fn until_told(
     info!(node = %name, fleet = %fleet.name, id = zenoh.id(), listening = zenoh.listening().await.join(", "), "open");
     let mut watch = tokio::task::JoinSet::new();
     watch.spawn(say_links(zenoh.clone(), bus.connect.clone()));
-    let bus = trust.sealed(metrics.metered(Arc::new(zenoh.clone())), &settings).await?;
+    let bus = trust.sealed(metrics.metered(Arc::new(zenoh.clone())), &mut settings).await?;
     let on_page = Arc::clone(&bus);
     let started = NodeHandle::start(settings, bus).await;
     let mut node = started.map_err(|problem| Failure::Unsuccessful(format!("{name} did not start: {problem}")))?;

@@ -57,14 +57,16 @@ impl NodeTrust {
         self.0.as_ref().map(|(keyring, _)| Arc::clone(keyring))
     }
 
-    /// The bus on which messages are sealed, if they are.
+    /// The bus on which messages are sealed, if they are; then the node's settings name who signs and judges records, too.
     ///
     /// # Errors
     /// [`Failure::Unsuccessful`] if the node's certificate cannot be shown on the bus.
-    pub async fn sealed(self, bus: SharedBus, node: &NodeSettings) -> Result<SharedBus, Failure> {
+    pub async fn sealed(self, bus: SharedBus, node: &mut NodeSettings) -> Result<SharedBus, Failure> {
         let Some((keyring, files)) = self.0 else { return Ok(bus) };
         let sealed = SealedBus::open(bus, Keys::new(&node.fleet.fleet), keyring, files, node.clock).await;
-        Ok(Arc::new(sealed.map_err(|problem| Failure::Unsuccessful(problem.to_string()))?))
+        let sealed = sealed.map_err(|problem| Failure::Unsuccessful(problem.to_string()))?;
+        node.notary = Some(sealed.notary());
+        Ok(Arc::new(sealed))
     }
 }
 

@@ -281,6 +281,7 @@ fn bare_node(node: NodeId, fleet: &FleetConfig, life: Life, may_vote: bool) -> R
         robot: None,
         host: None,
         observer: None,
+        notary: None,
     })
 }
 

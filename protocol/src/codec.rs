@@ -19,8 +19,17 @@ use bincode::config::{self, Config};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 
-/// First byte of every message. A change that older nodes cannot read raises it.
-pub const VERSION: u8 = 1;
+/// First byte of every message whose layout has not changed since the first version of the wire ([`versions`](crate::versions)).
+pub const FIRST: u8 = 1;
+
+/// A message whose layout has changed. The first byte says in which version of the wire its layout came; as long as a fleet writes
+/// an earlier one, so is it written.
+pub trait Evolved: Serialize + DeserializeOwned + From<Self::Earlier> {
+    /// The version of the wire in which its layout came.
+    const SINCE: u8;
+    /// What it was before, since [`FIRST`].
+    type Earlier: Serialize + DeserializeOwned + From<Self>;
+}
 
 /// Largest message in bytes, version byte included.
 pub const LIMIT: usize = 64 * 1024;
@@ -36,10 +45,12 @@ const WIDENING: usize = 16;
 #[derive(Debug, thiserror::Error)]
 pub enum CodecError {
     /// Bytes from a node of another version, or not ours at all.
-    #[error("wire version {found}, where this node speaks {VERSION}")]
+    #[error("wire version {found}, where {known} is read")]
     Version {
         /// The first byte found.
         found: u8,
+        /// What could have been read.
+        known: u8,
     },
     /// Nothing at all.
     #[error("empty message")]
@@ -68,7 +79,29 @@ pub enum CodecError {
 /// # Errors
 /// [`CodecError::TooLarge`], and [`CodecError::Malformed`] for a value that cannot be told in bytes.
 pub fn encode<T: Serialize>(message: &T) -> Result<Vec<u8>, CodecError> {
-    encode_within(message, LIMIT)
+    encode_within(FIRST, message, LIMIT)
+}
+
+/// The message as bytes, as a fleet that writes this version of the wire has them.
+///
+/// # Errors
+/// As [`encode`].
+pub fn encode_for<T: Evolved>(wire: u8, message: T) -> Result<Vec<u8>, CodecError> {
+    match wire >= T::SINCE {
+        true => encode_within(T::SINCE, &message, LIMIT),
+        false => encode_within(FIRST, &T::Earlier::from(message), LIMIT),
+    }
+}
+
+/// The message that the bytes spell, be they of an earlier version.
+///
+/// # Errors
+/// As [`decode`].
+pub fn decode_any<T: Evolved>(bytes: &[u8]) -> Result<T, CodecError> {
+    match bytes.first() {
+        Some(&FIRST) => decode::<T::Earlier>(bytes).map(T::from),
+        _ => decode_within(T::SINCE, bytes, LIMIT, config::standard().with_limit::<{ LIMIT * WIDENING }>()),
+    }
 }
 
 /// The message that the bytes spell, all of them.
@@ -76,7 +109,7 @@ pub fn encode<T: Serialize>(message: &T) -> Result<Vec<u8>, CodecError> {
 /// # Errors
 /// [`CodecError`] says what is wrong; whatever the bytes are, this neither panics nor allocates beyond 16 times [`LIMIT`].
 pub fn decode<T: DeserializeOwned>(bytes: &[u8]) -> Result<T, CodecError> {
-    decode_within(bytes, LIMIT, config::standard().with_limit::<{ LIMIT * WIDENING }>())
+    decode_within(FIRST, bytes, LIMIT, config::standard().with_limit::<{ LIMIT * WIDENING }>())
 }
 
 /// A record to be stored, as bytes.
@@ -84,7 +117,7 @@ pub fn decode<T: DeserializeOwned>(bytes: &[u8]) -> Result<T, CodecError> {
 /// # Errors
 /// As [`encode`], beyond [`RECORD_LIMIT`].
 pub fn encode_record<T: Serialize>(record: &T) -> Result<Vec<u8>, CodecError> {
-    encode_within(record, RECORD_LIMIT)
+    encode_within(FIRST, record, RECORD_LIMIT)
 }
 
 /// The stored record that the bytes spell, all of them.
@@ -97,15 +130,16 @@ pub fn decode_record<T: DeserializeOwned>(bytes: &[u8]) -> Result<T, CodecError>
     const MANY: usize = 16 << 20;
     match bytes.len() {
         size if size <= LIMIT => {
-            decode_within(bytes, RECORD_LIMIT, config::standard().with_limit::<{ LIMIT * WIDENING }>())
+            decode_within(FIRST, bytes, RECORD_LIMIT, config::standard().with_limit::<{ LIMIT * WIDENING }>())
         }
         size if size <= SOME => {
-            decode_within(bytes, RECORD_LIMIT, config::standard().with_limit::<{ SOME * WIDENING }>())
+            decode_within(FIRST, bytes, RECORD_LIMIT, config::standard().with_limit::<{ SOME * WIDENING }>())
         }
         size if size <= MANY => {
-            decode_within(bytes, RECORD_LIMIT, config::standard().with_limit::<{ MANY * WIDENING }>())
+            decode_within(FIRST, bytes, RECORD_LIMIT, config::standard().with_limit::<{ MANY * WIDENING }>())
         }
         _ => decode_within(
+            FIRST,
             bytes,
             RECORD_LIMIT,
             config::standard().with_limit::<{ RECORD_LIMIT.saturating_mul(WIDENING) }>(),
@@ -113,8 +147,8 @@ pub fn decode_record<T: DeserializeOwned>(bytes: &[u8]) -> Result<T, CodecError>
     }
 }
 
-fn encode_within<T: Serialize>(value: &T, limit: usize) -> Result<Vec<u8>, CodecError> {
-    let mut bytes = vec![VERSION];
+fn encode_within<T: Serialize>(layout: u8, value: &T, limit: usize) -> Result<Vec<u8>, CodecError> {
+    let mut bytes = vec![layout];
     bincode::serde::encode_into_std_write(value, &mut bytes, config::standard())
         .map_err(|problem| CodecError::Malformed(problem.to_string()))?;
     match bytes.len() {
@@ -123,13 +157,18 @@ fn encode_within<T: Serialize>(value: &T, limit: usize) -> Result<Vec<u8>, Codec
     }
 }
 
-fn decode_within<T: DeserializeOwned>(bytes: &[u8], limit: usize, config: impl Config) -> Result<T, CodecError> {
+fn decode_within<T: DeserializeOwned>(
+    layout: u8,
+    bytes: &[u8],
+    limit: usize,
+    config: impl Config,
+) -> Result<T, CodecError> {
     if bytes.len() > limit {
         return Err(CodecError::TooLarge { size: bytes.len(), limit });
     }
     let (&version, body) = bytes.split_first().ok_or(CodecError::Empty)?;
-    if version != VERSION {
-        return Err(CodecError::Version { found: version });
+    if version != layout {
+        return Err(CodecError::Version { found: version, known: layout });
     }
     let (value, used) = bincode::serde::decode_from_slice(body, config)
         .map_err(|problem| CodecError::Malformed(problem.to_string()))?;
@@ -155,14 +194,14 @@ mod tests {
     fn another_version_is_named() {
         let mut bytes = encode(&1u8).unwrap();
         bytes[0] = 9;
-        assert_eq!(decode::<u8>(&bytes).unwrap_err().to_string(), "wire version 9, where this node speaks 1");
+        assert_eq!(decode::<u8>(&bytes).unwrap_err().to_string(), "wire version 9, where 1 is read");
         assert!(matches!(decode::<u8>(&[]), Err(CodecError::Empty)));
     }
 
     #[test]
     fn a_length_that_lies_allocates_nothing() {
         // A string said to be 2^60 bytes long.
-        let bytes = [VERSION, 253, 0, 0, 0, 0, 0, 0, 0, 16];
+        let bytes = [FIRST, 253, 0, 0, 0, 0, 0, 0, 0, 16];
         assert!(matches!(decode::<String>(&bytes), Err(CodecError::Malformed(_))));
         assert!(matches!(decode::<Vec<u64>>(&bytes), Err(CodecError::Malformed(_))));
     }
@@ -171,7 +210,7 @@ mod tests {
     fn a_short_record_that_lies_takes_no_more_memory_than_a_message() {
         // A text said to be 2 MiB long, and one said to be 1 GiB long: neither is looked for.
         for lie in [2_u64 << 20, 1 << 30] {
-            let mut bytes = vec![VERSION, 253];
+            let mut bytes = vec![FIRST, 253];
             bytes.extend(lie.to_le_bytes());
             let problem = decode_record::<String>(&bytes).unwrap_err().to_string();
             assert!(problem.contains("LimitExceeded"), "{problem}");

@@ -374,7 +374,7 @@ mod tests {
     fn heard(name: &str, skills: &[&str]) -> Record {
         let mut knowledge = example_knowledge();
         knowledge.worker.as_mut().unwrap().skills = skills.iter().map(|s| TaskType::new(*s).unwrap()).collect();
-        Record { owner: node(name), stamp: Stamp::default(), knowledge }
+        Record { owner: node(name), stamp: Stamp::default(), knowledge, proof: None }
     }
 
     fn drawers() -> EnsembleSpec {

@@ -4,8 +4,10 @@
 //! change); merging keeps the later one, so that merging is commutative, associative and idempotent, and knowledge may
 //! reach a node by any way, in any order, any number of times (a state-based CRDT: Shapiro et al. 2011).
 
-use crate::ids::{ClusterId, MissionId, NodeId, PlaceId, RoleId, TaskType};
+use crate::codec;
+use crate::ids::{ClusterId, FleetId, MissionId, NodeId, PlaceId, RoleId, TaskType};
 use crate::pose::Pose;
+use crate::trust::{Fingerprint, SIGNATURE};
 use crate::units::{BatteryShare, MetresPerSecond, NodeTime, SharePerSecond};
 use crate::versions::Versions;
 use serde::{Deserialize, Serialize};
@@ -21,6 +23,42 @@ pub struct Record {
     pub stamp: Stamp,
     /// What it says.
     pub knowledge: Knowledge,
+    /// That its owner says so, for those who have it from others, if the fleet has certificates.
+    pub proof: Option<Proof>,
+}
+
+impl Record {
+    /// What its owner signs: what the signature is for, the fleet, and all of the record but the proof itself.
+    pub fn signed_part(&self, fleet: &FleetId) -> Vec<u8> {
+        let said = codec::encode_record(&(fleet, &self.owner, self.stamp, &self.knowledge));
+        let said = said.expect("what fits a message fits a record");
+        [b"consort record\0", &said[..]].concat()
+    }
+}
+
+/// The signature of a record by its owner.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Proof {
+    by: Fingerprint,
+    signature: [[u8; SIGNATURE / 2]; 2],
+}
+
+impl Proof {
+    /// A signature by the bearer of this certificate; `None` if it has not as many bytes as a signature has.
+    pub fn new(by: Fingerprint, signature: &[u8]) -> Option<Proof> {
+        let (first, second) = signature.split_first_chunk()?;
+        Some(Proof { by, signature: [*first, second.try_into().ok()?] })
+    }
+
+    /// By the bearer of which certificate it claims to be.
+    pub fn by(&self) -> Fingerprint {
+        self.by
+    }
+
+    /// The bytes of the signature.
+    pub fn signature(&self) -> Vec<u8> {
+        self.signature.concat()
+    }
 }
 
 /// Position of a record in the history of its owner.
@@ -205,17 +243,20 @@ impl KnowledgeBase {
     }
 
     /// The owner itself said, at `now`, that it is at `stamp`, and has said the same since version `since` of that
-    /// incarnation. False if this node has not heard what that is.
-    pub fn renew(&mut self, owner: &NodeId, stamp: Stamp, since: u64, now: NodeTime) -> bool {
+    /// incarnation; `proof` is that of its record with that stamp. False if this node has not heard what that is.
+    pub fn renew(&mut self, owner: &NodeId, stamp: Stamp, since: u64, proof: Option<Proof>, now: NodeTime) -> bool {
         let Some(heard) = self.heard.get_mut(owner) else { return false };
-        let known = &mut heard.record.stamp;
-        if *known > stamp {
+        let known = heard.record.stamp;
+        if known > stamp {
             return true; // it was overtaken by something later
         }
         if known.incarnation != stamp.incarnation || known.version < since {
             return false;
         }
-        *known = stamp;
+        if known < stamp || proof.is_some() {
+            heard.record.proof = proof;
+        }
+        heard.record.stamp = stamp;
         heard.at = heard.at.max(now);
         true
     }
@@ -304,6 +345,7 @@ mod tests {
                 speaks: Versions::OWN,
                 worker: None,
             },
+            proof: None,
         }
     }
 
@@ -369,7 +411,7 @@ mod tests {
                 let before = base.get(&said.owner).map(|heard| heard.record.stamp);
                 if whole {
                     base.merge(said.clone(), NodeTime::ZERO);
-                } else if !base.renew(&said.owner, said.stamp, *since, NodeTime::ZERO) {
+                } else if !base.renew(&said.owner, said.stamp, *since, None, NodeTime::ZERO) {
                     prop_assert!(before.is_none_or(|before| before.version < *since));
                     continue;
                 }
@@ -384,9 +426,9 @@ mod tests {
     fn an_earlier_life_says_nothing_about_a_later_one() {
         let mut base = base(&[record(1, 2, 5)]);
         let owner = record(1, 0, 0).owner;
-        assert!(base.renew(&owner, Stamp { incarnation: 1, version: 9 }, 0, NodeTime::ZERO));
-        assert!(!base.renew(&owner, Stamp { incarnation: 3, version: 9 }, 0, NodeTime::ZERO));
-        assert!(!base.renew(&record(2, 0, 0).owner, Stamp { incarnation: 1, version: 0 }, 0, NodeTime::ZERO));
+        assert!(base.renew(&owner, Stamp { incarnation: 1, version: 9 }, 0, None, NodeTime::ZERO));
+        assert!(!base.renew(&owner, Stamp { incarnation: 3, version: 9 }, 0, None, NodeTime::ZERO));
+        assert!(!base.renew(&record(2, 0, 0).owner, Stamp { incarnation: 1, version: 0 }, 0, None, NodeTime::ZERO));
         assert_eq!(content(&base), [record(1, 2, 5)]);
     }
 

@@ -16,14 +16,16 @@
 //!
 //! From `wire/beacon` on, what is published or asked is [`Within`] a cluster.
 
+use crate::codec::Evolved;
 use crate::ids::{ClusterId, MissionId, NodeId, PlaceId, RobotId, RoleId, TaskId};
-use crate::knowledge::{Digest, Record, Scope, Stamp};
+use crate::knowledge::{Digest, Proof, Record, Scope, Stamp};
 use crate::lease::{Award, Declined, Ending, Epoch, Holding};
 use crate::ledger::Branch;
 use crate::plan::{Signal, StepIndex};
 use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, BTreeSet};
 
+pub mod earlier;
 mod live;
 
 pub use live::{Live, LivePlan};
@@ -43,7 +45,14 @@ pub enum Statement {
         stamp: Stamp,
         /// The version, of the same incarnation, with which it began to say this.
         since: u64,
+        /// That of its record with the latest version, if the fleet has certificates.
+        proof: Option<Proof>,
     },
+}
+
+impl Evolved for Statement {
+    const SINCE: u8 = 2;
+    type Earlier = earlier::Statement;
 }
 
 /// One side of an anti-entropy round. It begins with sums of what the one has, where both may well have the same; the other
@@ -58,6 +67,11 @@ pub struct Exchange {
     pub digest: Digest,
     /// What the sender thinks the other lacks, as much as fits a message.
     pub records: Vec<Record>,
+}
+
+impl Evolved for Exchange {
+    const SINCE: u8 = 2;
+    type Earlier = earlier::Exchange;
 }
 
 /// Asks whether its sender may found the fleet's ledger. Ordered by who is to keep a ledger rather: one that stays where it is

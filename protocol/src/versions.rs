@@ -26,7 +26,7 @@ pub struct Versions {
 
 impl Versions {
     /// Those of this program.
-    pub const OWN: Versions = Versions { oldest: 1, newest: 1 };
+    pub const OWN: Versions = Versions { oldest: 1, newest: 2 };
 
     /// Whether this version is one of them.
     pub fn hold(self, version: u8) -> bool {
@@ -104,7 +104,7 @@ mod tests {
                 speaks: *speaks,
                 worker: None,
             };
-            base.merge(Record { owner: node(name), stamp: Stamp::default(), knowledge }, NodeTime::ZERO);
+            base.merge(Record { owner: node(name), stamp: Stamp::default(), knowledge, proof: None }, NodeTime::ZERO);
         }
         base
     }

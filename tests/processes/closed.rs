@@ -218,11 +218,15 @@ fn a_robot_that_speaks_in_the_name_of_others_is_not_listened_to_and_leaves_a_tra
     });
     let arm = NodeId::new("lab-arm").expect("a name");
     let knowledge = keys.write(&Key::Knowledge(arm.clone()));
-    let still = Statement::Still { stamp: Stamp { incarnation: u64::MAX, version: 1 }, since: 1 };
+    let still = Statement::Still { stamp: Stamp { incarnation: u64::MAX, version: 1 }, since: 1, proof: None };
     let beacon = Beacon { node: arm, term: 1_000_000, voters: BTreeSet::new(), since_ms: 0, cluster: None, wire: None };
     let beacon = Within { cluster: None, said: codec::encode(&beacon).expect("a beacon") };
     let says = [
-        (knowledge.clone(), codec::encode(&still).expect("a statement"), "may not publish on wire/knowledge/lab-arm"),
+        (
+            knowledge.clone(),
+            codec::encode_for(2, still).expect("a statement"),
+            "may not publish on wire/knowledge/lab-arm",
+        ),
         (keys.write(&Key::Beacon), codec::encode(&beacon).expect("a message"), "may not publish on wire/beacon"),
     ];
     for (key, said, trace) in says {

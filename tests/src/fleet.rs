@@ -211,6 +211,7 @@ impl Fleet {
             robot,
             host: None,
             observer: Some(Arc::new(self.chronicle.clone())),
+            notary: None,
         }
     }
 

@@ -97,6 +97,7 @@ impl Stations {
             robot: None,
             host: None,
             observer: None,
+            notary: None,
         };
         let bus = Arc::new(self.network.bus(slug(name)));
         self.listen_at(&bus).await;

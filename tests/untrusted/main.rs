@@ -4,6 +4,7 @@
 //! and seeded changes of both. `CONSORT_UNTRUSTED_CASES` says how many changes, `CONSORT_UNTRUSTED_SEED` which;
 //! `CONSORT_UNTRUSTED_SEEDS=DIR` has the seeds written to a folder for each target, for `tests/fuzz/run.sh` to begin with.
 
+mod kept;
 mod mutate;
 mod regressions;
 mod seeds;

@@ -10,12 +10,14 @@
 //! not fit. All of it repeats or is repaired.
 
 use super::gossiper::{Action, Change, Event, Gossiper};
+use super::notary::{SharedNotary, Verdict};
 use super::settings::Settings;
 use super::shared::SharedKnowledge;
 use crate::bus::{BusError, Delivery, Encoding, Presence, Query, Sample, SharedBus, Stream, Token};
 use crate::clock::Clock;
+use crate::wire::Wire;
 use bytes::Bytes;
-use consort_protocol::codec;
+use consort_protocol::codec::{self, Evolved};
 use consort_protocol::ids::NodeId;
 use consort_protocol::keys::{Key, Keys};
 use consort_protocol::knowledge::Knowledge;
@@ -41,6 +43,10 @@ pub struct Start {
     pub clock: Clock,
     /// Where all chance comes from.
     pub rng: ChaCha8Rng,
+    /// Which version of the wire it writes.
+    pub wire: Wire,
+    /// Who signs what it says of itself and judges what others hand on, where the fleet has certificates.
+    pub notary: Option<SharedNotary>,
 }
 
 /// Gossip has stopped: nothing was changed.
@@ -121,6 +127,8 @@ pub enum Message {
     Answered(u64, Option<Result<Bytes, String>>),
     /// Something is due.
     Woke,
+    /// The fleet writes another version of the wire.
+    Raised,
     /// The bus has closed.
     Closed(&'static str),
 }
@@ -139,6 +147,8 @@ pub struct State {
     keys: Keys,
     bus: SharedBus,
     clock: Clock,
+    wire: Wire,
+    notary: Option<SharedNotary>,
     gossiper: Gossiper,
     shared: SharedKnowledge,
     outbox: mpsc::Sender<Outgoing>,
@@ -155,7 +165,7 @@ impl Actor for Gossip {
     type Arguments = Start;
 
     async fn pre_start(&self, myself: ActorRef<Message>, start: Start) -> Result<State, ActorProcessingErr> {
-        let Start { settings, knowledge, shared, bus, clock, rng } = start;
+        let Start { settings, knowledge, shared, bus, clock, rng, wire, notary } = start;
         let keys = Keys::new(&settings.fleet);
         let mut tasks = JoinSet::new();
         let node = settings.node.clone();
@@ -174,11 +184,14 @@ impl Actor for Gossip {
         let (outbox, outgoing) = mpsc::channel(OUTBOX);
         tasks.spawn(send(bus.clone(), outgoing, keys.write(&Key::Gossip(settings.node.clone())), shared.clone()));
         let (alarm, alarm_set) = watch::channel(None);
-        tasks.spawn(ring(clock, alarm_set, myself));
+        tasks.spawn(ring(clock, alarm_set, myself.clone()));
+        tasks.spawn(tell_of_raises(wire.clone(), myself));
 
         let now = clock.now();
-        let (gossiper, actions) = Gossiper::new(settings.clone(), knowledge, rng, &mut shared.lock(), now);
-        let mut state = State { settings, keys, bus, clock, gossiper, shared, outbox, alarm, tasks, _token: token };
+        let (gossiper, actions) =
+            Gossiper::new(settings.clone(), knowledge, notary.clone(), rng, &mut shared.lock(), now);
+        let mut state =
+            State { settings, keys, bus, clock, wire, notary, gossiper, shared, outbox, alarm, tasks, _token: token };
         state.perform(actions, None, None);
         Ok(state)
     }
@@ -201,11 +214,13 @@ impl Actor for Gossip {
                 _ => Err(format!("{:?} is no node's token", presence.key)),
             },
             Message::Asked(query) => {
-                let exchange = decode::<Exchange>(&query.payload).map(Event::Asked);
+                let exchange = state.read_exchange(&query.payload).map(Event::Asked);
                 asker = Some(query);
                 exchange
             }
-            Message::Answered(round, Some(Ok(bytes))) => decode(&bytes).map(|e| Event::Answered(round, Some(e))),
+            Message::Answered(round, Some(Ok(bytes))) => {
+                state.read_exchange(&bytes).map(|exchange| Event::Answered(round, Some(exchange)))
+            }
             Message::Answered(round, Some(Err(refusal))) => {
                 tracing::debug!(%refusal, "a peer would not compare digests");
                 Ok(Event::Answered(round, None))
@@ -216,6 +231,7 @@ impl Actor for Gossip {
                 state.alarm.send_if_modified(|set| set.take().is_none());
                 Ok(Event::Woke)
             }
+            Message::Raised => Ok(Event::Raised),
             Message::Closed(what) => return Err(format!("the bus brings no more {what}").into()),
         };
         let now = state.clock.now();
@@ -244,7 +260,7 @@ impl State {
             match action {
                 Action::Publish(statement) => {
                     let key = self.keys.write(&Key::Knowledge(self.settings.node.clone()));
-                    self.send(Outgoing::Publish(key, encode(&statement)));
+                    self.send(Outgoing::Publish(key, self.encode(statement)));
                 }
                 Action::Send(to, bytes) => {
                     let key = self.keys.write(&Key::Swim(to));
@@ -252,12 +268,13 @@ impl State {
                 }
                 Action::Answer(exchange) => {
                     if let Some(query) = asker.take() {
-                        self.send(Outgoing::Reply(query, encode(&exchange)));
+                        self.send(Outgoing::Reply(query, self.encode(exchange)));
                     }
                 }
                 Action::Ask(round, peer, exchange) => {
                     if let Some(myself) = myself {
-                        self.ask(round, &peer, encode(&exchange), myself.clone());
+                        let asked = self.encode(exchange);
+                        self.ask(round, &peer, asked, myself.clone());
                     }
                 }
             }
@@ -289,6 +306,28 @@ impl State {
         });
     }
 
+    fn encode<T: Evolved>(&self, message: T) -> Bytes {
+        let bytes = codec::encode_for(self.wire.version(), message);
+        bytes.expect("records and exchanges are bounded when they are made").into()
+    }
+
+    /// What a peer tells, less what it cannot prove that its owners said.
+    fn read_exchange(&mut self, bytes: &[u8]) -> Result<Exchange, String> {
+        let mut exchange: Exchange = decode(bytes)?;
+        let Some(notary) = self.notary.clone() else { return Ok(exchange) };
+        // As long as the fleet writes a version without proofs, none can be asked for.
+        let with_proofs = self.wire.version() >= Exchange::SINCE;
+        exchange.records.retain(|record| match notary.judge(record) {
+            Verdict::Genuine => true,
+            Verdict::Unproven => !with_proofs,
+            Verdict::Forged(problem) => {
+                self.complain(&problem);
+                false
+            }
+        });
+        Ok(exchange)
+    }
+
     /// Who published, and what.
     fn read_statement(&self, sample: &Sample) -> Result<(NodeId, Statement), String> {
         let statement: Statement = decode(&sample.payload)?;
@@ -316,12 +355,8 @@ impl State {
     }
 }
 
-fn decode<T: serde::de::DeserializeOwned>(bytes: &[u8]) -> Result<T, String> {
-    codec::decode(bytes).map_err(|e| e.to_string())
-}
-
-fn encode<T: serde::Serialize>(message: &T) -> Bytes {
-    codec::encode(message).expect("records and exchanges are bounded when they are made").into()
+fn decode<T: Evolved>(bytes: &[u8]) -> Result<T, String> {
+    codec::decode_any(bytes).map_err(|e| e.to_string())
 }
 
 /// Brings what a stream of the bus yields to the mailbox.
@@ -355,6 +390,12 @@ async fn send(bus: SharedBus, mut outgoing: mpsc::Receiver<Outgoing>, own_key: S
             shared.lock().counters.unsent += 1;
         }
     }
+}
+
+/// Brings word when the fleet writes another version of the wire.
+async fn tell_of_raises(wire: Wire, to: ActorRef<Message>) {
+    let mut versions = wire.changes();
+    while versions.changed().await.is_ok() && to.cast(Message::Raised).is_ok() {}
 }
 
 /// Rings when the time comes that was last set.

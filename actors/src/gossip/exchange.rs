@@ -90,6 +90,7 @@ mod tests {
             owner: NodeId::new(name(n)).unwrap(),
             stamp: Stamp { incarnation: u64::MAX, version: u64::MAX },
             knowledge: knowledge.clone(),
+            proof: None,
         };
         (0..count).map(record).collect()
     }
@@ -104,7 +105,7 @@ mod tests {
             let mut turns = Turns::default();
             for _ in 0..=count / 150 {
                 let exchange = turns.compose(Scope::ALL, digest.clone(), &lacking);
-                assert!(codec::encode(&exchange).is_ok());
+                assert!(codec::encode_for(Versions::OWN.newest, exchange.clone()).is_ok());
                 told.extend(exchange.digest.into_keys());
                 handed.extend(exchange.records.into_iter().map(|record| record.owner));
             }

@@ -2,6 +2,7 @@
 
 use super::exchange::Turns;
 use super::memory::{Heard, Memory};
+use super::notary::SharedNotary;
 use super::settings::Settings;
 use super::shared::{Known, Status};
 use super::swim::{Suspicion, Swim, SwimAction, Timer};
@@ -34,6 +35,8 @@ pub(super) enum Event {
     Answered(u64, Option<Exchange>),
     /// The time last given by [`Gossiper::next_due`] has come.
     Woke,
+    /// The fleet writes another version of the wire: what the own record says there is said anew, in full.
+    Raised,
 }
 
 /// Something to carry out, in the order given.
@@ -89,6 +92,10 @@ const PAUSE_FOR_EACH: Duration = Duration::from_millis(50);
 const GREETINGS: usize = 5;
 const GREETING_PAUSE: Duration = Duration::from_millis(100);
 
+/// By how much an earlier life of the node may have been ahead of this one, in milliseconds: a century, for clocks that were set
+/// wrong. Beyond it somebody makes stamps up, and would have the node run out of them.
+const AHEAD_MAX: u64 = 100 * 366 * 24 * 3600 * 1000;
+
 pub(super) struct Gossiper {
     settings: Settings,
     memory: Memory,
@@ -118,13 +125,14 @@ impl Gossiper {
     pub(super) fn new(
         settings: Settings,
         knowledge: Knowledge,
+        notary: Option<SharedNotary>,
         mut rng: ChaCha8Rng,
         known: &mut Known,
         now: NodeTime,
     ) -> (Gossiper, Vec<Action>) {
         // Whoever was alive to an actor before this one has to be met again.
         known.status = BTreeMap::from([(settings.node.clone(), Status::Alive { since: now })]);
-        let memory = Memory::new(settings.node.clone(), settings.incarnation, knowledge, known, now);
+        let memory = Memory::new(settings.node.clone(), settings.incarnation, knowledge, notary, known, now);
         let swim =
             Swim::new(settings.node.clone(), settings.incarnation, settings.swim(), ChaCha8Rng::from_rng(&mut rng));
         let mut gossiper = Gossiper {
@@ -184,6 +192,10 @@ impl Gossiper {
                 }
             }
             Event::Woke => self.woke(known, now, &mut actions)?,
+            Event::Raised => {
+                self.memory.restate(known, now);
+                actions.push(self.publish(known, now));
+            }
         }
         Ok(actions)
     }
@@ -235,11 +247,13 @@ impl Gossiper {
                 self.hear(record, known, now, actions)?;
                 known.base.confirm(&owner, stamp, now);
             }
-            Statement::Still { stamp, since } => match self.memory.hear_still(&owner, stamp, since, known, now) {
-                Heard::Missed => drop(self.missed.insert(owner.clone())),
-                Heard::Mine(stamp) => self.overtake(stamp, known, now, actions)?,
-                Heard::Old | Heard::Again | Heard::News => {}
-            },
+            Statement::Still { stamp, since, proof } => {
+                match self.memory.hear_still(&owner, stamp, since, proof, known, now) {
+                    Heard::Missed => drop(self.missed.insert(owner.clone())),
+                    Heard::Mine(stamp) => self.overtake(stamp, known, now, actions)?,
+                    Heard::Old | Heard::Again | Heard::News => {}
+                }
+            }
         }
         // It speaks, so it is worth a greeting, but that we hear it is no proof that it hears us.
         self.meet(owner, known, now);
@@ -276,6 +290,12 @@ impl Gossiper {
         now: NodeTime,
         actions: &mut Vec<Action>,
     ) -> Result<(), String> {
+        if stamp.incarnation > self.settings.incarnation.saturating_add(AHEAD_MAX) {
+            return Err(format!(
+                "somebody says that this node's incarnation was {}, which none can have been",
+                stamp.incarnation
+            ));
+        }
         tracing::warn!(node = %self.settings.node, ?stamp, "others know a later record of this node than it wrote: an \
             earlier incarnation was higher, or another node has the same name");
         self.memory.overtake(stamp, known, now);

@@ -49,7 +49,7 @@ impl Listener {
         };
         let (mut known, rng) = (Known::default(), ChaCha8Rng::seed_from_u64(1));
         let settings = Settings::new(fleet, node, 1);
-        let (gossiper, _) = Gossiper::new(settings, knowledge, rng, &mut known, NodeTime::ZERO);
+        let (gossiper, _) = Gossiper::new(settings, knowledge, None, rng, &mut known, NodeTime::ZERO);
         Listener { gossiper, known, now: NodeTime::ZERO }
     }
 
@@ -58,10 +58,10 @@ impl Listener {
     /// # Errors
     /// What is wrong with the message, which has changed nothing.
     pub fn hear(&mut self, said: Said, bytes: &[u8]) -> Result<Vec<Vec<u8>>, String> {
-        let exchange = || codec::decode::<Exchange>(bytes).map_err(|problem| problem.to_string());
+        let exchange = || codec::decode_any::<Exchange>(bytes).map_err(|problem| problem.to_string());
         let event = match said {
             Said::Published(owner) => {
-                let statement: Statement = codec::decode(bytes).map_err(|problem| problem.to_string())?;
+                let statement: Statement = codec::decode_any(bytes).map_err(|problem| problem.to_string())?;
                 match &statement {
                     Statement::Record(record) if record.owner != owner => return Err("it is another's".to_owned()),
                     _ => Event::Published(owner, statement),
@@ -91,10 +91,12 @@ impl Listener {
     fn handle(&mut self, event: Event) -> Result<Vec<Vec<u8>>, String> {
         let actions = self.gossiper.handle(event, &mut self.known, self.now)?;
         let written = |action| match action {
-            Action::Publish(statement) => codec::encode(&statement).map_err(|problem| problem.to_string()),
+            Action::Publish(statement) => {
+                codec::encode_for(Versions::OWN.newest, statement).map_err(|problem| problem.to_string())
+            }
             Action::Send(_, bytes) => Ok(bytes.to_vec()),
             Action::Ask(_, _, exchange) | Action::Answer(exchange) => {
-                codec::encode(&exchange).map_err(|problem| problem.to_string())
+                codec::encode_for(Versions::OWN.newest, exchange).map_err(|problem| problem.to_string())
             }
         };
         Ok(actions.into_iter().map(|action| written(action).expect("what it says fits a message")).collect())

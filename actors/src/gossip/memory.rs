@@ -4,9 +4,10 @@
 //! that nobody brings the same record back; a later one is welcome, and so is the same one once its owner is alive.
 
 use super::exchange::{RECORD_MAX, size};
+use super::notary::SharedNotary;
 use super::shared::Known;
 use consort_protocol::ids::NodeId;
-use consort_protocol::knowledge::{Digest, Knowledge, Record, Scope, Stamp};
+use consort_protocol::knowledge::{Digest, Knowledge, Proof, Record, Scope, Stamp};
 use consort_protocol::message::Statement;
 use consort_protocol::mutants::{self, Mutant};
 use consort_protocol::units::NodeTime;
@@ -35,6 +36,8 @@ pub(super) enum Heard {
 
 pub(super) struct Memory {
     own: Record,
+    /// Signs the own record, where the fleet has certificates.
+    notary: Option<SharedNotary>,
     /// The version with which it began to say what it says.
     since: u64,
     renewed: NodeTime,
@@ -49,6 +52,7 @@ impl Memory {
         owner: NodeId,
         incarnation: u64,
         knowledge: Knowledge,
+        notary: Option<SharedNotary>,
         known: &mut Known,
         now: NodeTime,
     ) -> Memory {
@@ -56,11 +60,12 @@ impl Memory {
         if let Some(before) = known.base.get(&owner).map(|heard| heard.record.stamp).filter(|before| *before >= stamp) {
             stamp = next(before).unwrap_or(before);
         }
-        let own = Record { owner, stamp, knowledge };
+        let mut own = Record { owner, stamp, knowledge, proof: None };
+        own.proof = notary.as_ref().map(|notary| notary.sign(&own));
         known.base.merge(own.clone(), now);
         let absent =
             known.base.iter().map(|(node, _)| (node.clone(), now)).filter(|(node, _)| *node != own.owner).collect();
-        Memory { since: stamp.version, own, renewed: now, absent, forgotten: BTreeMap::new() }
+        Memory { since: stamp.version, own, notary, renewed: now, absent, forgotten: BTreeMap::new() }
     }
 
     pub(super) fn own(&self) -> &Record {
@@ -69,7 +74,7 @@ impl Memory {
 
     /// That the own record still says what it said.
     pub(super) fn still(&self) -> Statement {
-        Statement::Still { stamp: self.own.stamp, since: self.since }
+        Statement::Still { stamp: self.own.stamp, since: self.since, proof: self.own.proof }
     }
 
     /// The owner's knowledge changes. True if it did, and there is a new version to tell of.
@@ -115,8 +120,15 @@ impl Memory {
     fn renew(&mut self, known: &mut Known, now: NodeTime) {
         // The last stamp of all cannot be overtaken, and takes longer to reach than any fleet lives.
         self.own.stamp = next(self.own.stamp).unwrap_or(self.own.stamp);
+        self.own.proof = self.notary.as_ref().map(|notary| notary.sign(&self.own));
         self.renewed = now;
         known.base.merge(self.own.clone(), now);
+    }
+
+    /// The owner says the same anew, in full.
+    pub(super) fn restate(&mut self, known: &mut Known, now: NodeTime) {
+        self.renew(known, now);
+        self.since = self.own.stamp.version;
     }
 
     /// Takes in a record that somebody handed over.
@@ -147,6 +159,7 @@ impl Memory {
         owner: &NodeId,
         stamp: Stamp,
         since: u64,
+        proof: Option<Proof>,
         known: &mut Known,
         now: NodeTime,
     ) -> Heard {
@@ -156,7 +169,7 @@ impl Memory {
         if self.forgotten.get(owner).is_some_and(|(last, _)| *last >= stamp) {
             return Heard::Old;
         }
-        if known.base.renew(owner, stamp, since, now) { Heard::Again } else { Heard::Missed }
+        if known.base.renew(owner, stamp, since, proof, now) { Heard::Again } else { Heard::Missed }
     }
 
     pub(super) fn up(&mut self, node: &NodeId) {
@@ -241,13 +254,13 @@ mod tests {
     }
 
     fn record(owner: &str, incarnation: u64, version: u64) -> Record {
-        Record { owner: node(owner), stamp: Stamp { incarnation, version }, knowledge: knowledge(version) }
+        Record { owner: node(owner), stamp: Stamp { incarnation, version }, knowledge: knowledge(version), proof: None }
     }
 
     fn ada() -> (Memory, Known) {
         let mut known = Known::default();
         known.status.insert(node("ada"), Status::Alive { since: T0 });
-        (Memory::new(node("ada"), 5, knowledge(0), &mut known, T0), known)
+        (Memory::new(node("ada"), 5, knowledge(0), None, &mut known, T0), known)
     }
 
     #[test]
@@ -263,7 +276,7 @@ mod tests {
     #[test]
     fn an_actor_started_in_place_of_another_speaks_after_it() {
         let (_, mut known) = ada();
-        let memory = Memory::new(node("ada"), 5, knowledge(0), &mut known, T0);
+        let memory = Memory::new(node("ada"), 5, knowledge(0), None, &mut known, T0);
         assert_eq!(memory.own().stamp, Stamp { incarnation: 5, version: 1 });
     }
 

@@ -67,11 +67,13 @@ mod exchange;
 mod gossiper;
 mod listener;
 mod memory;
+mod notary;
 mod settings;
 mod shared;
 mod swim;
 
 pub use actor::{Gossip, GossipHandle, Start, Stopped};
 pub use listener::{Listener, Said};
+pub use notary::{Notary, SharedNotary, Verdict};
 pub use settings::Settings;
 pub use shared::{Counters, SharedKnowledge, Status};

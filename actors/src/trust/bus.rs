@@ -3,11 +3,13 @@
 use super::cards::Cards;
 use super::files::TrustFiles;
 use super::keyring::{Card, Keyring};
+use super::notary::Signatory;
 use super::refusals::Refusals;
 use crate::bus::{
     Bus, BusError, Delivery, Encoding, Link, Presence, Query, Replier, Reply, Sample, SharedBus, Stream, Token,
 };
 use crate::clock::Clock;
+use crate::gossip::SharedNotary;
 use async_trait::async_trait;
 use bytes::Bytes;
 use consort_protocol::keys::Keys;
@@ -27,7 +29,7 @@ pub struct SealedBus {
 /// What is needed to believe.
 struct Trust {
     keyring: Arc<Keyring>,
-    cards: Cards,
+    cards: Arc<Cards>,
     refusals: Arc<Refusals>,
 }
 
@@ -46,7 +48,13 @@ impl SealedBus {
         let refusals = Arc::new(Refusals::default());
         let (on, ring, told) = (Arc::clone(&bus), Arc::clone(&keyring), Arc::clone(&refusals));
         let cards = Cards::open(on, keys.clone(), ring, files, clock, told).await?;
-        Ok(SealedBus { bus, keys, trust: Arc::new(Trust { keyring, cards, refusals }) })
+        Ok(SealedBus { bus, keys, trust: Arc::new(Trust { keyring, cards: Arc::new(cards), refusals }) })
+    }
+
+    /// Who signs what the bearer says of itself, and judges what others hand on of third ones.
+    pub fn notary(&self) -> SharedNotary {
+        let Trust { keyring, cards, .. } = &*self.trust;
+        Arc::new(Signatory { keyring: Arc::clone(keyring), cards: Arc::clone(cards) })
     }
 
     /// Whether what is said on a key, or key expression, is sealed: whatever nodes say to one another, but for certificates,

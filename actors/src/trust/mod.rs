@@ -17,6 +17,7 @@ mod cards;
 mod files;
 pub mod issue;
 mod keyring;
+mod notary;
 mod probe;
 mod refusals;
 mod token;

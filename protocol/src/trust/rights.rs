@@ -26,7 +26,7 @@
 
 use super::identity::{Bearer, Identity, NodeRole};
 use crate::auction::Tender;
-use crate::codec;
+use crate::codec::{self, CodecError};
 use crate::ids::NodeId;
 use crate::message::{Beacon, Changed, Founder, Report, Statement, Within};
 use serde::de::DeserializeOwned;
@@ -99,10 +99,16 @@ pub fn check(who: &Identity, act: Act, key: &str, payload: &[u8]) -> Result<(), 
     match claimed_name(&bearer, act, key) {
         None => Err(claim.denied(act)),
         Some(Says::Anything) => Ok(()),
-        Some(Says::Statement) => claim.named(name, |said: &Statement| match said {
-            Statement::Record(record) => Some(record.owner.to_string()),
-            Statement::Still { .. } => None,
-        }),
+        Some(Says::Statement) => {
+            let said = codec::decode_any(claim.payload).map_err(|problem| claim.unreadable(&problem))?;
+            claim.is_own(
+                name,
+                match said {
+                    Statement::Record(record) => Some(record.owner.to_string()),
+                    Statement::Still { .. } => None,
+                },
+            )
+        }
         Some(Says::Founder) => claim.named(name, |said: &Founder| Some(said.node.to_string())),
         Some(Says::Beacon) => claim.named_within(name, |said: &Beacon| Some(said.node.to_string())),
         Some(Says::Changed) => claim.named_within(name, |said: &Changed| Some(said.node.to_string())),
@@ -200,11 +206,12 @@ impl Claim<'_> {
     }
 
     fn read<T: DeserializeOwned>(&self, bytes: &[u8]) -> Result<T, Denied> {
-        codec::decode(bytes).map_err(|problem| Denied::Unreadable {
-            bearer: self.who.bearer.to_string(),
-            key: self.key.to_owned(),
-            problem: problem.to_string(),
-        })
+        codec::decode(bytes).map_err(|problem| self.unreadable(&problem))
+    }
+
+    fn unreadable(&self, problem: &CodecError) -> Denied {
+        let (bearer, key) = (self.who.bearer.to_string(), self.key.to_owned());
+        Denied::Unreadable { bearer, key, problem: problem.to_string() }
     }
 
     fn is_own(&self, own: &NodeId, name: Option<String>) -> Result<(), Denied> {

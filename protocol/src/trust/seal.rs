@@ -9,6 +9,7 @@
 //! an answer the question that it answers, and the payload. So a relay can neither put a message on another key, nor pass an
 //! answer off as one to another question, nor a question as a publication.
 
+use serde::{Deserialize, Serialize};
 use std::fmt;
 use std::str::FromStr;
 
@@ -25,7 +26,7 @@ const HEAD: usize = 2 + FINGERPRINT + 8;
 pub const OVERHEAD: usize = HEAD + SIGNATURE;
 
 /// Which certificate: the first half of the SHA-256 of its DER. Written as 32 hexadecimal digits.
-#[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+#[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 pub struct Fingerprint(pub [u8; FINGERPRINT]);
 
 impl fmt::Display for Fingerprint {

@@ -234,6 +234,7 @@ impl<'s> Play<'s> {
             robot,
             host: None,
             observer: Some(Arc::new(self.watcher.clone())),
+            notary: None,
         }
     }
 

@@ -3,6 +3,7 @@
 mod fleet;
 mod spoken;
 
+use consort_protocol::versions::Versions;
 use serde_json::json;
 use std::fs;
 use std::path::Path;
@@ -10,7 +11,7 @@ use std::path::Path;
 /// The seeds of a target, none of which is refused as a whole.
 pub(crate) fn of(name: &str) -> Vec<Vec<u8>> {
     match name {
-        "wire" => spoken::messages(),
+        "wire" => (Versions::OWN.oldest..=Versions::OWN.newest).flat_map(spoken::messages).collect(),
         "gossip" => spoken::gossip(),
         "raft" => spoken::raft(),
         "award" => spoken::awards(),
@@ -69,6 +70,14 @@ pub(crate) fn of(name: &str) -> Vec<Vec<u8>> {
             "GET /healthz",
         ]),
         other => panic!("{other} has no seeds"),
+    }
+}
+
+/// The same of what nodes say to one another and write down, as a fleet that writes this version of the wire has it.
+pub(crate) fn at_version(wire: u8, name: &str) -> Vec<Vec<u8>> {
+    match name {
+        "wire" => spoken::messages(wire),
+        other => of(other),
     }
 }
 

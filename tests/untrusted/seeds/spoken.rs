@@ -5,9 +5,9 @@ use consort_actors::body::{BodyCommand, BodyState, Order, PeopleAsk, PersonState
 use consort_actors::gossip::{Listener, Said as How};
 use consort_actors::robot::{Detours, Page};
 use consort_protocol::auction::{Answer, AuctionId, AuctionRecord, Bid, BidPart, CallForBids, Tender};
-use consort_protocol::codec::{encode, encode_record};
+use consort_protocol::codec::{encode, encode_for, encode_record};
 use consort_protocol::ids::{ClusterId, NodeId, RoleId};
-use consort_protocol::knowledge::{Availability, Knowledge, Record, Scope, Stamp, Worker};
+use consort_protocol::knowledge::{Availability, Knowledge, Proof, Record, Scope, Stamp, Worker};
 use consort_protocol::lease::{Award, Ending, Epoch, Holding};
 use consort_protocol::ledger::{Branch, Command, Ledger};
 use consort_protocol::message::{
@@ -26,6 +26,7 @@ use std::fmt::Debug;
 use std::str::FromStr;
 use std::time::Duration;
 
+const NEWEST: u8 = Versions::OWN.newest;
 const EPOCH: Epoch = Epoch { term: 3, index: 3 };
 
 fn slug<T: FromStr<Err: Debug>>(name: &str) -> T {
@@ -40,6 +41,14 @@ pub(super) fn frame(kind: u8, bytes: &[u8]) -> Vec<u8> {
 
 fn spoken<T: Serialize>(message: &T) -> Vec<u8> {
     encode(message).expect("a small message")
+}
+
+fn stated(wire: u8, statement: Statement) -> Vec<u8> {
+    encode_for(wire, statement).expect("a small message")
+}
+
+fn proof() -> Option<Proof> {
+    Proof::new(Fingerprint([3; 16]), &[1; SIGNATURE])
 }
 
 fn stored<T: Serialize>(record: &T) -> Vec<u8> {
@@ -75,10 +84,10 @@ fn record(owner: &str) -> Record {
         replica: Some(7),
         cluster: Some(ClusterId(1)),
         leaving: false,
-        speaks: Versions::OWN,
+        speaks: Versions { oldest: 1, newest: 1 },
         worker: Some(worker),
     };
-    Record { owner: slug(owner), stamp: Stamp { incarnation: 5, version: 9 }, knowledge }
+    Record { owner: slug(owner), stamp: Stamp { incarnation: 5, version: 9 }, knowledge, proof: proof() }
 }
 
 fn bid() -> Bid {
@@ -153,8 +162,8 @@ pub(super) fn body_state() -> Vec<u8> {
     spoken(&state())
 }
 
-/// One of each kind.
-pub(super) fn messages() -> Vec<Vec<u8>> {
+/// One of each kind, as a fleet that writes this version of the wire has them.
+pub(super) fn messages(wire: u8) -> Vec<Vec<u8>> {
     let (ada, beacon) = (slug::<NodeId>("ada"), beacon());
     let (role, plan) = plans().into_iter().next().expect("a role");
     let signals = plan.steps.iter().filter_map(|step| match &step.action {
@@ -178,10 +187,9 @@ pub(super) fn messages() -> Vec<Vec<u8>> {
         records: vec![record("bob")],
     };
     let mut all = vec![
-        spoken(&record("ada")),
-        spoken(&exchange),
-        spoken(&Statement::Record(record("ada"))),
-        spoken(&Statement::Still { stamp: Stamp::default(), since: 0 }),
+        encode_for(wire, exchange).expect("a small message"),
+        stated(wire, Statement::Record(record("ada"))),
+        stated(wire, Statement::Still { stamp: Stamp::default(), since: 0, proof: proof() }),
         spoken(&CallForBids { auction: auction(), ensemble: slug("all"), roles: plans() }),
         spoken(&Tender { robot: slug("ada"), auction: auction(), answers: vec![Answer::Bid(bid())] }),
         spoken(&AwardNotice::Awarded(Box::new(award(role.as_str(), plan)))),
@@ -274,20 +282,33 @@ pub(super) fn gossip() -> Vec<Vec<u8>> {
     let exchange = |sums, records| {
         let digest =
             BTreeMap::from([(slug("ada"), Stamp { incarnation: 9, version: 2 }), (slug("cyd"), Stamp::default())]);
-        spoken(&Exchange { sums, scope: Scope::ALL, digest, records })
+        let exchange = Exchange { sums, scope: Scope::ALL, digest, records };
+        encode_for(NEWEST, exchange).expect("a small message")
     };
     // What Bob would say to Ada, whom he has just heard: packets of failure detection among it.
     let mut bob = Listener::new(slug("ward"), slug("bob"));
-    let ada = spoken(&Statement::Record(record("ada")));
+    let ada = stated(NEWEST, Statement::Record(record("ada")));
     let mut said = bob.hear(How::Published(slug("ada")), &ada).expect("a statement");
     said.extend(bob.wait(Duration::from_secs(3)).expect("time passes"));
     let packets: Vec<u8> = said.iter().flat_map(|packet| frame(2, packet)).collect();
     vec![
         [packets, frame(255, &[])].concat(),
         [
-            frame(0, &spoken(&Statement::Record(record("bob")))),
-            frame(0, &spoken(&Statement::Still { stamp: Stamp { incarnation: 5, version: 10 }, since: 9 })),
-            frame(1, &spoken(&Statement::Still { stamp: Stamp { incarnation: 5, version: 10 }, since: 9 })),
+            frame(0, &stated(NEWEST, Statement::Record(record("bob")))),
+            frame(
+                0,
+                &stated(
+                    NEWEST,
+                    Statement::Still { stamp: Stamp { incarnation: 5, version: 10 }, since: 9, proof: proof() },
+                ),
+            ),
+            frame(
+                1,
+                &stated(
+                    NEWEST,
+                    Statement::Still { stamp: Stamp { incarnation: 5, version: 10 }, since: 9, proof: proof() },
+                ),
+            ),
             frame(3, &exchange(vec![1, 2, 3], vec![])),
             frame(3, &exchange(vec![], vec![record("cyd")])),
             frame(255, &[]),
@@ -329,7 +350,7 @@ pub(super) fn raft() -> Vec<Vec<u8>> {
 
 pub(super) fn sealed() -> Vec<Vec<u8>> {
     let seal = |kind| {
-        let statement = spoken(&Statement::Record(record("ada")));
+        let statement = stated(NEWEST, Statement::Record(record("ada")));
         let by = Fingerprint([3; 16]);
         write(kind, Sealed { by, number: 9, signature: &[1; SIGNATURE], payload: &statement })
     };
@@ -341,7 +362,7 @@ pub(super) fn sealed() -> Vec<Vec<u8>> {
         seal(Kind::Publication),
         seal(Kind::Question),
         seal(Kind::Answer(Fingerprint([3; 16]), 9)),
-        said(0, "wire/knowledge/ada", spoken(&Statement::Record(record("ada")))),
+        said(0, "wire/knowledge/ada", stated(NEWEST, Statement::Record(record("ada")))),
         said(0, "wire/beacon", within(spoken(&beacon()))),
         said(1, "wire/report/bob", within(spoken(&report()))),
         said(1, "wire/raft/0000000000abcdef/vote", vec![]),

@@ -67,7 +67,10 @@ pub(super) fn condition(bytes: &[u8]) -> bool {
         Ok(ensemble) => {
             let ada = NodeId::new("ada").expect("a slug");
             let mut base = KnowledgeBase::default();
-            base.merge(Record { owner: ada.clone(), stamp: Stamp::default(), knowledge: station() }, NodeTime::ZERO);
+            base.merge(
+                Record { owner: ada.clone(), stamp: Stamp::default(), knowledge: station(), proof: None },
+                NodeTime::ZERO,
+            );
             let believed = ensemble.judge(&ada, &ada, &base, NodeTime::ZERO);
             assert!(!believed.reason.is_empty());
             let heard = base.get(&ada).expect("it was heard");

@@ -5,10 +5,9 @@ use consort_actors::body::{BodyCommand, BodyState, PeopleAsk, PersonState, Perso
 use consort_actors::gossip::{Listener, Said as How};
 use consort_actors::untrusted;
 use consort_protocol::auction::{Answer, CallForBids, Circumstances, Limits, Tender, conclude, explain};
-use consort_protocol::codec::{self, LIMIT};
+use consort_protocol::codec::{self, Evolved, LIMIT};
 use consort_protocol::ids::{FleetId, NodeId};
 use consort_protocol::keys::RaftCall;
-use consort_protocol::knowledge::Record;
 use consort_protocol::ledger::{Command, Ledger, Outcome, Submission};
 use consort_protocol::message::{
     AwardAnswer, AwardNotice, Beacon, Changed, Exchange, Founder, FoundingAnswer, Live, Report, ReportAnswer, Said,
@@ -30,15 +29,26 @@ pub(super) fn survives<T: Serialize + DeserializeOwned>(bytes: &[u8]) -> Option<
     Some(message)
 }
 
+/// The same of what has two layouts.
+fn evolves<T: Evolved + Clone>(bytes: &[u8]) -> bool {
+    let Ok(message) = codec::decode_any::<T>(bytes) else { return false };
+    for wire in [codec::FIRST, T::SINCE] {
+        let Ok(once) = codec::encode_for(wire, message.clone()) else {
+            assert_eq!(wire, T::SINCE, "what was read can be sent as it came");
+            continue;
+        };
+        let again: T = codec::decode_any(&once).expect("what was written can be read");
+        assert_eq!(codec::encode_for(wire, again).expect("the same"), once, "it reads back as something else");
+    }
+    true
+}
+
 pub(super) fn wire(bytes: &[u8]) -> bool {
     let mut read = 0;
     macro_rules! each {
         ($($kind:ty),*) => {$(read += u32::from(survives::<$kind>(bytes).is_some());)*};
     }
     each!(
-        Record,
-        Exchange,
-        Statement,
         AwardNotice,
         AwardAnswer,
         Report,
@@ -58,6 +68,7 @@ pub(super) fn wire(bytes: &[u8]) -> bool {
         PersonState,
         PersonWord
     );
+    read += u32::from(evolves::<Exchange>(bytes)) + u32::from(evolves::<Statement>(bytes));
     if let Some(within) = survives::<Within>(bytes) {
         read += 1;
         survives::<Beacon>(&within.said);

@@ -28,7 +28,7 @@ fn ada() -> (Gossiper, Known) {
     let mut known = Known::default();
     let settings = Settings::new(FleetId::new("ward").unwrap(), node("ada"), 1);
     let rng = ChaCha8Rng::seed_from_u64(1);
-    let (gossiper, first) = Gossiper::new(settings, knowledge(None), rng, &mut known, NodeTime::ZERO);
+    let (gossiper, first) = Gossiper::new(settings, knowledge(None), None, rng, &mut known, NodeTime::ZERO);
     assert!(matches!(&first[..], [Action::Publish(Statement::Record(_))]));
     for other in ["bob", "cyd"] {
         known.status.insert(node(other), Status::Alive { since: NodeTime::ZERO });
@@ -67,7 +67,7 @@ fn agreed() -> Option<Exchange> {
 /// Which version is said, and since which it says the same; nothing if it is said whole.
 fn still(said: &Statement) -> Option<(u64, u64)> {
     match said {
-        Statement::Still { stamp, since } => Some((stamp.version, *since)),
+        Statement::Still { stamp, since, .. } => Some((stamp.version, *since)),
         Statement::Record(_) => None,
     }
 }
@@ -114,8 +114,8 @@ fn who_hears_that_it_missed_something_asks_the_one_who_said_it() {
         let (mut ada, mut known) = ada();
         watch((&mut ada, &mut known), 0..4_000, agreed);
         let stamp = Stamp { incarnation: 4, version: 9 };
-        let record = Record { owner: node(owner), stamp, knowledge: knowledge(Some(3)) };
-        let say_so = || Event::Published(node(owner), Statement::Still { stamp, since: 2 });
+        let record = Record { owner: node(owner), stamp, knowledge: knowledge(Some(3)), proof: None };
+        let say_so = || Event::Published(node(owner), Statement::Still { stamp, since: 2, proof: None });
         ada.handle(say_so(), &mut known, at(4_000)).unwrap();
         assert_eq!(known.base.get(&node(owner)), None);
         let hand_over = || {

@@ -113,8 +113,8 @@ impl Swim {
     /// A packet came in. Gives who sent it.
     pub(super) fn hear(&mut self, bytes: &[u8]) -> Result<(NodeId, Vec<SwimAction>), String> {
         let (version, packet) = bytes.split_first().ok_or("empty packet")?;
-        if *version != codec::VERSION {
-            return Err(format!("wire version {version}, where this node speaks {}", codec::VERSION));
+        if *version != codec::FIRST {
+            return Err(format!("wire version {version}, where {} is read", codec::FIRST));
         }
         let header = Packets.decode_header(packet).map_err(|e| e.to_string())?;
         self.answer |= match header.message {
@@ -281,7 +281,7 @@ impl Swim {
         self.compare_suspects(actions);
         while let Some((to, packet)) = runtime.to_send() {
             let mut bytes = Vec::with_capacity(packet.len() + 1);
-            bytes.push(codec::VERSION);
+            bytes.push(codec::FIRST);
             bytes.extend(packet);
             actions.push(SwimAction::Send(to.node, bytes.into()));
         }
@@ -316,7 +316,7 @@ impl Swim {
             // No probe of foca's own, which does not miss the answer: all that counts is who sends it.
             message: Message::Ping(TOLD),
         };
-        let mut bytes = vec![codec::VERSION];
+        let mut bytes = vec![codec::FIRST];
         Packets.encode_header(&header, &mut bytes).ok()?;
         bytes.put_u16(1);
         Packets.encode_member(suspect, &mut bytes).ok()?;
