@@ -21,4 +21,5 @@ mod rest;
 mod service;
 mod stock_client;
 mod support;
+mod upgrade;
 mod watch;

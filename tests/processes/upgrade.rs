@@ -1,0 +1,212 @@
+//! A fleet goes from the release before to this one, node by node, while missions go on.
+//!
+//! The release before is the program itself, kept: `kept/consort-0.1.0-x86_64-linux-gnu.xz`. Elsewhere, and where there is no `xz`,
+//! these stories are skipped, and say so.
+
+use crate::crashes::{STATIONS, reign, submit, with, world};
+use crate::support::{Client, Fleet, example, until};
+use serde_json::Value;
+use std::fs;
+use std::os::unix::fs::PermissionsExt;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Duration;
+use toml::Table;
+
+const LONG: Duration = Duration::from_secs(120);
+const ROBOTS: [&str; 2] = ["ada", "lab-arm"];
+
+/// The program of the release before, if it runs here.
+#[expect(clippy::print_stderr, reason = "a test that is skipped says so")]
+fn former(folder: &Path) -> Option<PathBuf> {
+    let kept = Path::new(env!("CARGO_MANIFEST_DIR")).join("../tests/processes/kept/consort-0.1.0-x86_64-linux-gnu.xz");
+    let here = cfg!(all(target_arch = "x86_64", target_os = "linux", target_env = "gnu"));
+    let packed = fs::File::open(&kept).unwrap_or_else(|problem| panic!("{}: {problem}", kept.display()));
+    let unpacked = here.then(|| Command::new("xz").arg("-dc").stdin(Stdio::from(packed)).output().ok()).flatten();
+    let Some(unpacked) = unpacked.filter(|unpacked| unpacked.status.success()) else {
+        eprintln!("skipped: the release before is kept for x86-64 Linux, packed by xz");
+        return None;
+    };
+    let program = folder.join("consort-0.1.0");
+    fs::write(&program, unpacked.stdout).expect("the folder can be written to");
+    fs::set_permissions(&program, fs::Permissions::from_mode(0o755)).expect("it is ours");
+    let runs = Command::new(&program).arg("--version").output().expect("it can be run");
+    assert_eq!(String::from_utf8_lossy(&runs.stdout), "consort 0.1.0\n");
+    Some(program)
+}
+
+/// A hospital whose nodes run either program.
+struct Hospital {
+    fleet: Fleet,
+    former: String,
+    speed: f64,
+}
+
+impl Hospital {
+    fn open(name: &str, speed: f64) -> Option<Hospital> {
+        let fleet = Fleet::new(&with(example("fleet"), "name", name));
+        let former = former(&fleet.path("."))?.display().to_string();
+        let mut hospital = Hospital { fleet, former, speed };
+        for node in ["world"].into_iter().chain(STATIONS).chain(ROBOTS) {
+            hospital.start(node, true);
+        }
+        Some(hospital)
+    }
+
+    fn file(&self, node: &str) -> (&'static str, Table) {
+        let data = self.fleet.path(&format!("{node}-data")).display().to_string();
+        match node {
+            "world" => ("world", world(self.speed)),
+            "ada" => ("robot", with(with(example("robot"), "may_vote", false), "data_dir", data)),
+            "lab-arm" => ("robot", with(with(example("arm"), "may_vote", false), "data_dir", data)),
+            station => ("station", with(with(example("station"), "name", station), "data_dir", data)),
+        }
+    }
+
+    /// Starts a node, linked with all that run.
+    fn start(&mut self, node: &str, by_former: bool) {
+        let others: Vec<String> = self.fleet.names().into_iter().map(str::to_owned).collect();
+        let others: Vec<&str> = others.iter().map(String::as_str).collect();
+        let (kind, file) = self.file(node);
+        // `consort` is what this shell is told to run; it runs the other in its place.
+        let former = ["sh", "-c", "shift; exec \"$0\" \"$@\"", &self.former.clone()];
+        self.fleet.start_by(if by_former { &former } else { &[] }, kind, file, &others);
+    }
+
+    /// Ends a node well and starts it by the one program or the other, once the others have seen it go; then it is back.
+    fn move_over(&mut self, node: &str, by_former: bool, seen_by: &Client) {
+        self.fleet.node(node).signal("TERM");
+        self.fleet.ends(node);
+        self.start(node, by_former);
+        self.back(node, seen_by);
+    }
+
+    /// Waits until a node is alive again and, if it keeps the ledger, a voter who has not been lost.
+    fn back(&mut self, node: &str, seen_by: &Client) {
+        let mine = self.fleet.address(node);
+        until(&format!("{node} is back at {mine}"), LONG, || {
+            let fleet = seen_by.view("fleet");
+            let is_alive = |entry: &&Value| entry["node"] == node && entry["status"] == "alive";
+            fleet["nodes"].as_array()?.iter().find(is_alive)?;
+            let coordinator = seen_by.view("coordinator");
+            let is_in = |list: &str| coordinator[list].as_array().is_some_and(|list| list.contains(&node.into()));
+            let keeps = !STATIONS.contains(&node) || (is_in("voters") && !is_in("voters_lost"));
+            (keeps && coordinator["node"].is_string()).then_some(())
+        });
+    }
+
+    fn upgrade(&mut self, more: &[&str], by: &str) -> crate::support::Ended {
+        self.fleet.run(&[&["upgrade"][..], more].concat(), by)
+    }
+}
+
+/// Has missions carried out, one after the other, until it is told to end; gives those that it asked for.
+fn work(address: &str, fleet: &'static str, ended: &AtomicBool) -> Vec<String> {
+    let client = Client::open(address, fleet);
+    let mut missions = vec![];
+    while !ended.load(Ordering::SeqCst) {
+        let mission = submit(&client, &format!("work-{}", missions.len()));
+        until(&format!("{mission} ends"), LONG, || {
+            let state = client.view(&format!("mission/{mission}"))["state"].clone();
+            (state == "completed" || state.is_object()).then_some(())
+        });
+        missions.push(mission);
+    }
+    missions
+}
+
+#[test]
+fn a_fleet_is_upgraded_node_by_node_while_missions_go_on() {
+    let Some(mut hospital) = Hospital::open("upgrade", 10.0) else { return };
+    let address = hospital.fleet.address("world");
+    let mut client = Client::open(&address, "upgrade");
+    let (leader, _) = reign(&client);
+    let ended = Arc::new(AtomicBool::new(false));
+    let told = Arc::clone(&ended);
+    let at = address.clone();
+    let worker = std::thread::spawn(move || work(&at, "upgrade", &told));
+    client.hears("a mission is under way", LONG, |event| event["event"] == "task_began");
+
+    // Whoever coordinates comes last.
+    let mut stations = STATIONS.to_vec();
+    stations.sort_by_key(|station| *station == leader);
+    hospital.move_over(stations[0], false, &client);
+    // It does not suit: back to the release that it came from, and to this one again.
+    hospital.move_over(stations[0], true, &client);
+    hospital.move_over(stations[0], false, &client);
+    for station in &stations[1..] {
+        hospital.move_over(station, false, &client);
+    }
+    // A part of the fleet is of the one release, a part of the other, and it writes what both read.
+    until("it is known who reads what", LONG, || {
+        let told = client.ask("api/upgrade", "{}");
+        let ready: Vec<&str> = told["nodes"]
+            .as_array()?
+            .iter()
+            .filter(|node| node["ready"] == true)
+            .filter_map(|node| node["node"].as_str())
+            .collect();
+        (ready == STATIONS).then_some(())
+    });
+    let refused = hospital.upgrade(&["--finish"], "world").expect(1).stderr;
+    assert!(
+        refused.contains("version 2 of the wire is not read by ada (reads 1), lab-arm (reads 1), world (reads 1)"),
+        "{refused}"
+    );
+    let shown = hospital.upgrade(&[], "world").expect(0).stdout;
+    assert!(shown.starts_with("the fleet writes version 1 of the wire; 3 of 6 nodes do not read 2 yet\n"), "{shown}");
+
+    // In the middle of a mission.
+    client.hears("ada carries something out", LONG, |event| event["event"] == "task_began" && event["node"] == "ada");
+    for robot in ROBOTS {
+        hospital.move_over(robot, false, &client);
+    }
+    ended.store(true, Ordering::SeqCst);
+    let missions = worker.join().expect("all missions ended");
+    for mission in &missions {
+        let state = client.view(&format!("mission/{mission}"))["state"].clone();
+        assert_eq!(state, "completed", "{mission}\n{}", hospital.fleet.logs());
+        // What was under way at a restart may have been begun anew, and ended once.
+        for (task, (begun, ended)) in client.tasks(mission) {
+            assert!(ended == 1 && begun >= 1, "{mission}, {task}: begun {begun} times, ended {ended} times");
+        }
+    }
+    assert!(!missions.is_empty());
+
+    // The world is where they meet: who restarts it, restarts the samples.
+    drop(client);
+    hospital.fleet.node("world").signal("TERM");
+    hospital.fleet.ends("world");
+    hospital.start("world", false);
+    for node in STATIONS.into_iter().chain(ROBOTS) {
+        let seen_by = Client::open(&hospital.fleet.address("world"), "upgrade");
+        hospital.move_over(node, false, &seen_by);
+    }
+    let client = Client::open(&hospital.fleet.address("world"), "upgrade");
+    until("everybody reads version 2", LONG, || {
+        let told = client.ask("api/upgrade", "{}");
+        told["nodes"].as_array()?.iter().all(|node| node["ready"] == true).then_some(())
+    });
+    let said = hospital.upgrade(&["--finish"], "world").expect(0).stdout;
+    assert!(
+        said.starts_with("the fleet writes version 2 of the wire; its coordinator's release reads none later"),
+        "{said}"
+    );
+    let mission = submit(&client, "afterwards");
+    until("a mission is completed after it", LONG, || {
+        (client.view(&format!("mission/{mission}"))["state"] == "completed").then_some(())
+    });
+
+    // There is no way back.
+    hospital.fleet.node("lab-arm").signal("TERM");
+    hospital.fleet.ends("lab-arm");
+    hospital.start("lab-arm", true);
+    let left = hospital.fleet.take("lab-arm").end(LONG).expect(1);
+    let says = "the fleet writes version 2 of the wire, and this program, 0.1.0, reads 1: install the release that the others run";
+    assert!(left.stderr.contains(says), "{}", left.stderr);
+    hospital.start("lab-arm", false);
+    hospital.back("lab-arm", &client);
+    hospital.fleet.stop();
+}
