@@ -2,15 +2,17 @@
 //! certificates and signatures.
 
 use bytes::Bytes;
-use consort_actors::bus::{Bus, Delivery, Encoding, LinkModel, Sample, SharedBus, Stream, VirtualNetwork};
+use consort_actors::bus::{
+    Bus, Delivery, Encoding, LinkModel, Query, Reply, Sample, SharedBus, Stream, VirtualNetwork, Whom,
+};
 use consort_actors::clock::Clock;
 use consort_actors::trust::issue::{Authorising, Issued, Revoked, Validity, found};
 use consort_actors::trust::{Keyring, SealedBus, TOKEN_MAX, TokenError, TrustFiles};
 use consort_protocol::codec;
 use consort_protocol::ids::{FleetId, NodeId};
-use consort_protocol::keys::{BodyCall, Key, Keys};
+use consort_protocol::keys::{ApiCall, BodyCall, Key, Keys};
 use consort_protocol::message::{Beacon, Founder, Within};
-use consort_protocol::trust::{Identity, Scope};
+use consort_protocol::trust::{Identity, OVERHEAD, Scope};
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -240,15 +242,230 @@ async fn a_question_is_answered_by_who_may_and_to_who_may_ask() {
     );
 }
 
+fn event(of: &str, number: u64) -> Vec<u8> {
+    serde_json::json!({ "node": of, "sequence": number, "at_ms": 1, "event": "left" }).to_string().into_bytes()
+}
+
+async fn tell(bus: &dyn Bus, key: &Key, what: &[u8], beside: &Bytes) {
+    let payload = Bytes::copy_from_slice(what);
+    let key = keys().write(key);
+    bus.publish_with(&key, payload, beside.clone(), Encoding::Json, Delivery::Block).await.unwrap();
+}
+
 #[tokio::test(flavor = "current_thread", start_paused = true)]
-async fn what_is_for_anybodys_clients_passes_unsealed() {
+async fn what_anybodys_clients_read_is_plain_and_bears_its_seal_beside_it() {
     let stage = Stage::new();
     let ada = stage.node("ada", "consort://ward/node/ada?roles=voter").await;
     let client = stage.plain("client");
     let events = Key::Events(node("ada"));
     let mut at_client = client.subscribe(&keys().write(&events)).await.unwrap();
-    say(&ada, &events, b"{}").await;
-    assert_eq!(heard(&mut at_client).await, ["{}"]);
+    say(&ada, &events, &event("ada", 1)).await;
+    let sample = at_client.recv().await.unwrap();
+    assert_eq!(sample.payload, event("ada", 1));
+    assert!(!sample.beside.is_empty());
+    // Who asks as everybody does gets the bare answer.
+    let view = keys().write(&Key::ViewFleet);
+    answering(ada.serve_complete(&view).await.unwrap(), |_| Some("{}".into()));
+    let replies = all(client.query_nearest(&view, Bytes::new(), Duration::from_secs(1)).await.unwrap()).await;
+    assert_eq!(
+        replies.iter().map(|reply| (reply.payload.clone(), reply.beside.len())).collect::<Vec<_>>(),
+        [(Ok("{}".into()), 0)]
+    );
+}
+
+#[tokio::test(flavor = "current_thread", start_paused = true)]
+async fn an_event_is_heard_the_first_time_and_a_forged_one_never() {
+    let stage = Stage::new();
+    let ada = stage.node("ada", "consort://ward/node/ada?roles=voter").await;
+    let eve = stage.node("eve", "consort://ward/node/eve?roles=robot,voter,host").await;
+    let kim = stage.node("kim", "consort://ward/person/kim?scope=read").await;
+    let (of_ada, of_eve) = (Key::Events(node("ada")), Key::Events(node("eve")));
+    let mut at_kim = kim.subscribe(&keys().any_events()).await.unwrap();
+    let relay = stage.plain("relay");
+    let mut passing = relay.subscribe(&keys().any_events()).await.unwrap();
+    say(&ada, &of_ada, &event("ada", 1)).await;
+    assert_eq!(heard(&mut at_kim).await, [event("ada", 1)], "nobody need know ada");
+    let seen = passing.recv().await.unwrap();
+    let nothing = [] as [Bytes; 0];
+    tell(&*relay, &of_ada, &seen.payload, &seen.beside).await;
+    assert_eq!(heard(&mut at_kim).await, nothing, "repeated");
+    tell(&*relay, &of_eve, &seen.payload, &seen.beside).await;
+    assert_eq!(heard(&mut at_kim).await, nothing, "moved");
+    tell(&*relay, &of_ada, &seen.payload, &Bytes::new()).await;
+    assert_eq!(heard(&mut at_kim).await, nothing, "without a seal");
+    assert!(kim.refused().contains(&"somebody on events/ada: it bears no seal".to_owned()), "{:?}", kim.refused());
+    say(&eve, &of_ada, &event("ada", 2)).await;
+    say(&eve, &of_eve, &event("ada", 2)).await;
+    assert_eq!(heard(&mut at_kim).await, nothing, "in another's name");
+    for told in [
+        "node eve (robot, voter, host) may not publish on events/ada",
+        "node eve (robot, voter, host) speaks on events/eve in the name of ada",
+    ] {
+        assert!(kim.refused().contains(&told.to_owned()), "{:?}", kim.refused());
+    }
+    say(&ada, &of_ada, &event("ada", 3)).await;
+    assert_eq!(heard(&mut at_kim).await, [event("ada", 3)]);
+    // One that was not heard yet, each byte of it changed.
+    let held = loop {
+        let held = passing.recv().await.unwrap();
+        if held.payload == event("ada", 3) {
+            break held;
+        }
+    };
+    let lee = stage.node("lee", "consort://ward/person/lee?scope=read").await;
+    let mut at_lee = lee.subscribe(&keys().any_events()).await.unwrap();
+    // The certificate first: who knows it already does not look at it.
+    for place in (0..held.beside.len()).rev() {
+        let mut changed = held.beside.to_vec();
+        changed[place] ^= 1;
+        tell(&*relay, &of_ada, &held.payload, &changed.into()).await;
+    }
+    for place in 0..held.payload.len() {
+        let mut changed = held.payload.to_vec();
+        changed[place] ^= 1;
+        tell(&*relay, &of_ada, &changed, &held.beside).await;
+    }
+    assert_eq!(heard(&mut at_lee).await, nothing, "changed");
+    tell(&*relay, &of_ada, &held.payload, &held.beside).await;
+    assert_eq!(heard(&mut at_lee).await, [event("ada", 3)], "and as it was");
+}
+
+/// Answers each question with what is given for it, if anything, for as long as the test lasts.
+fn answering(mut questions: Stream<Query>, with: impl Fn(&Query) -> Option<Bytes> + Send + 'static) {
+    tokio::spawn(async move {
+        while let Some(query) = questions.recv().await {
+            if let Some(answer) = with(&query) {
+                query.replier.reply(&query.key, answer, Encoding::Json).await.unwrap();
+            }
+        }
+    });
+}
+
+async fn all(mut replies: Stream<Reply>) -> Vec<Reply> {
+    let mut all = Vec::new();
+    while let Some(reply) = replies.recv().await {
+        all.push(reply);
+    }
+    all
+}
+
+/// The answers to a request that are believed.
+async fn requested(bus: &dyn Bus, request: &'static str) -> Vec<Result<Bytes, String>> {
+    let key = keys().write(&Key::Api(ApiCall::Submit));
+    let replies = bus.query(&key, request.into(), Duration::from_secs(1)).await.unwrap();
+    all(replies).await.into_iter().map(|reply| reply.payload).collect()
+}
+
+#[tokio::test(flavor = "current_thread", start_paused = true)]
+async fn who_answers_in_the_coordinators_stead_is_not_believed_and_is_told_about() {
+    let stage = Stage::new();
+    let ada = stage.node("ada", "consort://ward/node/ada?roles=voter").await;
+    let eve = stage.node("eve", "consort://ward/node/eve?roles=robot,host").await;
+    let kim = stage.node("kim", "consort://ward/person/kim?scope=submit").await;
+    let key = keys().write(&Key::Api(ApiCall::Submit));
+    answering(ada.serve(&key).await.unwrap(), |_| Some("acknowledged".into()));
+    answering(eve.serve(&key).await.unwrap(), |_| Some("eve's".into()));
+    // One who has nothing to sign with, and one who refuses in everybody's name.
+    answering(stage.plain("mallory").serve(&key).await.unwrap(), |_| Some("mallory's".into()));
+    let mut refusing = stage.plain("trudy").serve(&key).await.unwrap();
+    tokio::spawn(async move {
+        while let Some(query) = refusing.recv().await {
+            query.replier.refuse("nobody coordinates").await.unwrap();
+        }
+    });
+    assert_eq!(requested(&kim, "one").await, [Ok("acknowledged".into())], "at once: the certificate comes along");
+    let told = kim.refused();
+    for reason in ["node eve (robot, host) may not answer on api/submit", "somebody on api/submit: it bears no seal"] {
+        assert!(told.contains(&reason.to_owned()), "{told:?}");
+    }
+}
+
+#[tokio::test(flavor = "current_thread", start_paused = true)]
+async fn an_answer_to_another_question_is_none() {
+    let stage = Stage::new();
+    let ada = stage.node("ada", "consort://ward/node/ada?roles=voter").await;
+    let kim = stage.node("kim", "consort://ward/person/kim?scope=submit").await;
+    let key = keys().write(&Key::Api(ApiCall::Submit));
+    answering(ada.serve(&key).await.unwrap(), |query| Some([b"taken: ", &query.payload[..]].concat().into()));
+    // A relay, between kim and ada: it hears kim's question, and asks ada what it likes in kim's name.
+    let between = Arc::new(stage.network.bus(node("between")));
+    let mut asked = between.serve(&key).await.unwrap();
+    let (relay, at_ada) = (Arc::clone(&between), key.clone());
+    let (swap, mut swaps) = tokio::sync::mpsc::unbounded_channel::<Option<Bytes>>();
+    tokio::spawn(async move {
+        let mut kept: Option<Reply> = None;
+        while let Some(query) = asked.recv().await {
+            let Ok(instead) = swaps.try_recv() else { continue };
+            let reply = match instead {
+                Some(payload) => {
+                    let own = relay.ask(&at_ada, payload, query.beside.clone(), Duration::from_secs(1), Whom::All);
+                    let mut own = own.await.unwrap();
+                    loop {
+                        let reply = own.recv().await.unwrap();
+                        if !reply.beside.is_empty() {
+                            break reply;
+                        }
+                    }
+                }
+                None => kept.take().unwrap(),
+            };
+            let payload = reply.payload.clone().unwrap();
+            query.replier.reply_with(&query.key, payload, reply.beside.clone(), Encoding::Json).await.unwrap();
+            kept = Some(reply);
+        }
+    });
+    stage.network.cut(node("kim"), node("ada"));
+    let ask = |what| requested(&kim, what);
+    // As it was asked, it is an answer, whoever carried it.
+    swap.send(Some("one".into())).unwrap();
+    assert_eq!(ask("one").await, [Ok("taken: one".into())]);
+    swap.send(None).unwrap();
+    assert_eq!(ask("one").await, [], "the answer to the question before");
+    swap.send(Some("another".into())).unwrap();
+    assert_eq!(ask("one").await, [], "the answer to a question that was changed");
+    let told = kim.refused();
+    let reason = "somebody on api/submit says to be node ada (voter), whose signature it is not";
+    assert!(told.contains(&reason.to_owned()), "{told:?}");
+}
+
+#[tokio::test(flavor = "current_thread", start_paused = true)]
+async fn who_shows_a_certificate_that_is_revoked_or_anothers_is_not_believed() {
+    let stage = Stage::new();
+    let authority = stage.authority();
+    let of_ada = authority.issue(&"consort://ward/node/ada?roles=voter".parse().unwrap(), &[], LONG).unwrap();
+    let ada = stage.with(stage.plain("ada"), stage.files("ada", &of_ada), 1).await;
+    let bob = stage.node("bob", "consort://ward/node/bob?roles=voter").await;
+    let foreign = Stage { network: stage.network.clone(), ..Stage::new() };
+    let eve = foreign.node("eve", "consort://ward/node/eve?roles=voter").await;
+    let of_kim = authority.issue(&"consort://ward/person/kim?scope=read".parse().unwrap(), &[], LONG).unwrap();
+    let mut files = stage.files("kim", &of_kim);
+    let revoked = [Revoked { serial: serial(&of_ada.certificate), since: NOW }];
+    files.revoked = Some(stage.folder.write("revoked.pem", &authority.revoke(&revoked, 1, LONG).unwrap()));
+    let kim = stage.with(stage.plain("kim"), files, 1).await;
+    let mut at_kim = kim.subscribe(&keys().any_events()).await.unwrap();
+    let relay = stage.plain("relay");
+    let mut passing = relay.subscribe(&keys().any_events()).await.unwrap();
+    for (bus, name) in [(&ada, "ada"), (&bob, "bob"), (&eve, "eve")] {
+        say(bus, &Key::Events(node(name)), &event(name, 1)).await;
+    }
+    assert_eq!(heard(&mut at_kim).await, [event("bob", 1)]);
+    let told = kim.refused();
+    for reason in [
+        "somebody on events/ada whose certificate is not believed: it has been revoked",
+        "somebody on events/eve whose certificate is not believed: it was not signed by this fleet's authority",
+    ] {
+        assert!(told.iter().any(|told| told == reason), "{told:?}");
+    }
+    // The head of one seal with the certificate of another.
+    let lee = stage.node("lee", "consort://ward/person/lee?scope=read").await;
+    let mut at_lee = lee.subscribe(&keys().any_events()).await.unwrap();
+    let seen: Vec<Sample> = std::iter::from_fn(|| passing.try_recv()).collect();
+    let of = |name: &str| seen.iter().find(|sample| sample.key.ends_with(name)).unwrap();
+    let mixed = [&of("ada").beside[..OVERHEAD], &of("bob").beside[OVERHEAD..]].concat();
+    tell(&*relay, &Key::Events(node("ada")), &of("ada").payload, &mixed.into()).await;
+    assert_eq!(heard(&mut at_lee).await, [] as [Bytes; 0]);
+    let reason = "somebody on events/ada shows the certificate of node bob (voter) for another";
+    assert!(lee.refused().contains(&reason.to_owned()), "{:?}", lee.refused());
 }
 
 #[tokio::test(flavor = "current_thread", start_paused = true)]

@@ -43,6 +43,24 @@ fn session(address: &str, certs: Option<&Path>) -> Result<zenoh::Session, String
     zenoh::open(config).wait().map_err(|problem| problem.to_string())
 }
 
+fn threads() -> tokio::runtime::Runtime {
+    tokio::runtime::Builder::new_multi_thread().enable_all().build().expect("threads")
+}
+
+/// A node's bus with its certificate, linked with one other: bare, and as nodes use it.
+async fn member(address: &str, certs: &Path) -> (ZenohBus, SealedBus) {
+    let files = trust_files(certs);
+    let links = Some(LinkTrust { files: files.clone(), fleet: ward() });
+    let connect = vec![address.to_owned()];
+    let settings = ZenohSettings { mode: Mode::Client, connect, links, ..ZenohSettings::default() };
+    let bus = ZenohBus::open(settings).await.expect("it is of the fleet");
+    let clock = Clock::real();
+    let life = clock.wall_ms();
+    let keyring = files.open(&ward(), Duration::from_millis(life), life).expect("its files are right");
+    let sealed = SealedBus::open(Arc::new(bus.clone()), Keys::new(&ward()), Arc::new(keyring), files, clock).await;
+    (bus, sealed.expect("it shows its certificate"))
+}
+
 /// The answers to a question, by Zenoh itself.
 fn asked(session: &zenoh::Session, key: &str, payload: &str) -> Vec<Value> {
     use zenoh::Wait;
@@ -202,20 +220,8 @@ fn a_robot_that_speaks_in_the_name_of_others_is_not_listened_to_and_leaves_a_tra
     let mut closed = Closed::new();
     closed.cert(&["node", "eve", "--roles", "robot"]);
     closed.start_all();
-    let address = closed.fleet.address("station-1");
-    let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build().expect("threads");
-    let files = trust_files(&closed.of("eve"));
-    let keys = Keys::new(&ward());
-    let eve = runtime.block_on(async {
-        let links = Some(LinkTrust { files: files.clone(), fleet: ward() });
-        let settings = ZenohSettings { mode: Mode::Client, connect: vec![address], links, ..ZenohSettings::default() };
-        let bus = ZenohBus::open(settings).await.expect("eve is of the fleet");
-        let clock = Clock::real();
-        let life = clock.wall_ms();
-        let keyring = files.open(&ward(), Duration::from_millis(life), life).expect("eve's files are right");
-        let sealed = SealedBus::open(Arc::new(bus.clone()), keys.clone(), Arc::new(keyring), files, clock).await;
-        (bus, sealed.expect("eve shows her certificate"))
-    });
+    let (runtime, keys) = (threads(), Keys::new(&ward()));
+    let eve = runtime.block_on(member(&closed.fleet.address("station-1"), &closed.of("eve")));
     let arm = NodeId::new("lab-arm").expect("a name");
     let knowledge = keys.write(&Key::Knowledge(arm.clone()));
     let still = Statement::Still { stamp: Stamp { incarnation: u64::MAX, version: 1 }, since: 1 };
@@ -246,6 +252,76 @@ fn a_robot_that_speaks_in_the_name_of_others_is_not_listened_to_and_leaves_a_tra
     let seen = closed.fleet.run(&["fleet", "--json", "--certs", &reads], "station-1").expect(0).json();
     assert_ne!(seen["coordinator"]["term"], 1_000_000, "{seen}");
     runtime.block_on(eve.0.close()).expect("a goodbye");
+    closed.fleet.stop();
+}
+
+/// Answers whatever is asked on a key with one text, for as long as the runtime lives.
+async fn answer_on(bus: &dyn Bus, key: &str, text: &'static str) {
+    let mut asked = bus.serve_complete(key).await.expect("anybody may serve");
+    tokio::spawn(async move {
+        while let Some(query) = asked.recv().await {
+            let answer = Bytes::from_static(text.as_bytes());
+            query.replier.reply(&query.key, answer, Encoding::Json).await.expect("she answers");
+        }
+    });
+}
+
+#[test]
+fn who_answers_or_tells_in_the_stead_of_others_is_not_believed_by_commands_and_is_named() {
+    let mut closed = Closed::new();
+    closed.cert(&["node", "eve", "--roles", "robot"]);
+    closed.start_all();
+    let (runtime, address) = (threads(), closed.fleet.address("station-1"));
+    let [submits, reads] = ["submit", "read"].map(|who| closed.of(who).display().to_string());
+    until("somebody coordinates", LIMIT, || {
+        let seen = closed.fleet.run(&["fleet", "--json", "--certs", &reads], "station-1").expect(0);
+        assert!(!seen.stderr.contains("not believed"), "{}", seen.stderr);
+        seen.json()["coordinator"]["node"].is_string().then_some(())
+    });
+    let eve = runtime.block_on(async {
+        let eve = member(&address, &closed.of("eve")).await;
+        // In the coordinator's stead she signs, and may not; in any node's stead she may, and does not.
+        answer_on(&eve.1, "consort/ward/api/submit", r#"{"mission": "forged-1", "again": false}"#).await;
+        answer_on(&eve.0, "consort/ward/view/fleet", r#"{"nodes": [], "coordinator": "forged-1"}"#).await;
+        eve
+    });
+    let stock = session(&address, Some(&closed.of("submit"))).expect("a link");
+    until("Zenoh's own client is told what eve makes up", LIMIT, || {
+        asked(&stock, "consort/ward/api/submit", "{}").into_iter().find(|answer| answer["mission"] == "forged-1")
+    });
+    let submit = ["submit", "lab-samples", "--set", "room=IC Room 6", "--certs", &submits];
+    let ended = closed.fleet.run(&submit, "station-1").expect(0);
+    assert!(ended.stdout.contains("lab-samples-1") && !ended.stdout.contains("forged-1"), "{}", ended.stdout);
+    assert!(ended.stderr.contains("not believed: node eve (robot) may not answer on api/submit"), "{}", ended.stderr);
+    assert!(ended.stderr.contains("`consort cert revoke NAME`"), "{}", ended.stderr);
+    let ended = closed.fleet.run(&["fleet", "--json", "--certs", &reads], "station-1").expect(0);
+    assert_eq!(ended.json()["fleet"]["nodes"].as_array().map(Vec::len), Some(4), "{}", ended.stdout);
+    assert!(ended.stderr.contains("not believed: somebody on view/fleet: it bears no seal"), "{}", ended.stderr);
+
+    // Events of others, while somebody records.
+    let folder = Folder::new();
+    let record = ["record", "--out", "run.mcap", "--for", "8s", "--certs", &reads, "--connect", &address];
+    let mut recording = Program::start(&folder, "record", &record);
+    let forged =
+        json!({ "node": "station-1", "sequence": 1, "at_ms": 1, "event": "elected", "term": 77_777 }).to_string();
+    until("the recording ends", LIMIT, || {
+        let forged = Bytes::from(forged.clone());
+        let told = eve.1.publish("consort/ward/events/station-1", forged, Encoding::Json, Delivery::Block);
+        runtime.block_on(told).expect("eve says it");
+        std::thread::sleep(Duration::from_millis(200));
+        recording.has_ended().then_some(())
+    });
+    let ended = recording.end(LIMIT).expect(0);
+    assert!(
+        ended.stderr.contains("not believed: node eve (robot) may not publish on events/station-1"),
+        "{}",
+        ended.stderr
+    );
+    let recorded = std::fs::read(folder.path().join("run.mcap")).expect("a recording");
+    let holds = |text: &str| recorded.windows(text.len()).any(|part| part == text.as_bytes());
+    assert!(holds("lab-samples-1") && !holds("77777"), "what was said is in it, and what was made up is not");
+    runtime.block_on(eve.0.close()).expect("a goodbye");
+    drop(stock);
     closed.fleet.stop();
 }
 

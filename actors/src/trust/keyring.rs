@@ -1,7 +1,7 @@
 //! Keys and certificates: the fleet's authority, a node's own, and those that were shown to it.
 
 use consort_protocol::ids::FleetId;
-use consort_protocol::trust::{Fingerprint, Identity, Kind, Sealed, signed_part, write};
+use consort_protocol::trust::{Fingerprint, Identity, Kind, Sealed, signed_beside, signed_part, write};
 use pki_types::{CertificateDer, TrustAnchor, UnixTime};
 use ring::digest::{SHA256, digest};
 use ring::signature::Ed25519KeyPair;
@@ -221,6 +221,13 @@ impl Keyring {
         let by = self.fingerprint();
         let signature = self.key.sign(&signed_part(kind, by, number, key, payload));
         write(kind, Sealed { by, number, signature: signature.as_ref(), payload })
+    }
+
+    /// The bearer's seal of a message, to stand beside it, with its certificate; `asked` is the question that it answers.
+    pub(super) fn seal_beside(&self, kind: Kind, key: &str, asked: &[u8], payload: &[u8]) -> Vec<u8> {
+        let (by, number) = (self.fingerprint(), self.number());
+        let signature = self.key.sign(&signed_beside(kind, by, number, key, asked, payload));
+        write(kind, Sealed { by, number, signature: signature.as_ref(), payload: &self.own.certificate })
     }
 
     /// The bearer's signature.
