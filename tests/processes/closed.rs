@@ -326,6 +326,55 @@ fn who_answers_or_tells_in_the_stead_of_others_is_not_believed_by_commands_and_i
 }
 
 #[test]
+fn a_revoked_bearers_links_end_within_seconds_and_it_gets_none_again() {
+    let mut closed = Closed::new();
+    closed.cert(&["node", "station-2", "--roles", "voter"]);
+    closed.cert(&["person", "late", "--scope", "read"]);
+    closed.start("station", example("station"), &[]);
+    let mut second = example("station");
+    second.insert("name".to_owned(), "station-2".into());
+    closed.start("station", second, &["station-1"]);
+    let mut world = example("world");
+    world.insert("speed".to_owned(), 20.0.into());
+    closed.start("world", world, &["station-1"]);
+    // It opens a link to the one who will be revoked, as station-1 takes one from it.
+    closed.start("robot", example("robot"), &["station-1", "station-2"]);
+    let reads = closed.of("read").display().to_string();
+    let alive = |closed: &mut Closed| -> Vec<String> {
+        let seen = closed.fleet.run(&["fleet", "--json", "--certs", &reads], "station-1").expect(0).json();
+        let nodes = seen["fleet"]["nodes"].as_array().cloned().unwrap_or_default();
+        let alive = nodes.iter().filter(|node| node["alive"] == true);
+        alive.map(|node| node["node"].as_str().expect("a name").to_owned()).collect()
+    };
+    let all = ["ada", "station-1", "station-2", "world"];
+    until("all are there", LIMIT, || (alive(&mut closed) == all).then_some(()));
+    let (runtime, address) = (threads(), closed.fleet.address("station-1"));
+    let late = runtime.block_on(member(&address, &closed.of("late"))).0;
+    let linked = |bus: &ZenohBus| !runtime.block_on(bus.links()).is_empty();
+    assert!(linked(&late));
+    closed.cert(&["revoke", "station-2"]);
+    closed.cert(&["revoke", "late"]);
+    // Long before anybody would be missed for a lease or be judged anew: the list is read every two seconds.
+    until("the person's link has ended", Duration::from_secs(20), || (!linked(&late)).then_some(()));
+    until("the node is out", LIMIT, || (alive(&mut closed) == ["ada", "station-1", "world"]).then_some(()));
+    for of in ["station-1", "ada"] {
+        until(&format!("{of} tells whom it keeps out"), LIMIT, || {
+            let told = closed.refused(of);
+            told.contains("a link to node station-2 (voter): its certificate has been revoked").then_some(())
+        });
+    }
+    // They go on trying, and get in no more.
+    let tried = closed.refused("station-1").lines().count();
+    until("they are turned away once more", LIMIT, || {
+        (closed.refused("station-1").lines().count() > tried).then_some(())
+    });
+    assert!(!linked(&late), "a client that was cut off comes back by itself, if it is let in");
+    assert!(session(&address, Some(&closed.of("late"))).is_err(), "nor with a session of its own");
+    assert_eq!(alive(&mut closed), ["ada", "station-1", "world"]);
+    closed.fleet.stop();
+}
+
+#[test]
 fn a_node_that_has_not_the_certificate_of_what_it_is_to_be_says_so_and_does_not_start() {
     let mut closed = Closed::new();
     for (certs, says) in [

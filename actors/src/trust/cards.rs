@@ -2,6 +2,7 @@
 
 use super::files::TrustFiles;
 use super::keyring::Keyring;
+use super::links::judged_by;
 use super::refusals::Refusals;
 use crate::bus::{BusError, Encoding, SharedBus, Stream};
 use crate::clock::Clock;
@@ -25,7 +26,10 @@ const NOT_AGAIN_FOR: Duration = Duration::from_secs(1);
 /// How many are asked at once. Who makes up fingerprints is a member of the fleet, and holds up others no longer than this.
 const AT_ONCE: usize = 32;
 
-/// How often everybody is judged anew, and the list of revoked certificates read.
+/// How often the list of revoked certificates is read.
+const READ_EVERY: Duration = Duration::from_secs(2);
+
+/// How often everybody is judged anew, though the list is as it was: certificates end.
 const REVIEWED_EVERY: Duration = Duration::from_secs(10);
 
 /// Asks for certificates, shows the own, and reviews all, for as long as it lives.
@@ -55,12 +59,12 @@ impl Cards {
         refusals: Arc<Refusals>,
     ) -> Result<Cards, BusError> {
         let parts = Parts { bus, keys, keyring, clock, refusals };
-        let own = parts.keys.write(&Key::Card(parts.keyring.fingerprint()));
-        let asked = parts.bus.serve(&own).await?;
         let (wanted, wishes) = unbounded_channel();
         let mut tasks = JoinSet::new();
+        let own = parts.keys.write(&Key::Card(parts.keyring.fingerprint()));
+        let asked = parts.bus.serve(&own).await?;
         tasks.spawn(show(asked, own, Bytes::from(parts.keyring.shown())));
-        tasks.spawn(review(files, Arc::clone(&parts.keyring), parts.clock));
+        tasks.spawn(review(files, parts.clone()));
         tasks.spawn(learn(parts, wishes));
         Ok(Cards { wanted, _tasks: tasks })
     }
@@ -113,10 +117,12 @@ async fn ask(parts: Parts, wanted: Fingerprint) {
 }
 
 /// Judges everybody anew, now and then.
-async fn review(files: TrustFiles, keyring: Arc<Keyring>, clock: Clock) {
-    let mut due = interval(REVIEWED_EVERY);
+async fn review(files: TrustFiles, parts: Parts) {
+    let Parts { keyring, clock, refusals, .. } = parts;
+    let links = judged_by(&keyring, clock, refusals);
+    let mut due = interval(READ_EVERY);
     due.set_missed_tick_behavior(MissedTickBehavior::Delay);
-    let mut unread = false;
+    let (mut unread, mut known, mut again) = (false, None, Instant::now());
     loop {
         due.tick().await;
         let revoked = match files.read_revoked() {
@@ -132,8 +138,19 @@ async fn review(files: TrustFiles, keyring: Arc<Keyring>, clock: Clock) {
                 None
             }
         };
+        let is_new = revoked.is_some() && revoked != known;
+        if !is_new && Instant::now() < again {
+            continue;
+        }
+        again = Instant::now() + REVIEWED_EVERY;
+        if is_new {
+            known.clone_from(&revoked);
+        }
         for (identity, problem) in keyring.review(revoked, wall(clock)) {
             warn!(bearer = %identity.bearer, %problem, "no longer believed");
+        }
+        if is_new {
+            links.again();
         }
     }
 }

@@ -242,6 +242,14 @@ impl Keyring {
         self.authority.judge(certificate, learned.revoked.as_deref(), now)
     }
 
+    /// Whose certificate it is, if it has been revoked.
+    pub(super) fn revoked(&self, certificate: &[u8], now: Duration) -> Option<Identity> {
+        match self.judge(certificate, now) {
+            Err(Distrust::Revoked) => whose(&EndEntityCert::try_from(&CertificateDer::from(certificate)).ok()?).ok(),
+            _ => None,
+        }
+    }
+
     /// The card of a fingerprint, if it has been shown.
     pub fn card(&self, of: Fingerprint) -> Option<Arc<Card>> {
         if of == self.fingerprint() {

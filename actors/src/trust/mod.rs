@@ -18,6 +18,7 @@ mod cards;
 mod files;
 pub mod issue;
 mod keyring;
+mod links;
 mod probe;
 mod refusals;
 mod token;
