@@ -375,6 +375,19 @@ fn a_revoked_bearers_links_end_within_seconds_and_it_gets_none_again() {
 }
 
 #[test]
+fn a_command_leaves_no_trace_of_its_going_in_the_log_of_the_node_it_asks() {
+    let mut closed = Closed::new();
+    closed.start("station", example("station"), &[]);
+    let reads = closed.of("read").display().to_string();
+    for _ in 0..3 {
+        closed.fleet.run(&["fleet", "--certs", &reads], "station-1").expect(0);
+    }
+    let log = closed.fleet.node("station-1").stderr();
+    assert!(!log.contains("ERROR"), "{log}");
+    closed.fleet.stop();
+}
+
+#[test]
 fn a_node_that_has_not_the_certificate_of_what_it_is_to_be_says_so_and_does_not_start() {
     let mut closed = Closed::new();
     for (certs, says) in [

@@ -8,7 +8,7 @@ use crate::bus::{BusError, Encoding, SharedBus, Stream};
 use crate::clock::Clock;
 use bytes::Bytes;
 use consort_protocol::keys::{Key, Keys};
-use consort_protocol::trust::Fingerprint;
+use consort_protocol::trust::{Bearer, Fingerprint};
 use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::time::Duration;
@@ -61,9 +61,12 @@ impl Cards {
         let parts = Parts { bus, keys, keyring, clock, refusals };
         let (wanted, wishes) = unbounded_channel();
         let mut tasks = JoinSet::new();
-        let own = parts.keys.write(&Key::Card(parts.keyring.fingerprint()));
-        let asked = parts.bus.serve(&own).await?;
-        tasks.spawn(show(asked, own, Bytes::from(parts.keyring.shown())));
+        // People say nothing, so nobody asks for theirs; and their links let no service in.
+        if let Bearer::Node { .. } = parts.keyring.identity().bearer {
+            let own = parts.keys.write(&Key::Card(parts.keyring.fingerprint()));
+            let asked = parts.bus.serve(&own).await?;
+            tasks.spawn(show(asked, own, Bytes::from(parts.keyring.shown())));
+        }
         tasks.spawn(review(files, parts.clone()));
         tasks.spawn(learn(parts, wishes));
         Ok(Cards { wanted, _tasks: tasks })
