@@ -98,7 +98,7 @@ impl Stage {
     async fn with(&self, bus: SharedBus, files: TrustFiles, life: u64) -> SealedBus {
         let keyring = Arc::new(files.open(&ward(), NOW, life).unwrap());
         let clock = Clock::virtual_at(NOW.as_millis() as u64);
-        SealedBus::open(bus, keys(), keyring, files, clock).await.unwrap()
+        SealedBus::open(bus, keys(), keyring, files.revoked, clock).await.unwrap()
     }
 }
 

@@ -177,7 +177,8 @@ impl Client {
         let sealed = match proof {
             None => None,
             Some((keyring, files)) => {
-                let sealed = SealedBus::open(Arc::clone(&plain), keys.clone(), Arc::new(keyring), files, clock).await;
+                let sealed =
+                    SealedBus::open(Arc::clone(&plain), keys.clone(), Arc::new(keyring), files.revoked, clock).await;
                 Some(Arc::new(sealed.map_err(|problem| Failure::Unsuccessful(problem.to_string()))?))
             }
         };

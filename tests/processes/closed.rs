@@ -57,7 +57,8 @@ async fn member(address: &str, certs: &Path) -> (ZenohBus, SealedBus) {
     let clock = Clock::real();
     let life = clock.wall_ms();
     let keyring = files.open(&ward(), Duration::from_millis(life), life).expect("its files are right");
-    let sealed = SealedBus::open(Arc::new(bus.clone()), Keys::new(&ward()), Arc::new(keyring), files, clock).await;
+    let sealed =
+        SealedBus::open(Arc::new(bus.clone()), Keys::new(&ward()), Arc::new(keyring), files.revoked, clock).await;
     (bus, sealed.expect("it shows its certificate"))
 }
 

@@ -1,7 +1,6 @@
 //! A bus on which whatever nodes say bears its author's seal.
 
 use super::cards::{Cards, wall};
-use super::files::TrustFiles;
 use super::keyring::{Card, Keyring};
 use super::refusals::Refusals;
 use crate::bus::{
@@ -16,6 +15,7 @@ use consort_protocol::trust::{
     write_asker,
 };
 use std::collections::BTreeMap;
+use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -49,7 +49,8 @@ struct Trust {
 }
 
 impl SealedBus {
-    /// Seals what is said on `bus` with `keyring`, which was opened from `files`.
+    /// Seals what is said on `bus` with `keyring`; `revoked` is the file that has the list of what is revoked, and is read again and
+    /// again.
     ///
     /// # Errors
     /// [`BusError`] if the own certificate cannot be shown.
@@ -57,12 +58,12 @@ impl SealedBus {
         bus: SharedBus,
         keys: Keys,
         keyring: Arc<Keyring>,
-        files: TrustFiles,
+        revoked: Option<PathBuf>,
         clock: Clock,
     ) -> Result<SealedBus, BusError> {
         let refusals = Arc::new(Refusals::default());
         let (on, ring, told) = (Arc::clone(&bus), Arc::clone(&keyring), Arc::clone(&refusals));
-        let cards = Cards::open(on, keys.clone(), ring, files, clock, told).await?;
+        let cards = Cards::open(on, keys.clone(), ring, revoked, clock, told).await?;
         Ok(SealedBus { bus, keys, trust: Arc::new(Trust { keyring, cards, refusals, clock }) })
     }
 

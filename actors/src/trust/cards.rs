@@ -1,6 +1,6 @@
 //! How nodes learn each other's certificates: whoever hears a fingerprint that it does not know asks its bearer.
 
-use super::files::TrustFiles;
+use super::files::read_revoked;
 use super::keyring::Keyring;
 use super::links::judged_by;
 use super::refusals::Refusals;
@@ -10,6 +10,7 @@ use bytes::Bytes;
 use consort_protocol::keys::{Key, Keys};
 use consort_protocol::trust::{Bearer, Fingerprint};
 use std::collections::BTreeMap;
+use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Duration;
 use tokio::sync::mpsc::{UnboundedReceiver, UnboundedSender, unbounded_channel};
@@ -54,7 +55,7 @@ impl Cards {
         bus: SharedBus,
         keys: Keys,
         keyring: Arc<Keyring>,
-        files: TrustFiles,
+        revoked: Option<PathBuf>,
         clock: Clock,
         refusals: Arc<Refusals>,
     ) -> Result<Cards, BusError> {
@@ -67,7 +68,7 @@ impl Cards {
             let asked = parts.bus.serve(&own).await?;
             tasks.spawn(show(asked, own, Bytes::from(parts.keyring.shown())));
         }
-        tasks.spawn(review(files, parts.clone()));
+        tasks.spawn(review(revoked, parts.clone()));
         tasks.spawn(learn(parts, wishes));
         Ok(Cards { wanted, _tasks: tasks })
     }
@@ -120,7 +121,7 @@ async fn ask(parts: Parts, wanted: Fingerprint) {
 }
 
 /// Judges everybody anew, now and then.
-async fn review(files: TrustFiles, parts: Parts) {
+async fn review(file: Option<PathBuf>, parts: Parts) {
     let Parts { keyring, clock, refusals, .. } = parts;
     let links = judged_by(&keyring, clock, refusals);
     let mut due = interval(READ_EVERY);
@@ -128,7 +129,7 @@ async fn review(files: TrustFiles, parts: Parts) {
     let (mut unread, mut known, mut again) = (false, None, Instant::now());
     loop {
         due.tick().await;
-        let revoked = match files.read_revoked() {
+        let revoked = match file.as_deref().map(read_revoked).transpose() {
             Ok(revoked) => {
                 unread = false;
                 revoked
