@@ -50,6 +50,9 @@ mod tests {
         let mut answer = write_asker(BY, 9);
         answer[1] = Kind::Answer(BY, 9).byte();
         assert_eq!(read_asker(&answer), None, "that is no question");
+        let mut later = write_asker(BY, 9);
+        later[0] = VERSION + 1;
+        assert_eq!(read_asker(&later), None, "nobody knows what that says");
     }
 
     #[test]
@@ -58,6 +61,8 @@ mod tests {
         let parts = [
             signed_beside(answer, BY, 1, "a", b"", b"bc"),
             signed_beside(answer, BY, 1, "a", b"b", b"c"),
+            signed_beside(answer, BY, 1, "a", b"x", b"c"),
+            signed_beside(answer, BY, 1, "a", b"b", b"x"),
             signed_beside(answer, BY, 1, "a", b"bc", b""),
             signed_part(answer, BY, 1, "a", b"bc"),
         ];

@@ -190,8 +190,13 @@ mod tests {
             signed_part(Kind::Publication, Fingerprint([8; FINGERPRINT]), 1, "a/b", b"c"),
             signed_part(Kind::Publication, BY, 1, "a/bc", b""),
             signed_part(Kind::Publication, BY, 1, "a/", b"bc"),
+            signed_part(Kind::Publication, BY, 1, "x/b", b"c"),
+            signed_part(Kind::Publication, BY, 1, "a/b", b"x"),
+            signed_part(Kind::Answer(Fingerprint([8; FINGERPRINT]), 1), BY, 1, "a/b", b"c"),
         ];
         assert_eq!(parts.iter().collect::<std::collections::BTreeSet<_>>().len(), parts.len());
+        // The same key signs tokens and links: none of these is taken for a message.
+        assert!(parts.iter().all(|part| part.starts_with(&[&b"consort seal\0"[..], &[VERSION]].concat())));
     }
 
     proptest! {
