@@ -1,7 +1,7 @@
 //! A fleet whose nodes have certificates: it works as any other, and whoever is not of it, or goes beyond what it may, gets
 //! nowhere and leaves a trace.
 
-use crate::support::{Answer, Closed, Folder, Program, example, http, until};
+use crate::support::{Answer, Closed, Folder, Program, config, example, http, until};
 use bytes::Bytes;
 use consort_actors::bus::zenoh_bus::{LinkTrust, Mode};
 use consort_actors::bus::{Bus, Delivery, Encoding, ZenohBus, ZenohSettings};
@@ -28,19 +28,7 @@ fn ward() -> FleetId {
 /// A client of Zenoh's with somebody's certificate, or with none.
 fn session(address: &str, certs: Option<&Path>) -> Result<zenoh::Session, String> {
     use zenoh::Wait;
-    let mut config = zenoh::Config::default();
-    let mut set =
-        |path: &str, value: Value| config.insert_json5(path, &value.to_string()).expect("a setting of Zenoh's");
-    set("mode", json!("client"));
-    set("connect/endpoints", json!([address]));
-    set("transport/link/tls/verify_name_on_connect", json!(false));
-    if let Some(certs) = certs {
-        set("transport/link/tls/root_ca_certificate", json!(certs.join("ca.pem")));
-        set("transport/link/tls/connect_certificate", json!(certs.join("cert.pem")));
-        set("transport/link/tls/connect_private_key", json!(certs.join("key.pem")));
-        set("transport/link/tls/enable_mtls", json!(true));
-    }
-    zenoh::open(config).wait().map_err(|problem| problem.to_string())
+    zenoh::open(config(address, certs)).wait().map_err(|problem| problem.to_string())
 }
 
 fn threads() -> tokio::runtime::Runtime {
@@ -290,14 +278,19 @@ fn who_answers_or_tells_in_the_stead_of_others_is_not_believed_by_commands_and_i
     until("Zenoh's own client is told what eve makes up", LIMIT, || {
         asked(&stock, "consort/ward/api/submit", "{}").into_iter().find(|answer| answer["mission"] == "forged-1")
     });
-    let submit = ["submit", "lab-samples", "--set", "room=IC Room 6", "--certs", &submits];
-    let ended = closed.fleet.run(&submit, "station-1").expect(0);
-    assert!(ended.stdout.contains("lab-samples-1") && !ended.stdout.contains("forged-1"), "{}", ended.stdout);
-    assert!(ended.stderr.contains("not believed: node eve (robot) may not answer on api/submit"), "{}", ended.stderr);
-    assert!(ended.stderr.contains("`consort cert revoke NAME`"), "{}", ended.stderr);
-    let ended = closed.fleet.run(&["fleet", "--json", "--certs", &reads], "station-1").expect(0);
-    assert_eq!(ended.json()["fleet"]["nodes"].as_array().map(Vec::len), Some(4), "{}", ended.stdout);
-    assert!(ended.stderr.contains("not believed: somebody on view/fleet: it bears no seal"), "{}", ended.stderr);
+    // She is told of when she is the quicker; who comes after the truth is not listened to at all.
+    let submit = ["submit", "lab-samples", "--set", "room=IC Room 6", "--request", "one", "--certs", &submits];
+    until("she is the quicker, and is told of", LIMIT, || {
+        let ended = closed.fleet.run(&submit, "station-1").expect(0);
+        assert!(ended.stdout.contains("lab-samples-1") && !ended.stdout.contains("forged-1"), "{}", ended.stdout);
+        let told = "not believed: node eve (robot) may not answer on api/submit";
+        (ended.stderr.contains(told) && ended.stderr.contains("`consort cert revoke NAME`")).then_some(())
+    });
+    until("the same of a view", LIMIT, || {
+        let ended = closed.fleet.run(&["fleet", "--json", "--certs", &reads], "station-1").expect(0);
+        assert_eq!(ended.json()["fleet"]["nodes"].as_array().map(Vec::len), Some(4), "{}", ended.stdout);
+        ended.stderr.contains("not believed: somebody on view/fleet: it bears no seal").then_some(())
+    });
 
     // Events of others, while somebody records.
     let folder = Folder::new();
