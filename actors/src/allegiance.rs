@@ -7,7 +7,9 @@
 //!
 //! Nobody has to think of that: [`ClusterBus`] puts the cluster around whatever concerns missions, and lets in what is its own.
 
-use crate::bus::{Bus, BusError, Delivery, Encoding, Link, Presence, Query, Reply, Sample, SharedBus, Stream, Token};
+use crate::bus::{
+    Bus, BusError, Delivery, Encoding, Link, Presence, Query, Reply, Sample, SharedBus, Stream, Token, Whom,
+};
 use async_trait::async_trait;
 use bytes::Bytes;
 use consort_protocol::codec;
@@ -139,8 +141,15 @@ fn unwrap(allegiance: &Allegiance, payload: &[u8]) -> Result<Bytes, String> {
 
 #[async_trait]
 impl Bus for ClusterBus {
-    async fn publish(&self, key: &str, payload: Bytes, encoding: Encoding, delivery: Delivery) -> Result<(), BusError> {
-        self.bus.publish(key, self.wrap(key, payload)?, encoding, delivery).await
+    async fn publish_with(
+        &self,
+        key: &str,
+        payload: Bytes,
+        beside: Bytes,
+        encoding: Encoding,
+        delivery: Delivery,
+    ) -> Result<(), BusError> {
+        self.bus.publish_with(key, self.wrap(key, payload)?, beside, encoding, delivery).await
     }
 
     async fn subscribe(&self, key_expr: &str) -> Result<Stream<Sample>, BusError> {
@@ -166,12 +175,15 @@ impl Bus for ClusterBus {
         Ok(Stream::new(own, Box::new(task)))
     }
 
-    async fn query(&self, key_expr: &str, payload: Bytes, limit: Duration) -> Result<Stream<Reply>, BusError> {
-        self.bus.query(key_expr, self.wrap(key_expr, payload)?, limit).await
-    }
-
-    async fn query_nearest(&self, key_expr: &str, payload: Bytes, limit: Duration) -> Result<Stream<Reply>, BusError> {
-        self.bus.query_nearest(key_expr, self.wrap(key_expr, payload)?, limit).await
+    async fn ask(
+        &self,
+        key_expr: &str,
+        payload: Bytes,
+        beside: Bytes,
+        limit: Duration,
+        whom: Whom,
+    ) -> Result<Stream<Reply>, BusError> {
+        self.bus.ask(key_expr, self.wrap(key_expr, payload)?, beside, limit, whom).await
     }
 
     async fn serve_complete(&self, key_expr: &str) -> Result<Stream<Query>, BusError> {

@@ -6,7 +6,7 @@ use bytes::Bytes;
 use consort_actors::bus::zenoh_bus::Mode;
 use consort_actors::bus::{
     Bus, BusError, Delivery, Encoding, LinkModel, MESSAGE_MAX, Presence, Query, Reply, Sample, Stream, VirtualNetwork,
-    ZenohBus, ZenohSettings,
+    Whom, ZenohBus, ZenohSettings,
 };
 use consort_protocol::ids::NodeId;
 use std::time::Duration;
@@ -161,8 +161,29 @@ async fn encodings_arrive_as_they_were_sent([a, _, c]: Nodes<'_>) {
     for encoding in [Encoding::Json, Encoding::Wire] {
         a.publish("encoded", bytes("{}"), encoding, Delivery::Block).await.unwrap();
         let sample = next(&mut stream, "sample").await;
-        assert_eq!(sample, Sample { key: "encoded".to_owned(), payload: bytes("{}"), encoding });
+        assert_eq!(sample, Sample { key: "encoded".to_owned(), payload: bytes("{}"), encoding, beside: Bytes::new() });
     }
+}
+
+async fn what_is_said_beside_a_payload_arrives_beside_it([a, _, c]: Nodes<'_>) {
+    let mut stream = c.subscribe("beside/news").await.unwrap();
+    linked(a, "beside/news", &mut [&mut stream]).await;
+    let answering = answer_all(c.serve("beside/cyd").await.unwrap(), |question| async move {
+        let heard = question.beside.clone();
+        question.replier.reply_with("beside/cyd", question.payload.clone(), heard, Encoding::Json).await.unwrap();
+    });
+    served(a, "beside/cyd", 1).await;
+    for said in ["", "a word"] {
+        a.publish_with("beside/news", bytes("{}"), bytes(said), Encoding::Json, Delivery::Block).await.unwrap();
+        let sample = next(&mut stream, "sample").await;
+        assert_eq!((sample.payload, sample.beside), (bytes("{}"), bytes(said)));
+        for whom in [Whom::All, Whom::Nearest] {
+            let mut replies = a.ask("beside/*", bytes("?"), bytes(said), NEVER, whom).await.unwrap();
+            let reply = next(&mut replies, "reply").await;
+            assert_eq!((reply.payload, reply.beside), (Ok(bytes("?")), bytes(said)));
+        }
+    }
+    answering.abort();
 }
 
 async fn all_matching_services_answer_on_their_own_keys([a, b, c]: Nodes<'_>) {
@@ -489,6 +510,7 @@ stories! {
     subscribers_hear_what_matches_and_their_own_node_too,
     a_key_keeps_its_order,
     encodings_arrive_as_they_were_sent,
+    what_is_said_beside_a_payload_arrives_beside_it,
     all_matching_services_answer_on_their_own_keys,
     replies_are_there_before_the_slowest_service_is_done,
     without_services_a_query_ends_at_once,

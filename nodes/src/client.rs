@@ -3,7 +3,7 @@
 use crate::asking::{AGAIN, Hindrance, Whom, once};
 use crate::config::{DEFAULT_FLEET, FleetConfig, LogFormat, load};
 use crate::exit::Failure;
-use crate::output::{self, Waiting};
+use crate::output::{self, Waiting, note};
 use crate::running::{describe, runtime, rust_log, start_log};
 use crate::trust;
 use crate::wiring::link_trust;
@@ -116,6 +116,8 @@ pub struct Client {
     session: ZenohBus,
     /// Whose certificate it has, if it has one.
     person: Option<Bearer>,
+    /// What tells the fleet's nodes from who says to be one, if there is a certificate to tell by.
+    sealed: Option<Arc<SealedBus>>,
     bus: SharedBus,
     keys: Keys,
     fleet: FleetId,
@@ -172,14 +174,16 @@ impl Client {
         let keys = Keys::new(&fleet);
         let plain: SharedBus = Arc::new(session.clone());
         let person = proof.as_ref().map(|(keyring, _)| keyring.identity().bearer.clone());
-        let bus = match proof {
-            None => plain,
+        let sealed = match proof {
+            None => None,
             Some((keyring, files)) => {
-                let sealed = SealedBus::open(plain, keys.clone(), Arc::new(keyring), files, clock).await;
-                Arc::new(sealed.map_err(|problem| Failure::Unsuccessful(problem.to_string()))?)
+                let sealed =
+                    SealedBus::open(Arc::clone(&plain), keys.clone(), Arc::new(keyring), files.revoked, clock).await;
+                Some(Arc::new(sealed.map_err(|problem| Failure::Unsuccessful(problem.to_string()))?))
             }
         };
-        Ok(Client { session, person, bus, keys, fleet, to: describe(&links), timeout, waiting })
+        let bus = sealed.clone().map_or(plain, |sealed| sealed as SharedBus);
+        Ok(Client { session, person, sealed, bus, keys, fleet, to: describe(&links), timeout, waiting })
     }
 
     /// Makes a request: of the coordinator, or of the nearest node if it changes nothing.
@@ -247,13 +251,27 @@ impl Client {
         &mut self.waiting
     }
 
-    /// Closes the connection.
-    pub async fn close(self) {
+    /// Closes the connection, and says on the standard error what was heard and not believed.
+    pub async fn close(mut self) {
+        let refused = self.refused();
+        if !refused.is_empty() {
+            self.waiting.clear();
+            note(format_args!(
+                "{}\nOne of the fleet's nodes, or one on the way to it, says what it may not. If it is named, and nobody can explain \
+                 it: `consort cert revoke NAME`. If it is not: is every node of this version?",
+                refused.iter().map(|reason| format!("not believed: {reason}")).collect::<Vec<_>>().join("\n")
+            ));
+        }
         // The answer is out; how the session ends is of no interest any more.
         let _ = self.session.close().await;
     }
 
-    async fn ask(&mut self, key: &Key, payload: String, whom: Whom) -> Result<Value, Failure> {
+    /// What was not believed, in words.
+    fn refused(&self) -> Vec<String> {
+        self.sealed.as_ref().map(|sealed| sealed.refused()).unwrap_or_default()
+    }
+
+    async fn ask(&mut self, key: &Key, payload: String, mut whom: Whom) -> Result<Value, Failure> {
         let until = Instant::now() + self.timeout;
         let key = self.keys.write(key);
         let mut waited = false;
@@ -273,6 +291,10 @@ impl Client {
                 Err(Hindrance::Silence) => (format!("no {} of fleet {} answers yet", whom.word(), self.fleet), AGAIN),
             };
             let (hindrance, after) = hindrance;
+            if !self.refused().is_empty() {
+                // Whoever forges answers may be the nearest.
+                whom = Whom::All;
+            }
             if Instant::now() + after >= until {
                 let hindrance = hindrance.trim_end_matches(" yet");
                 return Err(Failure::Unreached(format!(

@@ -63,7 +63,7 @@ impl NodeTrust {
     /// [`Failure::Unsuccessful`] if the node's certificate cannot be shown on the bus.
     pub async fn sealed(self, bus: SharedBus, node: &mut NodeSettings) -> Result<SharedBus, Failure> {
         let Some((keyring, files)) = self.0 else { return Ok(bus) };
-        let sealed = SealedBus::open(bus, Keys::new(&node.fleet.fleet), keyring, files, node.clock).await;
+        let sealed = SealedBus::open(bus, Keys::new(&node.fleet.fleet), keyring, files.revoked, node.clock).await;
         let sealed = sealed.map_err(|problem| Failure::Unsuccessful(problem.to_string()))?;
         node.notary = Some(sealed.notary());
         Ok(Arc::new(sealed))

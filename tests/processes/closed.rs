@@ -1,7 +1,7 @@
 //! A fleet whose nodes have certificates: it works as any other, and whoever is not of it, or goes beyond what it may, gets
 //! nowhere and leaves a trace.
 
-use crate::support::{Answer, Closed, Folder, Program, example, http, until};
+use crate::support::{Answer, Closed, Folder, Program, config, example, http, until};
 use bytes::Bytes;
 use consort_actors::bus::zenoh_bus::{LinkTrust, Mode};
 use consort_actors::bus::{Bus, Delivery, Encoding, ZenohBus, ZenohSettings};
@@ -28,19 +28,26 @@ fn ward() -> FleetId {
 /// A client of Zenoh's with somebody's certificate, or with none.
 fn session(address: &str, certs: Option<&Path>) -> Result<zenoh::Session, String> {
     use zenoh::Wait;
-    let mut config = zenoh::Config::default();
-    let mut set =
-        |path: &str, value: Value| config.insert_json5(path, &value.to_string()).expect("a setting of Zenoh's");
-    set("mode", json!("client"));
-    set("connect/endpoints", json!([address]));
-    set("transport/link/tls/verify_name_on_connect", json!(false));
-    if let Some(certs) = certs {
-        set("transport/link/tls/root_ca_certificate", json!(certs.join("ca.pem")));
-        set("transport/link/tls/connect_certificate", json!(certs.join("cert.pem")));
-        set("transport/link/tls/connect_private_key", json!(certs.join("key.pem")));
-        set("transport/link/tls/enable_mtls", json!(true));
-    }
-    zenoh::open(config).wait().map_err(|problem| problem.to_string())
+    zenoh::open(config(address, certs)).wait().map_err(|problem| problem.to_string())
+}
+
+fn threads() -> tokio::runtime::Runtime {
+    tokio::runtime::Builder::new_multi_thread().enable_all().build().expect("threads")
+}
+
+/// A node's bus with its certificate, linked with one other: bare, and as nodes use it.
+async fn member(address: &str, certs: &Path) -> (ZenohBus, SealedBus) {
+    let files = trust_files(certs);
+    let links = Some(LinkTrust { files: files.clone(), fleet: ward() });
+    let connect = vec![address.to_owned()];
+    let settings = ZenohSettings { mode: Mode::Client, connect, links, ..ZenohSettings::default() };
+    let bus = ZenohBus::open(settings).await.expect("it is of the fleet");
+    let clock = Clock::real();
+    let life = clock.wall_ms();
+    let keyring = files.open(&ward(), Duration::from_millis(life), life).expect("its files are right");
+    let sealed =
+        SealedBus::open(Arc::new(bus.clone()), Keys::new(&ward()), Arc::new(keyring), files.revoked, clock).await;
+    (bus, sealed.expect("it shows its certificate"))
 }
 
 /// The answers to a question, by Zenoh itself.
@@ -202,20 +209,8 @@ fn a_robot_that_speaks_in_the_name_of_others_is_not_listened_to_and_leaves_a_tra
     let mut closed = Closed::new();
     closed.cert(&["node", "eve", "--roles", "robot"]);
     closed.start_all();
-    let address = closed.fleet.address("station-1");
-    let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build().expect("threads");
-    let files = trust_files(&closed.of("eve"));
-    let keys = Keys::new(&ward());
-    let eve = runtime.block_on(async {
-        let links = Some(LinkTrust { files: files.clone(), fleet: ward() });
-        let settings = ZenohSettings { mode: Mode::Client, connect: vec![address], links, ..ZenohSettings::default() };
-        let bus = ZenohBus::open(settings).await.expect("eve is of the fleet");
-        let clock = Clock::real();
-        let life = clock.wall_ms();
-        let keyring = files.open(&ward(), Duration::from_millis(life), life).expect("eve's files are right");
-        let sealed = SealedBus::open(Arc::new(bus.clone()), keys.clone(), Arc::new(keyring), files, clock).await;
-        (bus, sealed.expect("eve shows her certificate"))
-    });
+    let (runtime, keys) = (threads(), Keys::new(&ward()));
+    let eve = runtime.block_on(member(&closed.fleet.address("station-1"), &closed.of("eve")));
     let arm = NodeId::new("lab-arm").expect("a name");
     let knowledge = keys.write(&Key::Knowledge(arm.clone()));
     let still = Statement::Still { stamp: Stamp { incarnation: u64::MAX, version: 1 }, since: 1, proof: None };
@@ -250,6 +245,143 @@ fn a_robot_that_speaks_in_the_name_of_others_is_not_listened_to_and_leaves_a_tra
     let seen = closed.fleet.run(&["fleet", "--json", "--certs", &reads], "station-1").expect(0).json();
     assert_ne!(seen["coordinator"]["term"], 1_000_000, "{seen}");
     runtime.block_on(eve.0.close()).expect("a goodbye");
+    closed.fleet.stop();
+}
+
+/// Answers whatever is asked on a key with one text, for as long as the runtime lives.
+async fn answer_on(bus: &dyn Bus, key: &str, text: &'static str) {
+    let mut asked = bus.serve_complete(key).await.expect("anybody may serve");
+    tokio::spawn(async move {
+        while let Some(query) = asked.recv().await {
+            let answer = Bytes::from_static(text.as_bytes());
+            query.replier.reply(&query.key, answer, Encoding::Json).await.expect("she answers");
+        }
+    });
+}
+
+#[test]
+fn who_answers_or_tells_in_the_stead_of_others_is_not_believed_by_commands_and_is_named() {
+    let mut closed = Closed::new();
+    closed.cert(&["node", "eve", "--roles", "robot"]);
+    closed.start_all();
+    let (runtime, address) = (threads(), closed.fleet.address("station-1"));
+    let [submits, reads] = ["submit", "read"].map(|who| closed.of(who).display().to_string());
+    until("somebody coordinates", LIMIT, || {
+        let seen = closed.fleet.run(&["fleet", "--json", "--certs", &reads], "station-1").expect(0);
+        assert!(!seen.stderr.contains("not believed"), "{}", seen.stderr);
+        seen.json()["coordinator"]["node"].is_string().then_some(())
+    });
+    let eve = runtime.block_on(async {
+        let eve = member(&address, &closed.of("eve")).await;
+        // In the coordinator's stead she signs, and may not; in any node's stead she may, and does not.
+        answer_on(&eve.1, "consort/ward/api/submit", r#"{"mission": "forged-1", "again": false}"#).await;
+        answer_on(&eve.0, "consort/ward/view/fleet", r#"{"nodes": [], "coordinator": "forged-1"}"#).await;
+        eve
+    });
+    let stock = session(&address, Some(&closed.of("submit"))).expect("a link");
+    until("Zenoh's own client is told what eve makes up", LIMIT, || {
+        asked(&stock, "consort/ward/api/submit", "{}").into_iter().find(|answer| answer["mission"] == "forged-1")
+    });
+    // She is told of when she is the quicker; who comes after the truth is not listened to at all.
+    let submit = ["submit", "lab-samples", "--set", "room=IC Room 6", "--request", "one", "--certs", &submits];
+    until("she is the quicker, and is told of", LIMIT, || {
+        let ended = closed.fleet.run(&submit, "station-1").expect(0);
+        assert!(ended.stdout.contains("lab-samples-1") && !ended.stdout.contains("forged-1"), "{}", ended.stdout);
+        let told = "not believed: node eve (robot) may not answer on api/submit";
+        (ended.stderr.contains(told) && ended.stderr.contains("`consort cert revoke NAME`")).then_some(())
+    });
+    until("the same of a view", LIMIT, || {
+        let ended = closed.fleet.run(&["fleet", "--json", "--certs", &reads], "station-1").expect(0);
+        assert_eq!(ended.json()["fleet"]["nodes"].as_array().map(Vec::len), Some(4), "{}", ended.stdout);
+        ended.stderr.contains("not believed: somebody on view/fleet: it bears no seal").then_some(())
+    });
+
+    // Events of others, while somebody records.
+    let folder = Folder::new();
+    let record = ["record", "--out", "run.mcap", "--for", "8s", "--certs", &reads, "--connect", &address];
+    let mut recording = Program::start(&folder, "record", &record);
+    let forged =
+        json!({ "node": "station-1", "sequence": 1, "at_ms": 1, "event": "elected", "term": 77_777 }).to_string();
+    until("the recording ends", LIMIT, || {
+        let forged = Bytes::from(forged.clone());
+        let told = eve.1.publish("consort/ward/events/station-1", forged, Encoding::Json, Delivery::Block);
+        runtime.block_on(told).expect("eve says it");
+        std::thread::sleep(Duration::from_millis(200));
+        recording.has_ended().then_some(())
+    });
+    let ended = recording.end(LIMIT).expect(0);
+    assert!(
+        ended.stderr.contains("not believed: node eve (robot) may not publish on events/station-1"),
+        "{}",
+        ended.stderr
+    );
+    let recorded = std::fs::read(folder.path().join("run.mcap")).expect("a recording");
+    let holds = |text: &str| recorded.windows(text.len()).any(|part| part == text.as_bytes());
+    assert!(holds("lab-samples-1") && !holds("77777"), "what was said is in it, and what was made up is not");
+    runtime.block_on(eve.0.close()).expect("a goodbye");
+    drop(stock);
+    closed.fleet.stop();
+}
+
+#[test]
+fn a_revoked_bearers_links_end_within_seconds_and_it_gets_none_again() {
+    let mut closed = Closed::new();
+    closed.cert(&["node", "station-2", "--roles", "voter"]);
+    closed.cert(&["person", "late", "--scope", "read"]);
+    closed.start("station", example("station"), &[]);
+    let mut second = example("station");
+    second.insert("name".to_owned(), "station-2".into());
+    closed.start("station", second, &["station-1"]);
+    let mut world = example("world");
+    world.insert("speed".to_owned(), 20.0.into());
+    closed.start("world", world, &["station-1"]);
+    // It opens a link to the one who will be revoked, as station-1 takes one from it.
+    closed.start("robot", example("robot"), &["station-1", "station-2"]);
+    let reads = closed.of("read").display().to_string();
+    let alive = |closed: &mut Closed| -> Vec<String> {
+        let seen = closed.fleet.run(&["fleet", "--json", "--certs", &reads], "station-1").expect(0).json();
+        let nodes = seen["fleet"]["nodes"].as_array().cloned().unwrap_or_default();
+        let alive = nodes.iter().filter(|node| node["alive"] == true);
+        alive.map(|node| node["node"].as_str().expect("a name").to_owned()).collect()
+    };
+    let all = ["ada", "station-1", "station-2", "world"];
+    until("all are there", LIMIT, || (alive(&mut closed) == all).then_some(()));
+    let (runtime, address) = (threads(), closed.fleet.address("station-1"));
+    let late = runtime.block_on(member(&address, &closed.of("late"))).0;
+    let linked = |bus: &ZenohBus| !runtime.block_on(bus.links()).is_empty();
+    assert!(linked(&late));
+    closed.cert(&["revoke", "station-2"]);
+    closed.cert(&["revoke", "late"]);
+    // Long before anybody would be missed for a lease or be judged anew: the list is read every two seconds.
+    until("the person's link has ended", Duration::from_secs(20), || (!linked(&late)).then_some(()));
+    until("the node is out", LIMIT, || (alive(&mut closed) == ["ada", "station-1", "world"]).then_some(()));
+    for of in ["station-1", "ada"] {
+        until(&format!("{of} tells whom it keeps out"), LIMIT, || {
+            let told = closed.refused(of);
+            told.contains("a link to node station-2 (voter): its certificate has been revoked").then_some(())
+        });
+    }
+    // They go on trying, and get in no more.
+    let tried = closed.refused("station-1").lines().count();
+    until("they are turned away once more", LIMIT, || {
+        (closed.refused("station-1").lines().count() > tried).then_some(())
+    });
+    assert!(!linked(&late), "a client that was cut off comes back by itself, if it is let in");
+    assert!(session(&address, Some(&closed.of("late"))).is_err(), "nor with a session of its own");
+    assert_eq!(alive(&mut closed), ["ada", "station-1", "world"]);
+    closed.fleet.stop();
+}
+
+#[test]
+fn a_command_leaves_no_trace_of_its_going_in_the_log_of_the_node_it_asks() {
+    let mut closed = Closed::new();
+    closed.start("station", example("station"), &[]);
+    let reads = closed.of("read").display().to_string();
+    for _ in 0..3 {
+        closed.fleet.run(&["fleet", "--certs", &reads], "station-1").expect(0);
+    }
+    let log = closed.fleet.node("station-1").stderr();
+    assert!(!log.contains("ERROR"), "{log}");
     closed.fleet.stop();
 }
 

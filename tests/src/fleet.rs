@@ -2,12 +2,14 @@
 
 use crate::chronicle::{Chronicle, Entry};
 use crate::member::Member;
+use crate::papers::Papers;
 use crate::slug;
 use crate::ward::ward;
-use consort_actors::bus::{LinkModel, VirtualBus, VirtualNetwork};
+use consort_actors::bus::{LinkModel, SharedBus, VirtualBus, VirtualNetwork};
 use consort_actors::clock::Clock;
 use consort_actors::node::{FleetSettings, HostPart, NodeHandle, NodeSettings, RobotPart};
 use consort_actors::store::Store;
+use consort_actors::trust::SealedBus;
 use consort_protocol::event::Happening;
 use consort_protocol::ids::NodeId;
 use consort_protocol::keys::Keys;
@@ -49,6 +51,10 @@ pub struct Fleet {
     adjust: Adjust,
     /// Those who write down what nodes believe.
     followers: BTreeMap<String, AbortHandle>,
+    /// What nodes prove themselves with, if the fleet is closed.
+    pub papers: Option<Papers>,
+    /// The buses on which nodes of a closed fleet seal what they say.
+    pub sealed: BTreeMap<String, Arc<SealedBus>>,
 }
 
 /// Changes what a node is to be, each time before it starts.
@@ -66,6 +72,8 @@ pub(crate) struct Staging {
     /// Robots with one of these skills are asked for bids.
     pub(crate) skills: Vec<String>,
     pub(crate) adjust: Adjust,
+    /// Whether nodes have certificates, and seal what they say.
+    pub(crate) closed: bool,
 }
 
 /// A nurse who waits in a room with one sample; both are called after the room.
@@ -92,10 +100,26 @@ impl Fleet {
     /// The same, with nodes that are changed before they start.
     pub async fn adjusted_hospital(
         seed: u64,
+        members: Vec<Member>,
+        stations: &[&str],
+        rooms: &[&str],
+        adjust: Adjust,
+    ) -> Fleet {
+        Fleet::any_hospital(seed, members, stations, rooms, adjust, false).await
+    }
+
+    /// The same, whose nodes have certificates and seal what they say.
+    pub async fn closed_hospital(seed: u64, members: Vec<Member>, stations: &[&str], rooms: &[&str]) -> Fleet {
+        Fleet::any_hospital(seed, members, stations, rooms, Box::new(|_| ()), true).await
+    }
+
+    async fn any_hospital(
+        seed: u64,
         mut members: Vec<Member>,
         stations: &[&str],
         rooms: &[&str],
         adjust: Adjust,
+        closed: bool,
     ) -> Fleet {
         if members.iter().all(|member| member.speed.is_some()) {
             members.push(Member::arm("lab-arm", "Laboratory"));
@@ -111,12 +135,12 @@ impl Fleet {
         let world = SharedWorld::new(World::new(setup).expect("the test's own world"));
         let stations = stations.iter().map(|station| (*station).to_owned()).collect();
         let skills = ["operate_drawer", "pick_up"].map(str::to_owned).to_vec();
-        Fleet::staged(Staging { seed, members, stations, world, speed: 10.0, skills, adjust }).await
+        Fleet::staged(Staging { seed, members, stations, world, speed: 10.0, skills, adjust, closed }).await
     }
 
     /// A fleet whose bodies are in this world.
     pub(crate) async fn staged(staging: Staging) -> Fleet {
-        let Staging { seed, members, stations, world, speed, skills, adjust } = staging;
+        let Staging { seed, members, stations, world, speed, skills, adjust, closed } = staging;
         let network = VirtualNetwork::new(seed, LinkModel::LAN);
         let present = members.iter().filter(|member| !member.late).count();
         let skills: Vec<&str> = skills.iter().map(String::as_str).collect();
@@ -140,7 +164,10 @@ impl Fleet {
             stores: BTreeMap::new(),
             adjust,
             followers: BTreeMap::new(),
+            papers: None,
+            sealed: BTreeMap::new(),
         };
+        fleet.papers = closed.then(|| Papers::new(fleet.settings.fleet.clone(), seed));
         fleet.start_world().await;
         for station in &stations {
             fleet.start_station(station).await;
@@ -217,8 +244,15 @@ impl Fleet {
 
     async fn start(&mut self, mut settings: NodeSettings) {
         (self.adjust)(&mut settings);
-        let bus = Arc::new(self.network.bus(settings.node.clone()));
+        let mut bus: SharedBus = Arc::new(self.network.bus(settings.node.clone()));
         let name = settings.node.to_string();
+        if let Some(papers) = &self.papers {
+            let keyring = papers.of(&settings.node, Papers::roles(&settings), settings.incarnation);
+            let sealed = papers.sealed(bus, keyring, settings.clock).await;
+            settings.notary = Some(sealed.notary());
+            self.sealed.insert(name.clone(), Arc::clone(&sealed));
+            bus = sealed;
+        }
         let node = NodeHandle::start(settings, bus).await.expect("a virtual node starts");
         self.nodes.insert(name, node);
     }

@@ -10,12 +10,14 @@ pub mod experiment;
 mod fleet;
 mod look;
 mod member;
+mod papers;
 mod stations;
 mod ward;
 
 pub use chronicle::{Chronicle, Entry, Spell};
 pub use fleet::{Adjust, Fleet};
 pub use member::Member;
+pub use papers::Papers;
 pub use stations::Stations;
 
 use std::fmt;

@@ -1,6 +1,7 @@
 //! How things stand, looked at from inside and from the world.
 
 use crate::{Fleet, slug};
+use consort_actors::gossip::SharedKnowledge;
 use consort_actors::node::NodeHandle;
 use consort_protocol::event::Happening;
 use consort_protocol::ids::{MissionId, NodeId, RobotId};
@@ -121,6 +122,11 @@ impl Fleet {
     pub fn tasks(&self, mission: &MissionId) -> BTreeMap<String, (usize, usize)> {
         let doers = self.chronicle.doers(mission);
         doers.into_iter().map(|(task, (began, ended))| (task, (began.len(), ended.len()))).collect()
+    }
+
+    /// What a node has heard.
+    pub fn heard(&self, node: &str) -> &SharedKnowledge {
+        &self.nodes[node].knowledge
     }
 
     /// What a node knows of a robot.

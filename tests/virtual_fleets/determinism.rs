@@ -6,14 +6,17 @@ use consort_tests::{Entry, Fleet, Member, tell};
 use std::cell::RefCell;
 use std::time::Duration;
 
-/// A mission over bad links, with a takeover and a restart in it.
-async fn run(seed: u64) -> (Vec<(Duration, Entry)>, u64) {
+/// A mission over bad links, with a takeover and a restart in it, in an open fleet or a closed one.
+async fn run(seed: u64, closed: bool) -> (Vec<(Duration, Entry)>, u64) {
     let robots = vec![
         Member::carrier("amber", "PC Room 8"),
         Member::carrier("birch", "IC Room 4"),
         Member::carrier("cedar", "Dock"),
     ];
-    let mut fleet = Fleet::hospital(seed, robots, &["aba", "abb"], &["IC Room 6"]).await;
+    let mut fleet = match closed {
+        true => Fleet::closed_hospital(seed, robots, &["aba", "abb"], &["IC Room 6"]).await,
+        false => Fleet::hospital(seed, robots, &["aba", "abb"], &["IC Room 6"]).await,
+    };
     fleet.network.set_link_model(LinkModel {
         loss: 0.01,
         duplication: 0.01,
@@ -32,10 +35,10 @@ async fn run(seed: u64) -> (Vec<(Duration, Entry)>, u64) {
     (fleet.chronicle.entries(), fleet.network.digest())
 }
 
-fn alone(seed: u64) -> (Vec<(Duration, Entry)>, u64) {
+fn alone(seed: u64, closed: bool) -> (Vec<(Duration, Entry)>, u64) {
     let runs = RefCell::new(vec![]);
     tell([seed], async |seed| {
-        let outcome = run(seed).await;
+        let outcome = run(seed, closed).await;
         runs.borrow_mut().push(outcome);
     });
     runs.into_inner().pop().expect("one run")
@@ -43,9 +46,9 @@ fn alone(seed: u64) -> (Vec<(Duration, Entry)>, u64) {
 
 #[test]
 fn a_seed_gives_the_same_tale_and_the_same_messages_each_time() {
-    for seed in 1..=3 {
-        let (tale, digest) = alone(seed);
-        let (again, digest_again) = alone(seed);
+    for (seed, closed) in [(1, false), (2, false), (3, false), (4, true)] {
+        let (tale, digest) = alone(seed, closed);
+        let (again, digest_again) = alone(seed, closed);
         for (one, other) in tale.iter().zip(&again) {
             assert_eq!(one, other, "seed {seed}: the first difference");
         }
@@ -56,7 +59,7 @@ fn a_seed_gives_the_same_tale_and_the_same_messages_each_time() {
 
 #[test]
 fn another_seed_gives_another_run() {
-    let runs: Vec<_> = (1..=3).map(alone).collect();
+    let runs: Vec<_> = (1..=3).map(|seed| alone(seed, false)).collect();
     for (one, other) in [(0, 1), (0, 2), (1, 2)] {
         assert_ne!(runs[one].1, runs[other].1, "digests of seeds {} and {}", one + 1, other + 1);
         assert_ne!(runs[one].0, runs[other].0, "tales of seeds {} and {}", one + 1, other + 1);

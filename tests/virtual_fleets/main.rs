@@ -3,6 +3,7 @@
 mod again;
 mod building;
 mod canceling;
+mod closed;
 mod clusters;
 mod deadlines;
 mod delivery;

@@ -2,7 +2,7 @@
 //! relays for others and what the bus adds.
 
 use super::{
-    Bus, BusError, Delivery, Encoding, Link, Presence, Query, Replier, Reply, Sample, SharedBus, Stream, Token,
+    Bus, BusError, Delivery, Encoding, Link, Presence, Query, Replier, Reply, Sample, SharedBus, Stream, Token, Whom,
 };
 use async_trait::async_trait;
 use bytes::Bytes;
@@ -37,15 +37,11 @@ impl MeteredBus {
         MeteredBus { bus, meter }
     }
 
-    fn count_question(&self, key_expr: &str, payload: &Bytes) {
-        self.meter.count(KeyKind::of(key_expr), Direction::Sent, payload.len());
-    }
-
     fn counted_replies(&self, replies: Stream<Reply>) -> Stream<Reply> {
         let meter = Arc::clone(&self.meter);
         replies.passing(move |reply: Reply| {
             let bytes = reply.payload.as_ref().map_or_else(String::len, Bytes::len);
-            meter.count(KeyKind::of(&reply.key), Direction::Received, bytes);
+            meter.count(KeyKind::of(&reply.key), Direction::Received, bytes + reply.beside.len());
             reply
         })
     }
@@ -53,7 +49,7 @@ impl MeteredBus {
     fn counted_questions(&self, questions: Stream<Query>) -> Stream<Query> {
         let meter = Arc::clone(&self.meter);
         questions.passing(move |query: Query| {
-            meter.count(KeyKind::of(&query.key), Direction::Received, query.payload.len());
+            meter.count(KeyKind::of(&query.key), Direction::Received, query.payload.len() + query.beside.len());
             let replier = MeteredReplier { replier: query.replier, meter: Arc::clone(&meter) };
             Query { replier: Box::new(replier), ..query }
         })
@@ -62,28 +58,37 @@ impl MeteredBus {
 
 #[async_trait]
 impl Bus for MeteredBus {
-    async fn publish(&self, key: &str, payload: Bytes, encoding: Encoding, delivery: Delivery) -> Result<(), BusError> {
-        self.meter.count(KeyKind::of(key), Direction::Sent, payload.len());
-        self.bus.publish(key, payload, encoding, delivery).await
+    async fn publish_with(
+        &self,
+        key: &str,
+        payload: Bytes,
+        beside: Bytes,
+        encoding: Encoding,
+        delivery: Delivery,
+    ) -> Result<(), BusError> {
+        self.meter.count(KeyKind::of(key), Direction::Sent, payload.len() + beside.len());
+        self.bus.publish_with(key, payload, beside, encoding, delivery).await
     }
 
     async fn subscribe(&self, key_expr: &str) -> Result<Stream<Sample>, BusError> {
         let meter = Arc::clone(&self.meter);
         let count = move |sample: Sample| {
-            meter.count(KeyKind::of(&sample.key), Direction::Received, sample.payload.len());
+            meter.count(KeyKind::of(&sample.key), Direction::Received, sample.payload.len() + sample.beside.len());
             sample
         };
         Ok(self.bus.subscribe(key_expr).await?.passing(count))
     }
 
-    async fn query(&self, key_expr: &str, payload: Bytes, limit: Duration) -> Result<Stream<Reply>, BusError> {
-        self.count_question(key_expr, &payload);
-        Ok(self.counted_replies(self.bus.query(key_expr, payload, limit).await?))
-    }
-
-    async fn query_nearest(&self, key_expr: &str, payload: Bytes, limit: Duration) -> Result<Stream<Reply>, BusError> {
-        self.count_question(key_expr, &payload);
-        Ok(self.counted_replies(self.bus.query_nearest(key_expr, payload, limit).await?))
+    async fn ask(
+        &self,
+        key_expr: &str,
+        payload: Bytes,
+        beside: Bytes,
+        limit: Duration,
+        whom: Whom,
+    ) -> Result<Stream<Reply>, BusError> {
+        self.meter.count(KeyKind::of(key_expr), Direction::Sent, payload.len() + beside.len());
+        Ok(self.counted_replies(self.bus.ask(key_expr, payload, beside, limit, whom).await?))
     }
 
     async fn serve(&self, key_expr: &str) -> Result<Stream<Query>, BusError> {
@@ -114,9 +119,9 @@ struct MeteredReplier {
 
 #[async_trait]
 impl Replier for MeteredReplier {
-    async fn reply(&self, key: &str, payload: Bytes, encoding: Encoding) -> Result<(), BusError> {
-        self.meter.count(KeyKind::of(key), Direction::Sent, payload.len());
-        self.replier.reply(key, payload, encoding).await
+    async fn reply_with(&self, key: &str, payload: Bytes, beside: Bytes, encoding: Encoding) -> Result<(), BusError> {
+        self.meter.count(KeyKind::of(key), Direction::Sent, payload.len() + beside.len());
+        self.replier.reply_with(key, payload, beside, encoding).await
     }
 
     async fn refuse(&self, reason: &str) -> Result<(), BusError> {

@@ -76,6 +76,8 @@ pub struct Sample {
     pub payload: Bytes,
     /// How to read it.
     pub encoding: Encoding,
+    /// What is said beside the content, empty if nothing: whoever does not know of it does not see it (Zenoh's attachments).
+    pub beside: Bytes,
 }
 
 /// An answer to a query.
@@ -85,6 +87,8 @@ pub struct Reply {
     pub key: String,
     /// Content, or the error that the service gave instead.
     pub payload: Result<Bytes, String>,
+    /// What is said beside the content, empty if nothing.
+    pub beside: Bytes,
 }
 
 /// A change in who is there.
@@ -187,6 +191,8 @@ pub struct Query {
     pub parameters: String,
     /// The question's content, empty if none.
     pub payload: Bytes,
+    /// What is said beside the content, empty if nothing.
+    pub beside: Bytes,
     /// How to answer.
     pub replier: Box<dyn Replier>,
 }
@@ -198,7 +204,15 @@ pub trait Replier: Send + Sync {
     ///
     /// # Errors
     /// [`BusError`] if `key` does not match the query, the payload is larger than [`MESSAGE_MAX`], or the bus is closed.
-    async fn reply(&self, key: &str, payload: Bytes, encoding: Encoding) -> Result<(), BusError>;
+    async fn reply(&self, key: &str, payload: Bytes, encoding: Encoding) -> Result<(), BusError> {
+        self.reply_with(key, payload, Bytes::new(), encoding).await
+    }
+
+    /// The same with something beside the content, of a kilobyte or two.
+    ///
+    /// # Errors
+    /// As [`reply`](Self::reply).
+    async fn reply_with(&self, key: &str, payload: Bytes, beside: Bytes, encoding: Encoding) -> Result<(), BusError>;
 
     /// Answers that it cannot answer, and why.
     ///
@@ -228,6 +242,15 @@ pub struct Link {
     pub kind: String,
 }
 
+/// Who is asked.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Whom {
+    /// Every service that matches.
+    All,
+    /// The nearest of those that are [complete](Bus::serve_complete); if there is none, as above, with one answer on each key.
+    Nearest,
+}
+
 /// The bus as actors see it.
 #[async_trait]
 pub trait Bus: Send + Sync + 'static {
@@ -235,7 +258,22 @@ pub trait Bus: Send + Sync + 'static {
     ///
     /// # Errors
     /// [`BusError`] if `key` is no key, the payload is larger than [`MESSAGE_MAX`], or the bus is closed. That nobody hears it is none.
-    async fn publish(&self, key: &str, payload: Bytes, encoding: Encoding, delivery: Delivery) -> Result<(), BusError>;
+    async fn publish(&self, key: &str, payload: Bytes, encoding: Encoding, delivery: Delivery) -> Result<(), BusError> {
+        self.publish_with(key, payload, Bytes::new(), encoding, delivery).await
+    }
+
+    /// The same with something beside the content, of a kilobyte or two.
+    ///
+    /// # Errors
+    /// As [`publish`](Self::publish).
+    async fn publish_with(
+        &self,
+        key: &str,
+        payload: Bytes,
+        beside: Bytes,
+        encoding: Encoding,
+        delivery: Delivery,
+    ) -> Result<(), BusError>;
 
     /// Hears what is published on keys that match.
     ///
@@ -247,7 +285,9 @@ pub trait Bus: Send + Sync + 'static {
     ///
     /// # Errors
     /// [`BusError`] if `key_expr` is none, the payload is larger than [`MESSAGE_MAX`], or the bus is closed. That nobody answers is none.
-    async fn query(&self, key_expr: &str, payload: Bytes, limit: Duration) -> Result<Stream<Reply>, BusError>;
+    async fn query(&self, key_expr: &str, payload: Bytes, limit: Duration) -> Result<Stream<Reply>, BusError> {
+        self.ask(key_expr, payload, Bytes::new(), limit, Whom::All).await
+    }
 
     /// Asks for one answer on each key. If services that match are [complete](Self::serve_complete) for all that is asked,
     /// the nearest is asked instead of all (on Zenoh the nearest here and the nearest elsewhere). Of several answers on one key
@@ -256,7 +296,22 @@ pub trait Bus: Send + Sync + 'static {
     ///
     /// # Errors
     /// As [`query`](Self::query).
-    async fn query_nearest(&self, key_expr: &str, payload: Bytes, limit: Duration) -> Result<Stream<Reply>, BusError>;
+    async fn query_nearest(&self, key_expr: &str, payload: Bytes, limit: Duration) -> Result<Stream<Reply>, BusError> {
+        self.ask(key_expr, payload, Bytes::new(), limit, Whom::Nearest).await
+    }
+
+    /// Either of these, with something beside the content, of a kilobyte or two.
+    ///
+    /// # Errors
+    /// As [`query`](Self::query).
+    async fn ask(
+        &self,
+        key_expr: &str,
+        payload: Bytes,
+        beside: Bytes,
+        limit: Duration,
+        whom: Whom,
+    ) -> Result<Stream<Reply>, BusError>;
 
     /// Answers queries that match.
     ///

@@ -1,29 +1,45 @@
-//! A bus on which every message between nodes bears its author's seal.
+//! A bus on which whatever nodes say bears its author's seal.
 
-use super::cards::Cards;
-use super::files::TrustFiles;
+use super::cards::{Cards, wall};
 use super::keyring::{Card, Keyring};
 use super::notary::Signatory;
 use super::refusals::Refusals;
 use crate::bus::{
-    Bus, BusError, Delivery, Encoding, Link, Presence, Query, Replier, Reply, Sample, SharedBus, Stream, Token,
+    Bus, BusError, Delivery, Encoding, Link, Presence, Query, Replier, Reply, Sample, SharedBus, Stream, Token, Whom,
 };
 use crate::clock::Clock;
 use crate::gossip::SharedNotary;
 use async_trait::async_trait;
 use bytes::Bytes;
 use consort_protocol::keys::Keys;
-use consort_protocol::trust::{Act, Fingerprint, Freshness, Kind, Window, check, open, signed_part};
+use consort_protocol::trust::{
+    Act, Fingerprint, Freshness, Kind, SealError, Window, check, open, read_asker, signed_beside, signed_part,
+    write_asker,
+};
 use std::collections::BTreeMap;
+use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Duration;
 
-/// A bus that seals what is said below `wire/`, and hands out only what its author sealed, may say, and says for the first
-/// time. Everything else passes as it is: it is for anybody's clients, who seal nothing.
+/// A bus that seals what the fleet's nodes say, and hands out only what its author sealed, may say, and says for the first time.
+///
+/// What is below `wire/` is sealed all around. What anybody's clients read (views, answers to requests, events) stays as it is, with the
+/// seal beside it. Everything else passes: certificates prove themselves, and presence has no content.
 pub struct SealedBus {
     bus: SharedBus,
     keys: Keys,
     trust: Arc<Trust>,
+}
+
+/// Where the seal of a message is.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Place {
+    /// Around it.
+    Around,
+    /// Beside it.
+    Beside,
+    /// Nowhere.
+    Nowhere,
 }
 
 /// What is needed to believe.
@@ -31,10 +47,12 @@ struct Trust {
     keyring: Arc<Keyring>,
     cards: Arc<Cards>,
     refusals: Arc<Refusals>,
+    clock: Clock,
 }
 
 impl SealedBus {
-    /// Seals what is said on `bus` with `keyring`, which was opened from `files`.
+    /// Seals what is said on `bus` with `keyring`; `revoked` is the file that has the list of what is revoked, and is read again and
+    /// again.
     ///
     /// # Errors
     /// [`BusError`] if the own certificate cannot be shown.
@@ -42,13 +60,13 @@ impl SealedBus {
         bus: SharedBus,
         keys: Keys,
         keyring: Arc<Keyring>,
-        files: TrustFiles,
+        revoked: Option<PathBuf>,
         clock: Clock,
     ) -> Result<SealedBus, BusError> {
         let refusals = Arc::new(Refusals::default());
         let (on, ring, told) = (Arc::clone(&bus), Arc::clone(&keyring), Arc::clone(&refusals));
-        let cards = Cards::open(on, keys.clone(), ring, files, clock, told).await?;
-        Ok(SealedBus { bus, keys, trust: Arc::new(Trust { keyring, cards: Arc::new(cards), refusals }) })
+        let cards = Arc::new(Cards::open(on, keys.clone(), ring, revoked, clock, told).await?);
+        Ok(SealedBus { bus, keys, trust: Arc::new(Trust { keyring, cards, refusals, clock }) })
     }
 
     /// Who signs what the bearer says of itself, and judges what others hand on of third ones.
@@ -57,40 +75,47 @@ impl SealedBus {
         Arc::new(Signatory { keyring: Arc::clone(keyring), cards: Arc::clone(cards) })
     }
 
-    /// Whether what is said on a key, or key expression, is sealed: whatever nodes say to one another, but for certificates,
-    /// which prove themselves.
-    fn is_sealed(&self, key: &str) -> bool {
-        self.below(key).is_some_and(|below| below.starts_with("wire/") && !below.starts_with("wire/card/"))
+    /// What was not believed lately, in words: who claims what.
+    pub fn refused(&self) -> Vec<String> {
+        self.trust.refusals.all()
     }
 
-    fn below<'a>(&self, key: &'a str) -> Option<&'a str> {
-        self.keys.below(key)
+    /// Where the seal is of what is said on a key, or key expression.
+    fn place(&self, key: &str) -> Place {
+        match self.keys.below(key).and_then(|below| below.split_once('/')) {
+            Some(("wire", rest)) if rest.starts_with("card/") => Place::Nowhere,
+            Some(("wire", _)) => Place::Around,
+            Some(("view" | "seen" | "api" | "events", _)) => Place::Beside,
+            _ => Place::Nowhere,
+        }
     }
 
-    fn samples(&self, samples: Stream<Sample>) -> Stream<Sample> {
+    fn samples(&self, samples: Stream<Sample>, place: Place) -> Stream<Sample> {
         let (trust, keys, mut windows) = (Arc::clone(&self.trust), self.keys.clone(), Windows::default());
         samples.sifting(move |sample| {
-            let heard = Heard { kind: Kind::Publication, key: &sample.key, bytes: &sample.payload };
-            match trust.believe(&keys, Act::Publish, heard, Some(&mut windows)) {
-                Ok(believed) => {
-                    let payload = believed.payload(&sample.payload);
-                    Some(Sample { payload, ..sample })
-                }
-                Err(_) => None,
-            }
+            let heard = Heard {
+                kind: Kind::Publication,
+                key: &sample.key,
+                bytes: &sample.payload,
+                beside: (place == Place::Beside).then_some(Beside { seal: &sample.beside, asked: &[] }),
+            };
+            let believed = trust.believe(&keys, Act::Publish, heard, Some(&mut windows)).ok()?;
+            let payload = believed.payload(&sample.payload);
+            Some(Sample { payload, beside: Bytes::new(), ..sample })
         })
     }
 
+    /// What nodes ask one another.
     fn questions(&self, questions: Stream<Query>) -> Stream<Query> {
         let (trust, keys, mut windows) = (Arc::clone(&self.trust), self.keys.clone(), Windows::default());
         questions.sifting(move |query| {
-            let heard = Heard { kind: Kind::Question, key: &query.key, bytes: &query.payload };
+            let heard = Heard { kind: Kind::Question, key: &query.key, bytes: &query.payload, beside: None };
             match trust.believe(&keys, Act::Ask, heard, Some(&mut windows)) {
                 Ok(believed) => {
                     let payload = believed.payload(&query.payload);
                     let asked = Kind::Answer(believed.by, believed.number);
                     let keyring = Arc::clone(&trust.keyring);
-                    let replier = Box::new(SealedReplier { replier: query.replier, keyring, asked });
+                    let replier = Box::new(SealedReplier { replier: query.replier, keyring, asked, beside: None });
                     Some(Query { payload, replier, ..query })
                 }
                 Err(reason) => {
@@ -102,32 +127,44 @@ impl SealedBus {
         })
     }
 
-    /// Seals a question, asks it, and reads the answers.
-    async fn asked<F>(
-        &self,
-        key_expr: &str,
-        payload: Bytes,
-        ask: impl FnOnce(Bytes) -> F,
-    ) -> Result<Stream<Reply>, BusError>
-    where
-        F: Future<Output = Result<Stream<Reply>, BusError>>,
-    {
-        if !self.is_sealed(key_expr) {
-            return ask(payload).await;
+    /// What anybody asks: the links have seen to it that they may. Answers are sealed if somebody will look at the seal.
+    fn anybodys_questions(&self, questions: Stream<Query>) -> Stream<Query> {
+        let keyring = Arc::clone(&self.trust.keyring);
+        questions.passing(move |query| match read_asker(&query.beside) {
+            Some(asked) => {
+                let (keyring, beside) = (Arc::clone(&keyring), Some(query.payload.clone()));
+                let replier = Box::new(SealedReplier { replier: query.replier, keyring, asked, beside });
+                Query { replier, beside: Bytes::new(), ..query }
+            }
+            None => query,
+        })
+    }
+
+    fn served(&self, key_expr: &str, questions: Stream<Query>) -> Stream<Query> {
+        match self.place(key_expr) {
+            Place::Around => self.questions(questions),
+            Place::Beside => self.anybodys_questions(questions),
+            Place::Nowhere => questions,
         }
-        let keyring = &self.trust.keyring;
-        let (number, own) = (keyring.number(), keyring.fingerprint());
-        // What is asked reaches whoever answers without its parameters.
-        let key = key_expr.split('?').next().unwrap_or_default();
-        let replies = ask(keyring.seal(Kind::Question, number, key, &payload).into()).await?;
+    }
+
+    /// Those answers to a question that are believed; of an answer beside which there is a seal, `asked` is the question.
+    fn replies(&self, replies: Stream<Reply>, number: u64, asked: Option<Bytes>) -> Stream<Reply> {
         let (trust, keys) = (Arc::clone(&self.trust), self.keys.clone());
-        Ok(replies.sifting(move |reply| {
-            let Ok(bytes) = &reply.payload else { return Some(reply) };
-            let heard = Heard { kind: Kind::Answer(own, number), key: &reply.key, bytes };
+        let kind = Kind::Answer(self.trust.keyring.fingerprint(), number);
+        replies.sifting(move |reply| {
+            let beside = asked.as_ref().map(|asked| Beside { seal: &reply.beside, asked });
+            let bytes = match &reply.payload {
+                Ok(bytes) => bytes,
+                // The fleet's own refuse in words of JSON, which bear a seal.
+                Err(_) if beside.is_some() => return trust.unsealed(&keys, &reply.key),
+                Err(_) => return Some(reply),
+            };
+            let heard = Heard { kind, key: &reply.key, bytes, beside };
             let believed = trust.believe(&keys, Act::Answer, heard, None).ok()?;
             let payload = Ok(believed.payload(bytes));
-            Some(Reply { payload, ..reply })
-        }))
+            Some(Reply { payload, beside: Bytes::new(), ..reply })
+        })
     }
 }
 
@@ -136,6 +173,15 @@ struct Heard<'a> {
     kind: Kind,
     key: &'a str,
     bytes: &'a Bytes,
+    /// What stands beside it, if that is where its seal is.
+    beside: Option<Beside<'a>>,
+}
+
+/// What stands beside something that was heard.
+struct Beside<'a> {
+    seal: &'a [u8],
+    /// The question that it answers.
+    asked: &'a [u8],
 }
 
 /// Something that is believed.
@@ -164,40 +210,63 @@ impl Trust {
         heard: Heard<'_>,
         windows: Option<&mut Windows>,
     ) -> Result<Believed, String> {
-        let Heard { kind, key, bytes } = heard;
+        let Heard { kind, key, bytes, beside } = heard;
         let below = keys.below(key).unwrap_or(key);
-        let refused = |reason: String| {
-            self.refusals.note(reason.clone());
-            Err(reason)
-        };
-        let sealed = match open(kind, bytes) {
+        let sealed = match open(kind, beside.as_ref().map_or(bytes, |beside| beside.seal)) {
             Ok(sealed) => sealed,
-            Err(problem) => return refused(format!("somebody on {below}: {problem}")),
+            Err(problem) => return self.refuse(format!("somebody on {below}: {problem}")),
         };
-        let card = match self.keyring.card(sealed.by) {
-            Some(card) => card,
-            None => {
+        let (payload, signed, shown) = match &beside {
+            None => (sealed.payload, signed_part(kind, sealed.by, sealed.number, key, sealed.payload), None),
+            Some(beside) => {
+                let signed = signed_beside(kind, sealed.by, sealed.number, key, beside.asked, bytes);
+                (&bytes[..], signed, Some(sealed.payload))
+            }
+        };
+        let card = match (self.keyring.card(sealed.by), shown) {
+            (Some(card), _) => card,
+            (None, Some(certificate)) => match self.keyring.admit(certificate, wall(self.clock)) {
+                Ok(card) if card.fingerprint() == sealed.by => card,
+                Ok(card) => {
+                    let bearer = &card.identity.bearer;
+                    return self.refuse(format!("somebody on {below} shows the certificate of {bearer} for another"));
+                }
+                Err(problem) => {
+                    return self.refuse(format!("somebody on {below} whose certificate is not believed: {problem}"));
+                }
+            },
+            (None, None) => {
                 self.cards.want(sealed.by);
                 return Err(format!("certificate {} is not known here yet: ask again", sealed.by));
             }
         };
-        if !card.signed(&signed_part(kind, sealed.by, sealed.number, key, sealed.payload), sealed.signature) {
-            return refused(format!(
-                "somebody on {below} says to be {}, whose signature it is not",
-                card.identity.bearer
-            ));
+        if !card.signed(&signed, sealed.signature) {
+            return self
+                .refuse(format!("somebody on {below} says to be {}, whose signature it is not", card.identity.bearer));
         }
-        if let Err(denied) = check(&card.identity, act, below, sealed.payload) {
-            return refused(denied.to_string());
+        if let Err(denied) = check(&card.identity, act, below, payload) {
+            return self.refuse(denied.to_string());
         }
         if let Some(windows) = windows {
             match windows.entry(sealed.by).or_default().hear(sealed.number) {
                 Freshness::New => {}
                 Freshness::Repeated => return Err("it was heard before".to_owned()),
-                Freshness::Old => return refused(late(&card, below)),
+                Freshness::Old => return self.refuse(late(&card, below)),
             }
         }
-        Ok(Believed { by: sealed.by, number: sealed.number, length: sealed.payload.len() })
+        Ok(Believed { by: sealed.by, number: sealed.number, length: payload.len() })
+    }
+
+    /// Something is not believed, and that is told.
+    fn refuse<T>(&self, reason: String) -> Result<T, String> {
+        self.refusals.note(reason.clone());
+        Err(reason)
+    }
+
+    /// The same of something that bears no seal.
+    fn unsealed<T>(&self, keys: &Keys, key: &str) -> Option<T> {
+        let below = keys.below(key).unwrap_or(key);
+        self.refuse(format!("somebody on {below}: {}", SealError::None)).ok()
     }
 }
 
@@ -210,37 +279,68 @@ fn late(card: &Card, below: &str) -> String {
 
 #[async_trait]
 impl Bus for SealedBus {
-    async fn publish(&self, key: &str, payload: Bytes, encoding: Encoding, delivery: Delivery) -> Result<(), BusError> {
-        let payload = if self.is_sealed(key) {
-            let keyring = &self.trust.keyring;
-            keyring.seal(Kind::Publication, keyring.number(), key, &payload).into()
-        } else {
-            payload
+    async fn publish_with(
+        &self,
+        key: &str,
+        payload: Bytes,
+        beside: Bytes,
+        encoding: Encoding,
+        delivery: Delivery,
+    ) -> Result<(), BusError> {
+        let keyring = &self.trust.keyring;
+        let (payload, beside) = match self.place(key) {
+            Place::Around => (keyring.seal(Kind::Publication, keyring.number(), key, &payload).into(), beside),
+            Place::Beside => {
+                let seal = keyring.seal_beside(Kind::Publication, key, &[], &payload);
+                (payload, seal.into())
+            }
+            Place::Nowhere => (payload, beside),
         };
-        self.bus.publish(key, payload, encoding, delivery).await
+        self.bus.publish_with(key, payload, beside, encoding, delivery).await
     }
 
     async fn subscribe(&self, key_expr: &str) -> Result<Stream<Sample>, BusError> {
         let samples = self.bus.subscribe(key_expr).await?;
-        Ok(if self.is_sealed(key_expr) { self.samples(samples) } else { samples })
+        Ok(match self.place(key_expr) {
+            Place::Nowhere => samples,
+            place => self.samples(samples, place),
+        })
     }
 
-    async fn query(&self, key_expr: &str, payload: Bytes, limit: Duration) -> Result<Stream<Reply>, BusError> {
-        self.asked(key_expr, payload, |payload| self.bus.query(key_expr, payload, limit)).await
-    }
-
-    async fn query_nearest(&self, key_expr: &str, payload: Bytes, limit: Duration) -> Result<Stream<Reply>, BusError> {
-        self.asked(key_expr, payload, |payload| self.bus.query_nearest(key_expr, payload, limit)).await
+    async fn ask(
+        &self,
+        key_expr: &str,
+        payload: Bytes,
+        beside: Bytes,
+        limit: Duration,
+        whom: Whom,
+    ) -> Result<Stream<Reply>, BusError> {
+        let keyring = &self.trust.keyring;
+        // What is asked reaches whoever answers without its parameters.
+        let key = key_expr.split('?').next().unwrap_or_default();
+        match self.place(key) {
+            Place::Nowhere => self.bus.ask(key_expr, payload, beside, limit, whom).await,
+            Place::Around => {
+                let number = keyring.number();
+                let sealed = keyring.seal(Kind::Question, number, key, &payload).into();
+                let replies = self.bus.ask(key_expr, sealed, beside, limit, whom).await?;
+                Ok(self.replies(replies, number, None))
+            }
+            Place::Beside => {
+                let number = keyring.number();
+                let asker = write_asker(keyring.fingerprint(), number).into();
+                let replies = self.bus.ask(key_expr, payload.clone(), asker, limit, whom).await?;
+                Ok(self.replies(replies, number, Some(payload)))
+            }
+        }
     }
 
     async fn serve(&self, key_expr: &str) -> Result<Stream<Query>, BusError> {
-        let questions = self.bus.serve(key_expr).await?;
-        Ok(if self.is_sealed(key_expr) { self.questions(questions) } else { questions })
+        Ok(self.served(key_expr, self.bus.serve(key_expr).await?))
     }
 
     async fn serve_complete(&self, key_expr: &str) -> Result<Stream<Query>, BusError> {
-        let questions = self.bus.serve_complete(key_expr).await?;
-        Ok(if self.is_sealed(key_expr) { self.questions(questions) } else { questions })
+        Ok(self.served(key_expr, self.bus.serve_complete(key_expr).await?))
     }
 
     async fn announce(&self, key: &str) -> Result<Token, BusError> {
@@ -261,13 +361,21 @@ struct SealedReplier {
     replier: Box<dyn Replier>,
     keyring: Arc<Keyring>,
     asked: Kind,
+    /// The question, if the seal is to stand beside the answer.
+    beside: Option<Bytes>,
 }
 
 #[async_trait]
 impl Replier for SealedReplier {
-    async fn reply(&self, key: &str, payload: Bytes, encoding: Encoding) -> Result<(), BusError> {
-        let sealed = self.keyring.seal(self.asked, self.keyring.number(), key, &payload);
-        self.replier.reply(key, sealed.into(), encoding).await
+    async fn reply_with(&self, key: &str, payload: Bytes, beside: Bytes, encoding: Encoding) -> Result<(), BusError> {
+        let (payload, beside) = match &self.beside {
+            None => (self.keyring.seal(self.asked, self.keyring.number(), key, &payload).into(), beside),
+            Some(asked) => {
+                let seal = self.keyring.seal_beside(self.asked, key, asked, &payload);
+                (payload, seal.into())
+            }
+        };
+        self.replier.reply_with(key, payload, beside, encoding).await
     }
 
     async fn refuse(&self, reason: &str) -> Result<(), BusError> {

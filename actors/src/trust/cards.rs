@@ -1,14 +1,16 @@
 //! How nodes learn each other's certificates: whoever hears a fingerprint that it does not know asks its bearer.
 
-use super::files::TrustFiles;
+use super::files::read_revoked;
 use super::keyring::Keyring;
+use super::links::judged_by;
 use super::refusals::Refusals;
 use crate::bus::{BusError, Encoding, SharedBus, Stream};
 use crate::clock::Clock;
 use bytes::Bytes;
 use consort_protocol::keys::{Key, Keys};
-use consort_protocol::trust::Fingerprint;
+use consort_protocol::trust::{Bearer, Fingerprint};
 use std::collections::BTreeMap;
+use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Duration;
 use tokio::sync::mpsc::{UnboundedReceiver, UnboundedSender, unbounded_channel};
@@ -25,7 +27,10 @@ const NOT_AGAIN_FOR: Duration = Duration::from_secs(1);
 /// How many are asked at once. Who makes up fingerprints is a member of the fleet, and holds up others no longer than this.
 const AT_ONCE: usize = 32;
 
-/// How often everybody is judged anew, and the list of revoked certificates read.
+/// How often the list of revoked certificates is read.
+const READ_EVERY: Duration = Duration::from_secs(2);
+
+/// How often everybody is judged anew, though the list is as it was: certificates end.
 const REVIEWED_EVERY: Duration = Duration::from_secs(10);
 
 /// Asks for certificates, shows the own, and reviews all, for as long as it lives.
@@ -50,17 +55,20 @@ impl Cards {
         bus: SharedBus,
         keys: Keys,
         keyring: Arc<Keyring>,
-        files: TrustFiles,
+        revoked: Option<PathBuf>,
         clock: Clock,
         refusals: Arc<Refusals>,
     ) -> Result<Cards, BusError> {
         let parts = Parts { bus, keys, keyring, clock, refusals };
-        let own = parts.keys.write(&Key::Card(parts.keyring.fingerprint()));
-        let asked = parts.bus.serve(&own).await?;
         let (wanted, wishes) = unbounded_channel();
         let mut tasks = JoinSet::new();
-        tasks.spawn(show(asked, own, Bytes::from(parts.keyring.shown())));
-        tasks.spawn(review(files, Arc::clone(&parts.keyring), parts.clock));
+        // People say nothing, so nobody asks for theirs; and their links let no service in.
+        if let Bearer::Node { .. } = parts.keyring.identity().bearer {
+            let own = parts.keys.write(&Key::Card(parts.keyring.fingerprint()));
+            let asked = parts.bus.serve(&own).await?;
+            tasks.spawn(show(asked, own, Bytes::from(parts.keyring.shown())));
+        }
+        tasks.spawn(review(revoked, parts.clone()));
         tasks.spawn(learn(parts, wishes));
         Ok(Cards { wanted, _tasks: tasks })
     }
@@ -113,13 +121,15 @@ async fn ask(parts: Parts, wanted: Fingerprint) {
 }
 
 /// Judges everybody anew, now and then.
-async fn review(files: TrustFiles, keyring: Arc<Keyring>, clock: Clock) {
-    let mut due = interval(REVIEWED_EVERY);
+async fn review(file: Option<PathBuf>, parts: Parts) {
+    let Parts { keyring, clock, refusals, .. } = parts;
+    let links = judged_by(&keyring, clock, refusals);
+    let mut due = interval(READ_EVERY);
     due.set_missed_tick_behavior(MissedTickBehavior::Delay);
-    let mut unread = false;
+    let (mut unread, mut known, mut again) = (false, None, Instant::now());
     loop {
         due.tick().await;
-        let revoked = match files.read_revoked() {
+        let revoked = match file.as_deref().map(read_revoked).transpose() {
             Ok(revoked) => {
                 unread = false;
                 revoked
@@ -132,8 +142,19 @@ async fn review(files: TrustFiles, keyring: Arc<Keyring>, clock: Clock) {
                 None
             }
         };
+        let is_new = revoked.is_some() && revoked != known;
+        if !is_new && Instant::now() < again {
+            continue;
+        }
+        again = Instant::now() + REVIEWED_EVERY;
+        if is_new {
+            known.clone_from(&revoked);
+        }
         for (identity, problem) in keyring.review(revoked, wall(clock)) {
             warn!(bearer = %identity.bearer, %problem, "no longer believed");
+        }
+        if is_new {
+            links.again();
         }
     }
 }

@@ -1,6 +1,7 @@
 //! The files that trust is kept in: PEM, as `consort cert` writes it and as everybody's tools read it.
 
-use super::keyring::{Authority, Keyring};
+use super::issue::Issued;
+use super::keyring::{Authority, Card, Keyring};
 use consort_protocol::ids::FleetId;
 use consort_protocol::trust::Identity;
 use pki_types::pem::PemObject;
@@ -52,12 +53,8 @@ impl TrustFiles {
         let certificate = pem::<CertificateDer<'static>>(&self.certificate, "certificate")?;
         let own = authority.judge(certificate, revoked.as_deref(), now).map_err(TrustError::of(&self.certificate))?;
         let key = pem::<PrivatePkcs8KeyDer<'static>>(&self.key, "private key in PKCS #8")?;
-        let key = Ed25519KeyPair::from_pkcs8_maybe_unchecked(key.secret_pkcs8_der())
-            .map_err(|problem| TrustError::of(&self.key)(format!("it is no key for Ed25519: {problem}")))?;
-        if !own.signed(b"whose key is it", key.sign(b"whose key is it").as_ref()) {
-            let problem = format!("it is not the key of {}", self.certificate.display());
-            return Err(TrustError::of(&self.key)(problem));
-        }
+        let of = self.certificate.display().to_string();
+        let key = key_of(&own, &key, &of).map_err(TrustError::of(&self.key))?;
         Ok(Keyring::new(authority, own, key, revoked, life))
     }
 
@@ -69,11 +66,41 @@ impl TrustFiles {
         self.open(fleet, now, 0).map(|keyring| keyring.identity().clone())
     }
 
-    /// The list of what is revoked, in DER; none if there is no file for it.
-    pub(super) fn read_revoked(&self) -> Result<Option<Vec<u8>>, TrustError> {
-        let Some(file) = &self.revoked else { return Ok(None) };
-        let list = pem::<CertificateRevocationListDer<'static>>(file, "list of revoked certificates")?;
-        Ok(Some(list.to_vec()))
+    fn read_revoked(&self) -> Result<Option<Vec<u8>>, TrustError> {
+        self.revoked.as_deref().map(read_revoked).transpose()
+    }
+}
+
+/// The list of what is revoked, in DER.
+pub(super) fn read_revoked(file: &Path) -> Result<Vec<u8>, TrustError> {
+    let list = pem::<CertificateRevocationListDer<'static>>(file, "list of revoked certificates")?;
+    Ok(list.to_vec())
+}
+
+impl Keyring {
+    /// What was just issued, for a bearer that has it in no file; `life` as in [`TrustFiles::open`].
+    ///
+    /// # Errors
+    /// What is wrong with it, in words.
+    pub fn of(fleet: FleetId, authority: &str, issued: &Issued, now: Duration, life: u64) -> Result<Keyring, String> {
+        let unread = |problem: pki_types::pem::Error| problem.to_string();
+        let authority = CertificateDer::from_pem_slice(authority.as_bytes()).map_err(unread)?;
+        let authority = Authority::new(fleet, &authority).map_err(|distrust| distrust.to_string())?;
+        let own = CertificateDer::from_pem_slice(issued.certificate.as_bytes()).map_err(unread)?;
+        let own = authority.judge(own, None, now).map_err(|distrust| distrust.to_string())?;
+        let key = PrivatePkcs8KeyDer::from_pem_slice(issued.key.as_bytes()).map_err(unread)?;
+        let key = key_of(&own, &key, "the certificate")?;
+        Ok(Keyring::new(authority, own, key, None, life))
+    }
+}
+
+/// The key of a certificate, if it is that.
+fn key_of(own: &Card, key: &PrivatePkcs8KeyDer<'_>, of: &str) -> Result<Ed25519KeyPair, String> {
+    let key = Ed25519KeyPair::from_pkcs8_maybe_unchecked(key.secret_pkcs8_der());
+    let key = key.map_err(|problem| format!("it is no key for Ed25519: {problem}"))?;
+    match own.signed(b"whose key is it", key.sign(b"whose key is it").as_ref()) {
+        true => Ok(key),
+        false => Err(format!("it is not the key of {of}")),
     }
 }
 

@@ -5,6 +5,7 @@
 use consort_protocol::ids::FleetId;
 use consort_protocol::trust::access::common_name;
 use consort_protocol::trust::{Bearer, Identity};
+use pki_types::PrivatePkcs8KeyDer;
 use rcgen::{
     BasicConstraints, CertificateParams, CertificateRevocationListParams, DnType, ExtendedKeyUsagePurpose, IsCa,
     KeyIdMethod, KeyPair, KeyUsagePurpose, PKCS_ED25519, RevocationReason, RevokedCertParams, SanType, SerialNumber,
@@ -20,6 +21,25 @@ pub struct Issued {
     pub certificate: String,
     /// For the bearer alone.
     pub key: String,
+}
+
+/// What a certificate and its key are drawn from where chance is given from outside: in virtual fleets, in which everything follows
+/// from a seed. Whoever knows it has the key.
+#[derive(Clone, Copy)]
+pub struct Draw {
+    /// The secret half of an Ed25519 key (RFC 8032).
+    pub key: [u8; 32],
+    /// The certificate's number.
+    pub serial: [u8; 16],
+}
+
+impl Draw {
+    fn key_pair(&self) -> Result<KeyPair, IssueError> {
+        // RFC 8410: a version, Ed25519's number, and the key within two octet strings.
+        const HEAD: [u8; 16] = [0x30, 0x2e, 2, 1, 0, 0x30, 5, 6, 3, 0x2b, 0x65, 0x70, 4, 0x22, 4, 0x20];
+        let der = PrivatePkcs8KeyDer::from([&HEAD[..], &self.key].concat());
+        Ok(KeyPair::from_pkcs8_der_and_sign_algo(&der, &PKCS_ED25519)?)
+    }
 }
 
 /// Why nothing was issued.
@@ -68,11 +88,22 @@ pub fn authority_of(common_name: &str) -> Option<&str> {
 /// # Errors
 /// [`IssueError`] if the system gives no random numbers, or the dates are none.
 pub fn found(fleet: &FleetId, validity: Validity) -> Result<Issued, IssueError> {
-    let mut authority = params(validity)?;
+    found_with(fleet, validity, KeyPair::generate_for(&PKCS_ED25519)?, by_chance()?)
+}
+
+/// The same of a given draw.
+///
+/// # Errors
+/// As [`found`].
+pub fn found_drawn(fleet: &FleetId, validity: Validity, draw: Draw) -> Result<Issued, IssueError> {
+    found_with(fleet, validity, draw.key_pair()?, draw.serial)
+}
+
+fn found_with(fleet: &FleetId, validity: Validity, key: KeyPair, serial: [u8; 16]) -> Result<Issued, IssueError> {
+    let mut authority = params(validity, serial)?;
     authority.distinguished_name.push(DnType::CommonName, format!("{AUTHORITY_OF}{fleet}"));
     authority.is_ca = IsCa::Ca(BasicConstraints::Constrained(0));
     authority.key_usages = vec![KeyUsagePurpose::KeyCertSign, KeyUsagePurpose::CrlSign];
-    let key = KeyPair::generate_for(&PKCS_ED25519)?;
     let certificate = authority.self_signed(&key)?;
     Ok(Issued { certificate: certificate.pem(), key: key.serialize_pem() })
 }
@@ -92,7 +123,26 @@ impl Authorising {
     /// # Errors
     /// [`IssueError`] if an address cannot stand in a certificate, or the dates are none.
     pub fn issue(&self, to: &Identity, addresses: &[String], validity: Validity) -> Result<Issued, IssueError> {
-        let mut subject = params(validity)?;
+        self.issue_with(to, addresses, validity, KeyPair::generate_for(&PKCS_ED25519)?, by_chance()?)
+    }
+
+    /// The same of a given draw, without addresses.
+    ///
+    /// # Errors
+    /// As [`issue`](Self::issue).
+    pub fn issue_drawn(&self, to: &Identity, validity: Validity, draw: Draw) -> Result<Issued, IssueError> {
+        self.issue_with(to, &[], validity, draw.key_pair()?, draw.serial)
+    }
+
+    fn issue_with(
+        &self,
+        to: &Identity,
+        addresses: &[String],
+        validity: Validity,
+        key: KeyPair,
+        serial: [u8; 16],
+    ) -> Result<Issued, IssueError> {
+        let mut subject = params(validity, serial)?;
         subject.distinguished_name.push(DnType::CommonName, common_name(to));
         subject.subject_alt_names.push(SanType::URI(to.to_string().try_into()?));
         for address in addresses {
@@ -108,7 +158,6 @@ impl Authorising {
             // A person's certificate opens connections, and is not believed by who opens one to it.
             Bearer::Person { .. } => vec![ExtendedKeyUsagePurpose::ClientAuth],
         };
-        let key = KeyPair::generate_for(&PKCS_ED25519)?;
         let certificate = subject.signed_by(&key, &self.issuer)?;
         Ok(Issued { certificate: certificate.pem(), key: key.serialize_pem() })
     }
@@ -138,13 +187,17 @@ impl Authorising {
     }
 }
 
-fn params(validity: Validity) -> Result<CertificateParams, IssueError> {
-    let mut params = CertificateParams::default();
-    params.distinguished_name = rcgen::DistinguishedName::new();
-    (params.not_before, params.not_after) = (date(validity.from)?, date(validity.until)?);
+fn by_chance() -> Result<[u8; 16], IssueError> {
     let mut serial = [0; 16];
     let random = SystemRandom::new().fill(&mut serial);
     random.map_err(|_| IssueError("the system gives no random numbers".to_owned()))?;
+    Ok(serial)
+}
+
+fn params(validity: Validity, mut serial: [u8; 16]) -> Result<CertificateParams, IssueError> {
+    let mut params = CertificateParams::default();
+    params.distinguished_name = rcgen::DistinguishedName::new();
+    (params.not_before, params.not_after) = (date(validity.from)?, date(validity.until)?);
     serial[0] &= 0x7f; // a positive number, in as many bytes
     params.serial_number = Some(SerialNumber::from_slice(&serial));
     Ok(params)

@@ -1,7 +1,7 @@
 //! Keys and certificates: the fleet's authority, a node's own, and those that were shown to it.
 
 use consort_protocol::ids::FleetId;
-use consort_protocol::trust::{Fingerprint, Identity, Kind, Sealed, signed_part, write};
+use consort_protocol::trust::{Fingerprint, Identity, Kind, Sealed, signed_beside, signed_part, write};
 use pki_types::{CertificateDer, TrustAnchor, UnixTime};
 use ring::digest::{SHA256, digest};
 use ring::signature::Ed25519KeyPair;
@@ -223,6 +223,13 @@ impl Keyring {
         write(kind, Sealed { by, number, signature: signature.as_ref(), payload })
     }
 
+    /// The bearer's seal of a message, to stand beside it, with its certificate; `asked` is the question that it answers.
+    pub(super) fn seal_beside(&self, kind: Kind, key: &str, asked: &[u8], payload: &[u8]) -> Vec<u8> {
+        let (by, number) = (self.fingerprint(), self.number());
+        let signature = self.key.sign(&signed_beside(kind, by, number, key, asked, payload));
+        write(kind, Sealed { by, number, signature: signature.as_ref(), payload: &self.own.certificate })
+    }
+
     /// The bearer's signature.
     pub(super) fn sign(&self, message: &[u8]) -> Vec<u8> {
         self.key.sign(message).as_ref().to_vec()
@@ -233,6 +240,14 @@ impl Keyring {
         let certificate = CertificateDer::from(certificate.to_vec());
         let learned = self.learned.read().unwrap_or_else(PoisonError::into_inner);
         self.authority.judge(certificate, learned.revoked.as_deref(), now)
+    }
+
+    /// Whose certificate it is, if it has been revoked.
+    pub(super) fn revoked(&self, certificate: &[u8], now: Duration) -> Option<Identity> {
+        match self.judge(certificate, now) {
+            Err(Distrust::Revoked) => whose(&EndEntityCert::try_from(&CertificateDer::from(certificate)).ok()?).ok(),
+            _ => None,
+        }
     }
 
     /// The card of a fingerprint, if it has been shown.

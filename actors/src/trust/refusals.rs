@@ -22,6 +22,11 @@ struct Told {
 }
 
 impl Refusals {
+    /// What was not listened to lately, in words.
+    pub(super) fn all(&self) -> Vec<String> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner).keys().cloned().collect()
+    }
+
     /// Something was not listened to.
     pub(super) fn note(&self, reason: String) {
         let mut told = self.0.lock().unwrap_or_else(PoisonError::into_inner);

@@ -161,6 +161,16 @@ mod tests {
     }
 
     #[test]
+    fn the_common_name_is_the_kind_of_bearer() {
+        let named = |of: &str| common_name(&format!("consort://ward/{of}").parse().unwrap());
+        assert_eq!(named("node/ada?roles=robot,voter"), "consort-node");
+        assert_eq!(named("person/ada?scope=read"), "consort-read");
+        assert_eq!(named("person/ada?scope=operate"), "consort-operate");
+        let granted: Vec<String> = grants(&ward(), &[]).into_iter().map(|grant| grant.common_name).collect();
+        assert_eq!(granted, ["consort-node", "consort-read", "consort-submit", "consort-operate"]);
+    }
+
+    #[test]
     fn a_nodes_link_carries_its_fleet_and_no_other() {
         let grants = grants(&ward(), &["consort-hearing/*"]);
         assert_eq!(

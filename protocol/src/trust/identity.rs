@@ -167,6 +167,7 @@ mod tests {
         let said = |text: &str| text.parse::<Identity>().unwrap_err().to_string();
         assert!(said("spiffe://ward/node/ada?roles=robot").contains("the form is consort://FLEET/node/NAME"));
         assert!(said("consort://ward/node/ada?scope=read").contains("the form is"));
+        assert!(said("consort://ward/person/ada?roles=voter").contains("the form is"));
         assert!(said("consort://ward/node/a*a?roles=robot").contains("holds '*'"));
         assert_eq!(
             said("consort://ward/node/ada?roles=robot,boss"),

@@ -10,15 +10,18 @@
 //! Nodes relay for each other, so a link says who the neighbour is and nothing of who spoke: that a message bears its
 //! author's signature is what makes it its author's. Keys and signatures themselves are not here (`actors::trust`).
 //!
-//! Below `view/`, `api/`, `events/` and `alive/` clients of any kind read and ask, who sign nothing: there the links
-//! decide (see [`access`]).
+//! Below `view/`, `seen/`, `api/` and `events/` clients of any kind read and ask: there the seal stands [beside](write_asker) a
+//! message that is plain JSON, for those who look at it; who may ask is decided by the links (see [`access`]). Presence tokens
+//! (`alive/`) have no content to be sealed, and are hints.
 
 pub mod access;
+mod beside;
 mod identity;
 mod rights;
 mod seal;
 mod window;
 
+pub use beside::{read_asker, signed_beside, write_asker};
 pub use identity::{Bearer, Identity, IdentityError, NodeRole, Scope};
 pub use rights::{Act, Denied, check};
 pub use seal::{Fingerprint, Kind, OVERHEAD, SIGNATURE, SealError, Sealed, open, signed_part, write};

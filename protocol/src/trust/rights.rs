@@ -20,17 +20,26 @@
 //! | `wire/people/ask` | – | hosts | hosts |
 //! | `wire/people/done` | hosts | – | – |
 //! | `wire/world` | – | any node | hosts |
+//! | `events/{node}` | that node, of what happened there | – | – |
+//! | `view/**`, `api/{call}/help`, `api/{call}` that changes nothing | – | (by the links) | any node |
+//! | `seen/{node}/**`, `api/leave/{node}` | – | (by the links) | that node |
+//! | `api/{call}` of the coordinator's | – | (by the links) | voters |
 //!
-//! Persons say nothing below `wire/`. What this cannot tell: whether a robot holds the role for which it signals (hearers
+//! Persons publish and answer nothing. What this cannot tell: whether a robot holds the role for which it signals (hearers
 //! compare the epoch), whether a voter leads (terms and majorities do), and what a node hands on of a third one's knowledge.
 
 use super::identity::{Bearer, Identity, NodeRole};
 use crate::auction::Tender;
-use crate::codec::{self, CodecError};
+use crate::codec;
 use crate::ids::NodeId;
+use crate::keys::ApiCall;
 use crate::message::{Beacon, Changed, Founder, Report, Statement, Within};
+use serde::Deserialize;
 use serde::de::DeserializeOwned;
 use std::collections::BTreeSet;
+
+#[cfg(test)]
+mod tests;
 
 /// What is done on a key.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
@@ -100,7 +109,7 @@ pub fn check(who: &Identity, act: Act, key: &str, payload: &[u8]) -> Result<(), 
         None => Err(claim.denied(act)),
         Some(Says::Anything) => Ok(()),
         Some(Says::Statement) => {
-            let said = codec::decode_any(claim.payload).map_err(|problem| claim.unreadable(&problem))?;
+            let said = codec::decode_any(claim.payload).map_err(|problem| claim.unreadable(problem.to_string()))?;
             claim.is_own(
                 name,
                 match said {
@@ -113,6 +122,7 @@ pub fn check(who: &Identity, act: Act, key: &str, payload: &[u8]) -> Result<(), 
         Some(Says::Beacon) => claim.named_within(name, |said: &Beacon| Some(said.node.to_string())),
         Some(Says::Changed) => claim.named_within(name, |said: &Changed| Some(said.node.to_string())),
         Some(Says::Report) => claim.named_within(name, |said: &Report| Some(said.robot.to_string())),
+        Some(Says::Event) => claim.is_own(name, Some(claim.teller()?.to_string())),
         Some(Says::Tender) => claim.named(name, |said: &Tender| Some(said.robot.to_string())),
     }
 }
@@ -126,6 +136,7 @@ enum Says {
     Changed,
     Report,
     Tender,
+    Event,
 }
 
 struct Node<'a> {
@@ -173,8 +184,18 @@ fn claimed_name(node: &Node<'_>, act: Act, key: &str) -> Option<Says> {
         (&["wire", "body", _, "command"] | &["wire", "world"], Answer) => anything(node.is(Host)),
         (&["wire", "body", _, "state"] | &["wire", "people", "done"], Publish) => anything(node.is(Host)),
         (&["wire", "people", "ask"], Ask | Answer) => anything(node.is(Host)),
+        (&["events", name], Publish) => node.called(name).then_some(Says::Event),
+        (&["view", ..] | &["api", _, "help"], Answer) => anything(true),
+        (&["seen", name, ..] | &["api", "leave", name], Answer) => anything(node.called(name)),
+        (&["api", call], Answer) => anything(ApiCall::read(call)?.is_reading() || node.is(Voter)),
         _ => None,
     }
+}
+
+/// An event, as far as it says where it happened.
+#[derive(Deserialize)]
+struct Teller {
+    node: NodeId,
 }
 
 /// Something said by somebody.
@@ -206,12 +227,17 @@ impl Claim<'_> {
     }
 
     fn read<T: DeserializeOwned>(&self, bytes: &[u8]) -> Result<T, Denied> {
-        codec::decode(bytes).map_err(|problem| self.unreadable(&problem))
+        codec::decode(bytes).map_err(|problem| self.unreadable(problem.to_string()))
     }
 
-    fn unreadable(&self, problem: &CodecError) -> Denied {
-        let (bearer, key) = (self.who.bearer.to_string(), self.key.to_owned());
-        Denied::Unreadable { bearer, key, problem: problem.to_string() }
+    /// Where an event says that it happened.
+    fn teller(&self) -> Result<NodeId, Denied> {
+        let told = serde_json::from_slice::<Teller>(self.payload);
+        told.map(|told| told.node).map_err(|problem| self.unreadable(problem.to_string()))
+    }
+
+    fn unreadable(&self, problem: String) -> Denied {
+        Denied::Unreadable { bearer: self.who.bearer.to_string(), key: self.key.to_owned(), problem }
     }
 
     fn is_own(&self, own: &NodeId, name: Option<String>) -> Result<(), Denied> {

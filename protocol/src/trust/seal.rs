@@ -14,13 +14,13 @@ use std::fmt;
 use std::str::FromStr;
 
 /// First byte of every sealed message.
-const VERSION: u8 = 1;
+pub(super) const VERSION: u8 = 1;
 
 /// Bytes of an Ed25519 signature.
 pub const SIGNATURE: usize = 64;
 
 const FINGERPRINT: usize = 16;
-const HEAD: usize = 2 + FINGERPRINT + 8;
+pub(super) const HEAD: usize = 2 + FINGERPRINT + 8;
 
 /// How many bytes a seal adds to a message.
 pub const OVERHEAD: usize = HEAD + SIGNATURE;
@@ -65,7 +65,7 @@ pub enum Kind {
 }
 
 impl Kind {
-    fn byte(self) -> u8 {
+    pub(super) fn byte(self) -> u8 {
         match self {
             Kind::Publication => 0,
             Kind::Question => 1,
@@ -138,18 +138,21 @@ pub fn write(kind: Kind, sealed: Sealed<'_>) -> Vec<u8> {
 /// # Errors
 /// [`SealError`]; whatever the bytes are, this does not panic.
 pub fn open(kind: Kind, bytes: &[u8]) -> Result<Sealed<'_>, SealError> {
-    let (head, rest) = bytes.split_at_checked(HEAD).ok_or(SealError::None)?;
+    let ([version, of_kind], by, number, rest) = read_head(bytes).ok_or(SealError::None)?;
     let (signature, payload) = rest.split_at_checked(SIGNATURE).ok_or(SealError::None)?;
-    let (&[version, of_kind], head) = head.split_first_chunk::<2>().ok_or(SealError::None)?;
-    let (by, number) = head.split_first_chunk::<FINGERPRINT>().ok_or(SealError::None)?;
-    let number: [u8; 8] = number.try_into().map_err(|_| SealError::None)?;
     match (version, of_kind) {
-        (VERSION, of_kind) if of_kind == kind.byte() => {
-            Ok(Sealed { by: Fingerprint(*by), number: u64::from_be_bytes(number), signature, payload })
-        }
+        (VERSION, of_kind) if of_kind == kind.byte() => Ok(Sealed { by, number, signature, payload }),
         (VERSION, _) => Err(SealError::Kind),
         (found, _) => Err(SealError::Version { found }),
     }
+}
+
+/// Version and kind, fingerprint and number, and whatever follows.
+pub(super) fn read_head(bytes: &[u8]) -> Option<([u8; 2], Fingerprint, u64, &[u8])> {
+    let (first, rest) = bytes.split_first_chunk::<2>()?;
+    let (by, rest) = rest.split_first_chunk::<FINGERPRINT>()?;
+    let (number, rest) = rest.split_first_chunk::<8>()?;
+    Some((*first, Fingerprint(*by), u64::from_be_bytes(*number), rest))
 }
 
 #[cfg(test)]
@@ -188,8 +191,13 @@ mod tests {
             signed_part(Kind::Publication, Fingerprint([8; FINGERPRINT]), 1, "a/b", b"c"),
             signed_part(Kind::Publication, BY, 1, "a/bc", b""),
             signed_part(Kind::Publication, BY, 1, "a/", b"bc"),
+            signed_part(Kind::Publication, BY, 1, "x/b", b"c"),
+            signed_part(Kind::Publication, BY, 1, "a/b", b"x"),
+            signed_part(Kind::Answer(Fingerprint([8; FINGERPRINT]), 1), BY, 1, "a/b", b"c"),
         ];
         assert_eq!(parts.iter().collect::<std::collections::BTreeSet<_>>().len(), parts.len());
+        // The same key signs tokens and links: none of these is taken for a message.
+        assert!(parts.iter().all(|part| part.starts_with(&[&b"consort seal\0"[..], &[VERSION]].concat())));
     }
 
     proptest! {

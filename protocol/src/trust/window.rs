@@ -83,6 +83,7 @@ mod tests {
         assert_eq!(window.hear(5 + 10 * WIDTH), Freshness::New);
         assert_eq!(window.hear(6), Freshness::Old);
         assert_eq!(window.hear(0), Freshness::Old);
+        assert_eq!(Window::default().hear(0), Freshness::Old, "nobody begins there");
         assert_eq!(window.hear(u64::MAX), Freshness::New, "a number beyond all is one too");
     }
 

@@ -1,8 +1,9 @@
 //! A client with Zenoh and nothing of ours: its own defaults, but for whom to connect to.
 
 use super::until;
-use serde_json::Value;
+use serde_json::{Value, json};
 use std::collections::{BTreeMap, BTreeSet};
+use std::path::Path;
 use std::time::Duration;
 use zenoh::bytes::Encoding;
 use zenoh::handlers::FifoChannelHandler;
@@ -19,12 +20,33 @@ pub(crate) struct Client {
     fleet: &'static str,
 }
 
+/// Zenoh's own settings for a client of a node, with somebody's certificate or with none.
+pub(crate) fn config(address: &str, certs: Option<&Path>) -> Config {
+    let mut config = Config::default();
+    let mut set = |path: &str, value: Value| {
+        config.insert_json5(path, &value.to_string()).expect("a setting of Zenoh's");
+    };
+    set("mode", json!("client"));
+    set("connect/endpoints", json!([address]));
+    if let Some(certs) = certs {
+        set("transport/link/tls/verify_name_on_connect", json!(false));
+        set("transport/link/tls/root_ca_certificate", json!(certs.join("ca.pem")));
+        set("transport/link/tls/connect_certificate", json!(certs.join("cert.pem")));
+        set("transport/link/tls/connect_private_key", json!(certs.join("key.pem")));
+        set("transport/link/tls/enable_mtls", json!(true));
+    }
+    config
+}
+
 impl Client {
     /// Connects to a node, and follows the events of a fleet.
     pub(crate) fn open(address: &str, fleet: &'static str) -> Client {
-        let mut config = Config::default();
-        config.insert_json5("mode", "\"client\"").expect("a mode of Zenoh's");
-        config.insert_json5("connect/endpoints", &format!("[\"{address}\"]")).expect("an address");
+        Client::open_with(address, fleet, None)
+    }
+
+    /// The same with somebody's certificate, if the fleet asks for one.
+    pub(crate) fn open_with(address: &str, fleet: &'static str, certs: Option<&Path>) -> Client {
+        let config = config(address, certs);
         let session = until(&format!("a connection to {address}"), Duration::from_secs(20), || {
             zenoh::open(config.clone()).wait().ok()
         });

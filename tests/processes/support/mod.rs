@@ -7,7 +7,7 @@ mod folder;
 mod http;
 mod program;
 
-pub(crate) use client::{Client, tasks};
+pub(crate) use client::{Client, config, tasks};
 pub(crate) use closed::Closed;
 pub(crate) use fleet::{Fleet, example, hospital, hospital_by};
 pub(crate) use folder::Folder;

@@ -206,6 +206,7 @@ impl Stage {
                 speed: self.cast.speed,
                 skills,
                 adjust: Box::new(|_| ()),
+                closed: false,
             };
             play.nodes_since_s = play.world.now().as_secs();
             play.fleet = Some(Fleet::staged(staging).await);

@@ -28,8 +28,11 @@ use zenoh_protocol::{
 };
 use zenoh_result::ZResult;
 
+// Added for Consort.
+mod refusal;
 mod unicast;
 mod utils;
+pub use refusal::{judge_by, Judge, Judging};
 pub use unicast::*;
 pub use utils::TlsConfigurator;
 

@@ -46,6 +46,7 @@ use zenoh_protocol::{
 use zenoh_result::{zerror, ZResult};
 
 use crate::{
+    refusal::Admitted,
     utils::{get_tls_addr, get_tls_host, get_tls_server_name, TlsClientConfig, TlsServerConfig},
     TLS_ACCEPT_THROTTLE_TIME, TLS_DEFAULT_MTU, TLS_LINGER_TIMEOUT, TLS_LOCATOR_PREFIX,
 };
@@ -67,6 +68,8 @@ pub struct LinkUnicastTls {
     auth_identifier: LinkAuthId,
     mtu: BatchSize,
     expiration_manager: Option<LinkCertExpirationManager>,
+    // Changed for Consort: a link whose other end is refused is neither read nor written any more.
+    admitted: Arc<Admitted>,
 }
 
 impl LinkUnicastTls {
@@ -76,6 +79,7 @@ impl LinkUnicastTls {
         dst_addr: SocketAddr,
         auth_identifier: LinkAuthId,
         expiration_manager: Option<LinkCertExpirationManager>,
+        admitted: Arc<Admitted>,
     ) -> LinkUnicastTls {
         let (tcp_stream, _) = socket.get_ref();
         // Set the TLS nodelay option
@@ -136,11 +140,18 @@ impl LinkUnicastTls {
             auth_identifier,
             mtu,
             expiration_manager,
+            admitted,
         }
     }
 
     async fn close(&self) -> ZResult<()> {
         tracing::trace!("Closing TLS link: {}", self);
+        if self.admitted.is_refused() {
+            // Changed for Consort: whoever is refused need not take what is left, nor hold up the end.
+            let mut writer = zasynclock!(self.writer);
+            let _ = tokio::time::timeout(Duration::from_secs(1), writer.shutdown()).await;
+            return Ok(());
+        }
         // Flush the TLS stream
         let mut writer = zasynclock!(self.writer);
         let res = writer.flush().await;
@@ -149,6 +160,13 @@ impl LinkUnicastTls {
         let res = writer.shutdown().await;
         tracing::trace!("TLS link shutdown {}: {:?}", self, res);
         res.map_err(|e| zerror!(e).into())
+    }
+
+    fn check_admitted(&self) -> ZResult<()> {
+        if self.admitted.is_refused() {
+            bail!("{self}: the other end is refused");
+        }
+        Ok(())
     }
 }
 
@@ -170,6 +188,7 @@ impl LinkUnicastTrait for LinkUnicastTls {
     }
 
     async fn write(&self, buffer: &[u8], _priority: Option<Priority>) -> ZResult<usize> {
+        self.check_admitted()?;
         zasynclock!(self.writer).write(buffer).await.map_err(|e| {
             tracing::trace!("Write error on TLS link {}: {}", self, e);
             zerror!(e).into()
@@ -177,6 +196,7 @@ impl LinkUnicastTrait for LinkUnicastTls {
     }
 
     async fn write_all(&self, buffer: &[u8], _priority: Option<Priority>) -> ZResult<()> {
+        self.check_admitted()?;
         zasynclock!(self.writer).write_all(buffer).await.map_err(|e| {
             tracing::trace!("Write error on TLS link {}: {}", self, e);
             zerror!(e).into()
@@ -184,20 +204,29 @@ impl LinkUnicastTrait for LinkUnicastTls {
     }
 
     async fn read(&self, buffer: &mut [u8], _priority: Option<Priority>) -> ZResult<usize> {
-        zasynclock!(self.reader).read(buffer).await.map_err(|e| {
+        let mut reader = zasynclock!(self.reader);
+        let read = tokio::select! {
+            biased;
+            _ = self.admitted.refused() => bail!("{self}: the other end is refused"),
+            read = reader.read(buffer) => read,
+        };
+        read.map_err(|e| {
             tracing::trace!("Read error on TLS link {}: {}", self, e);
             zerror!(e).into()
         })
     }
 
     async fn read_exact(&self, buffer: &mut [u8], _priority: Option<Priority>) -> ZResult<()> {
-        let _ = zasynclock!(self.reader)
-            .read_exact(buffer)
-            .await
-            .map_err(|e| {
-                tracing::trace!("Read error on TLS link {}: {}", self, e);
-                zerror!(e)
-            })?;
+        let mut reader = zasynclock!(self.reader);
+        let read = tokio::select! {
+            biased;
+            _ = self.admitted.refused() => bail!("{self}: the other end is refused"),
+            read = reader.read_exact(buffer) => read,
+        };
+        let _ = read.map_err(|e| {
+            tracing::trace!("Read error on TLS link {}: {}", self, e);
+            zerror!(e)
+        })?;
         Ok(())
     }
 
@@ -350,6 +379,10 @@ impl LinkManagerUnicastTrait for LinkManagerUnicastTls {
         let auth_identifier = get_server_cert_common_name(tls_conn)?;
         let certchain_expiration_time = get_cert_chain_expiration(&tls_conn.peer_certificates())?
             .expect("server should have certificate chain");
+        // Changed for Consort: see `refusal`.
+        let Some(admitted) = Admitted::new(first_certificate(tls_conn.peer_certificates())) else {
+            bail!("Can not create a new TLS link bound to {server_name:?}: the other end is refused");
+        };
 
         let tls_stream = TlsStream::Client(tls_stream);
 
@@ -371,6 +404,7 @@ impl LinkManagerUnicastTrait for LinkManagerUnicastTls {
                 dst_addr,
                 auth_identifier.into(),
                 expiration_manager,
+                admitted,
             )
         });
 
@@ -520,6 +554,12 @@ async fn accept_task(
                             }
                         }
 
+                        // Changed for Consort: see `refusal`.
+                        let Some(admitted) = Admitted::new(first_certificate(tls_conn.peer_certificates())) else {
+                            tracing::debug!("{dst_addr} is refused");
+                            continue;
+                        };
+
                         tracing::debug!("Accepted TLS connection on {:?}: {:?}. {:?}.", src_addr, dst_addr, auth_identifier);
                         // Create the new link object
                         let link = Arc::<LinkUnicastTls>::new_cyclic(|weak_link| {
@@ -540,6 +580,7 @@ async fn accept_task(
                                 dst_addr,
                                 auth_identifier.into(),
                                 expiration_manager,
+                                admitted,
                             )
                         });
 
@@ -567,6 +608,11 @@ async fn accept_task(
     }
 
     Ok(())
+}
+
+/// The certificate of whoever is at the other end.
+fn first_certificate<'a>(chain: Option<&'a [rustls_pki_types::CertificateDer<'_>]>) -> Option<&'a [u8]> {
+    chain?.first().map(AsRef::as_ref)
 }
 
 fn get_client_cert_common_name(tls_conn: &rustls::CommonState) -> ZResult<TlsAuthId> {

@@ -28,12 +28,12 @@ mod trace;
 pub use link::{Counters, LinkModel, Traffic, TrafficByKind};
 
 use super::{
-    Bus, BusError, Delivery, Encoding, Link, MESSAGE_MAX, Presence, Query, Reply, Sample, Stream, Token, keys,
+    Bus, BusError, Delivery, Encoding, Link, MESSAGE_MAX, Presence, Query, Reply, Sample, Stream, Token, Whom, keys,
 };
 use async_trait::async_trait;
 use bytes::Bytes;
 use consort_protocol::ids::NodeId;
-use network::{Life, Network, Number, Question, Whom};
+use network::{Life, Network, Number, Question};
 use responder::Leg;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
 use std::time::Duration;
@@ -196,15 +196,6 @@ impl VirtualBus {
         })
     }
 
-    fn ask(&self, key_expr: &str, payload: Bytes, limit: Duration, whom: Whom) -> Result<Stream<Reply>, BusError> {
-        let (wanted, parameters) = keys::selector(key_expr)?;
-        keys::fits("query", &payload, MESSAGE_MAX)?;
-        let question = Question { wanted, parameters: parameters.to_owned(), payload };
-        let (replies, receiver) = mpsc::unbounded_channel();
-        let number = self.act("query", |network| network.ask(self.life, question, limit, whom, replies))?;
-        Ok(self.stream(receiver, number, Network::stop_asking))
-    }
-
     fn answer(&self, key_expr: &str, complete: bool) -> Result<Stream<Query>, BusError> {
         let wanted = keys::expression(key_expr)?;
         let (mailbox, receiver) = mpsc::unbounded_channel();
@@ -224,10 +215,11 @@ impl VirtualBus {
 
 #[async_trait]
 impl Bus for VirtualBus {
-    async fn publish(
+    async fn publish_with(
         &self,
         key: &str,
         payload: Bytes,
+        beside: Bytes,
         encoding: Encoding,
         _delivery: Delivery,
     ) -> Result<(), BusError> {
@@ -237,7 +229,7 @@ impl Bus for VirtualBus {
                 Some(known) => known,
                 None => keys::single(key)?,
             };
-            network.publish(self.life, &known, Sample { key: key.to_owned(), payload, encoding });
+            network.publish(self.life, &known, Sample { key: key.to_owned(), payload, encoding, beside });
             Ok(())
         })?
     }
@@ -249,12 +241,20 @@ impl Bus for VirtualBus {
         Ok(self.stream(receiver, number, Network::unsubscribe))
     }
 
-    async fn query(&self, key_expr: &str, payload: Bytes, limit: Duration) -> Result<Stream<Reply>, BusError> {
-        self.ask(key_expr, payload, limit, Whom::All)
-    }
-
-    async fn query_nearest(&self, key_expr: &str, payload: Bytes, limit: Duration) -> Result<Stream<Reply>, BusError> {
-        self.ask(key_expr, payload, limit, Whom::Nearest)
+    async fn ask(
+        &self,
+        key_expr: &str,
+        payload: Bytes,
+        beside: Bytes,
+        limit: Duration,
+        whom: Whom,
+    ) -> Result<Stream<Reply>, BusError> {
+        let (wanted, parameters) = keys::selector(key_expr)?;
+        keys::fits("query", &payload, MESSAGE_MAX)?;
+        let question = Question { wanted, parameters: parameters.to_owned(), payload, beside };
+        let (replies, receiver) = mpsc::unbounded_channel();
+        let number = self.act("query", |network| network.ask(self.life, question, limit, whom, replies))?;
+        Ok(self.stream(receiver, number, Network::stop_asking))
     }
 
     async fn serve(&self, key_expr: &str) -> Result<Stream<Query>, BusError> {

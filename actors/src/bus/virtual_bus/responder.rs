@@ -41,14 +41,18 @@ impl Responder {
 
 #[async_trait]
 impl Replier for Responder {
-    async fn reply(&self, key: &str, payload: Bytes, _encoding: Encoding) -> Result<(), BusError> {
+    async fn reply_with(&self, key: &str, payload: Bytes, beside: Bytes, _: Encoding) -> Result<(), BusError> {
         keys::answer(key, &self.question.wanted)?;
         keys::fits("answer a query", &payload, MESSAGE_MAX)?;
-        self.send(Reply { key: key.to_owned(), payload: Ok(payload) })
+        self.send(Reply { key: key.to_owned(), payload: Ok(payload), beside })
     }
 
     async fn refuse(&self, reason: &str) -> Result<(), BusError> {
-        self.send(Reply { key: self.question.wanted.to_string(), payload: Err(reason.to_owned()) })
+        self.send(Reply {
+            key: self.question.wanted.to_string(),
+            payload: Err(reason.to_owned()),
+            beside: Bytes::new(),
+        })
     }
 }
 

@@ -10,7 +10,9 @@ mod settings;
 
 pub use settings::{LinkTrust, Mode, ZenohSettings};
 
-use super::{Bus, BusError, Delivery, Encoding, Link, Presence, Query, Replier, Reply, Sample, Stream, Token, keys};
+use super::{
+    Bus, BusError, Delivery, Encoding, Link, Presence, Query, Replier, Reply, Sample, Stream, Token, Whom, keys,
+};
 use async_trait::async_trait;
 use bytes::Bytes;
 use session::{Declaration, Life};
@@ -129,6 +131,16 @@ fn content(payload: &ZBytes) -> Bytes {
     }
 }
 
+/// What is said beside a payload.
+fn attached(attachment: Option<&ZBytes>) -> Bytes {
+    attachment.map(content).unwrap_or_default()
+}
+
+/// What is sent beside a payload; nothing, if there is nothing to be said.
+fn attach(beside: Bytes) -> Option<Bytes> {
+    (!beside.is_empty()).then_some(beside)
+}
+
 /// A query that reaches its limit ends for Zenoh with an error which no service gave. The two are told apart by the
 /// encoding: ours are plain text.
 fn is_the_limit(error: &ReplyError) -> bool {
@@ -138,25 +150,70 @@ fn is_the_limit(error: &ReplyError) -> bool {
 
 fn reply(from: zenoh::query::Reply, asked: &OwnedKeyExpr) -> Option<Reply> {
     match from.into_result() {
-        Ok(sample) => Some(Reply { key: sample.key_expr().to_string(), payload: Ok(content(sample.payload())) }),
+        Ok(sample) => Some(Reply {
+            key: sample.key_expr().to_string(),
+            payload: Ok(content(sample.payload())),
+            beside: attached(sample.attachment()),
+        }),
         Err(error) if is_the_limit(&error) => None,
         Err(error) => {
             let reason = String::from_utf8_lossy(&error.payload().to_bytes()).into_owned();
-            Some(Reply { key: asked.to_string(), payload: Err(reason) })
+            Some(Reply { key: asked.to_string(), payload: Err(reason), beside: Bytes::new() })
         }
     }
 }
 
 impl ZenohBus {
+    async fn answer(&self, key_expr: &str, complete: bool) -> Result<Stream<Query>, BusError> {
+        let wanted = keys::expression(key_expr)?;
+        let (mailbox, receiver) = mpsc::unbounded_channel();
+        let declared = self.life.declare(Declaration::Questions { key: wanted, mailbox, complete }).await?;
+        Ok(Stream::new(receiver, Box::new(declared)))
+    }
+}
+
+#[async_trait]
+impl Bus for ZenohBus {
+    async fn publish_with(
+        &self,
+        key: &str,
+        payload: Bytes,
+        beside: Bytes,
+        encoding: Encoding,
+        delivery: Delivery,
+    ) -> Result<(), BusError> {
+        let key = keys::single(key)?;
+        keys::fits("publish", &payload, self.life.settings().message_max)?;
+        let control = match delivery {
+            Delivery::Drop => CongestionControl::Drop,
+            Delivery::Block => CongestionControl::Block,
+        };
+        let session = self.life.session();
+        let put = session.put(key, payload).encoding(to_zenoh(encoding)).congestion_control(control);
+        put.attachment(attach(beside)).await.map_err(|problem| failed("publish", problem))
+    }
+
+    async fn subscribe(&self, key_expr: &str) -> Result<Stream<Sample>, BusError> {
+        let wanted = keys::expression(key_expr)?;
+        let (mailbox, receiver) = mpsc::unbounded_channel();
+        let declared = self.life.declare(Declaration::Samples(wanted, mailbox)).await?;
+        Ok(Stream::new(receiver, Box::new(declared)))
+    }
+
     async fn ask(
         &self,
         key_expr: &str,
         payload: Bytes,
+        beside: Bytes,
         limit: Duration,
-        (target, consolidation): (QueryTarget, ConsolidationMode),
+        whom: Whom,
     ) -> Result<Stream<Reply>, BusError> {
         let (asked, parameters) = keys::selector(key_expr)?;
         keys::fits("query", &payload, self.life.settings().message_max)?;
+        let (target, consolidation) = match whom {
+            Whom::All => (QueryTarget::All, ConsolidationMode::None),
+            Whom::Nearest => (QueryTarget::BestMatching, ConsolidationMode::Latest),
+        };
         let (mailbox, receiver) = mpsc::unbounded_channel();
         let key = asked.clone();
         let hear = move |answer: zenoh::query::Reply| {
@@ -169,45 +226,8 @@ impl ZenohBus {
         if !payload.is_empty() {
             get = get.payload(payload).encoding(to_zenoh(Encoding::Wire));
         }
-        get.callback(hear).await.map_err(|problem| failed("query", problem))?;
+        get.attachment(attach(beside)).callback(hear).await.map_err(|problem| failed("query", problem))?;
         Ok(Stream::new(receiver, Box::new(())))
-    }
-
-    async fn answer(&self, key_expr: &str, complete: bool) -> Result<Stream<Query>, BusError> {
-        let wanted = keys::expression(key_expr)?;
-        let (mailbox, receiver) = mpsc::unbounded_channel();
-        let declared = self.life.declare(Declaration::Questions { key: wanted, mailbox, complete }).await?;
-        Ok(Stream::new(receiver, Box::new(declared)))
-    }
-}
-
-#[async_trait]
-impl Bus for ZenohBus {
-    async fn publish(&self, key: &str, payload: Bytes, encoding: Encoding, delivery: Delivery) -> Result<(), BusError> {
-        let key = keys::single(key)?;
-        keys::fits("publish", &payload, self.life.settings().message_max)?;
-        let control = match delivery {
-            Delivery::Drop => CongestionControl::Drop,
-            Delivery::Block => CongestionControl::Block,
-        };
-        let session = self.life.session();
-        let put = session.put(key, payload).encoding(to_zenoh(encoding)).congestion_control(control);
-        put.await.map_err(|problem| failed("publish", problem))
-    }
-
-    async fn subscribe(&self, key_expr: &str) -> Result<Stream<Sample>, BusError> {
-        let wanted = keys::expression(key_expr)?;
-        let (mailbox, receiver) = mpsc::unbounded_channel();
-        let declared = self.life.declare(Declaration::Samples(wanted, mailbox)).await?;
-        Ok(Stream::new(receiver, Box::new(declared)))
-    }
-
-    async fn query(&self, key_expr: &str, payload: Bytes, limit: Duration) -> Result<Stream<Reply>, BusError> {
-        self.ask(key_expr, payload, limit, (QueryTarget::All, ConsolidationMode::None)).await
-    }
-
-    async fn query_nearest(&self, key_expr: &str, payload: Bytes, limit: Duration) -> Result<Stream<Reply>, BusError> {
-        self.ask(key_expr, payload, limit, (QueryTarget::BestMatching, ConsolidationMode::Latest)).await
     }
 
     async fn serve(&self, key_expr: &str) -> Result<Stream<Query>, BusError> {
@@ -251,6 +271,7 @@ fn questions(
             key: query.key_expr().to_string(),
             parameters: query.parameters().to_string(),
             payload: query.payload().map(content).unwrap_or_default(),
+            beside: attached(query.attachment()),
             replier: Box::new(ZenohReplier {
                 asked: OwnedKeyExpr::from(query.key_expr().clone()),
                 query,
@@ -273,11 +294,11 @@ struct ZenohReplier {
 
 #[async_trait]
 impl Replier for ZenohReplier {
-    async fn reply(&self, key: &str, payload: Bytes, encoding: Encoding) -> Result<(), BusError> {
+    async fn reply_with(&self, key: &str, payload: Bytes, beside: Bytes, encoding: Encoding) -> Result<(), BusError> {
         let key = keys::answer(key, &self.asked)?;
         keys::fits("answer a query", &payload, self.message_max)?;
         let reply = self.query.reply(key, payload).encoding(to_zenoh(encoding)).timestamp(self.at);
-        reply.await.map_err(|problem| failed("answer a query", problem))
+        reply.attachment(attach(beside)).await.map_err(|problem| failed("answer a query", problem))
     }
 
     async fn refuse(&self, reason: &str) -> Result<(), BusError> {

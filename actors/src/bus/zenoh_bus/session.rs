@@ -1,7 +1,7 @@
 //! A session that can be opened anew, with everything that was declared on it.
 
 use super::current::Current;
-use super::{Mode, ZenohSettings, content, failed, from_zenoh, hearing, questions, why_not_opened};
+use super::{Mode, ZenohSettings, attached, content, failed, from_zenoh, hearing, questions, why_not_opened};
 use crate::bus::{BusError, Presence, Query, Sample};
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
@@ -109,6 +109,7 @@ impl Declaration {
                             key: sample.key_expr().to_string(),
                             payload: content(sample.payload()),
                             encoding: from_zenoh(sample.encoding()),
+                            beside: attached(sample.attachment()),
                         });
                     }
                 };

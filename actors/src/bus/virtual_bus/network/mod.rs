@@ -14,7 +14,7 @@ mod presence;
 mod publications;
 mod queries;
 
-pub(super) use queries::{Question, Whom};
+pub(super) use queries::Question;
 
 use super::Shared;
 use super::faults::Faults;

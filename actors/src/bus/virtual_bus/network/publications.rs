@@ -23,7 +23,7 @@ pub(super) struct Publication {
 
 impl Publication {
     fn bytes(&self) -> usize {
-        self.route.key.len() + self.sample.payload.len()
+        self.route.key.len() + self.sample.payload.len() + self.sample.beside.len()
     }
 }
 

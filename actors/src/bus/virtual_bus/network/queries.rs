@@ -4,7 +4,7 @@ use super::agenda::Event;
 use super::directory::Declaration;
 use super::{Life, Network, Number, Place};
 use crate::bus::virtual_bus::responder::{Leg, Responder};
-use crate::bus::{Query, Reply};
+use crate::bus::{Query, Reply, Whom};
 use bytes::Bytes;
 use consort_protocol::keys::KeyKind;
 use std::collections::BTreeMap;
@@ -35,24 +35,16 @@ impl Drop for Pending {
     }
 }
 
-/// Who is asked.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(in super::super) enum Whom {
-    /// Every service that matches.
-    All,
-    /// The nearest of those that are complete; if there is none, as above, with one answer on each key.
-    Nearest,
-}
-
 pub(in super::super) struct Question {
     pub(in super::super) wanted: OwnedKeyExpr,
     pub(in super::super) parameters: String,
     pub(in super::super) payload: Bytes,
+    pub(in super::super) beside: Bytes,
 }
 
 impl Question {
     fn bytes(&self) -> usize {
-        self.wanted.len() + self.parameters.len() + self.payload.len()
+        self.wanted.len() + self.parameters.len() + self.payload.len() + self.beside.len()
     }
 }
 
@@ -67,7 +59,7 @@ pub(super) struct LegState {
 
 /// Bytes of an answer.
 fn size(reply: &Reply) -> usize {
-    reply.key.len() + reply.payload.as_ref().map_or_else(String::len, Bytes::len)
+    reply.key.len() + reply.payload.as_ref().map_or_else(String::len, Bytes::len) + reply.beside.len()
 }
 
 impl Network {
@@ -190,6 +182,7 @@ impl Network {
             key: question.wanted.to_string(),
             parameters: question.parameters.clone(),
             payload: question.payload.clone(),
+            beside: question.beside.clone(),
             replier: Box::new(Responder::new(self.home.clone(), leg, to, Arc::clone(&question))),
         };
         let heard = service.mailbox.send(query).is_ok();

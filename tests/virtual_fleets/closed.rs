@@ -1,0 +1,256 @@
+//! Fleets whose nodes have certificates and seal what they say, and what somebody who has a robot's key can do there.
+
+use crate::usual::released;
+use bytes::Bytes;
+use consort_actors::bus::Bus as _;
+use consort_actors::bus::{Delivery, Encoding, SharedBus};
+use consort_actors::clock::Clock;
+use consort_actors::gossip::Notary as _;
+use consort_protocol::codec;
+use consort_protocol::event::Happening;
+use consort_protocol::ids::NodeId;
+use consort_protocol::keys::{BodyCall, Key, Keys};
+use consort_protocol::knowledge::{Availability, Digest, KnowledgeBase, Record, Scope, Stamp};
+use consort_protocol::message::{Beacon, Changed, Exchange, Statement, Within};
+use consort_protocol::trust::NodeRole;
+use consort_tests::{Fleet, Member, tell};
+use serde::Serialize;
+use std::collections::BTreeSet;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::time::Duration;
+
+const SEEDS: [u64; 3] = [51, 52, 53];
+const ROOM: &str = "IC Room 6";
+const SOON: Duration = Duration::from_secs(60);
+
+/// `fern` is far away and `gorse` near, so that `gorse` carries; the node of `fern` is not started where somebody else has her key.
+async fn closed(seed: u64, fern: Member) -> Fleet {
+    let robots = vec![fern, Member::carrier("gorse", "IC Room 4")];
+    let mut fleet = Fleet::closed_hospital(seed, robots, &["aster", "basil", "clove"], &[ROOM]).await;
+    assert_eq!(fleet.coordinator().await.as_str(), "aster", "seed {seed}: who coordinates first");
+    fleet
+}
+
+/// What nodes did not believe.
+fn refused(fleet: &Fleet) -> BTreeSet<String> {
+    fleet.sealed.values().flat_map(|bus| bus.refused()).collect()
+}
+
+#[test]
+fn a_closed_fleet_carries_a_mission_through_the_death_of_its_coordinator() {
+    tell(SEEDS, async |seed| {
+        let mut fleet = closed(seed, Member::carrier("fern", "Dock")).await;
+        let mission = fleet.submit("a", ROOM).await;
+        fleet
+            .until("the first task", SOON, |fleet| fleet.happened(|what| matches!(what, Happening::TaskBegan { .. })))
+            .await;
+        fleet.kill("aster").await;
+        fleet.coordinator().await;
+        fleet.start_station("aster").await;
+        fleet.completes(&mission).await;
+        fleet.each_task_once(&mission);
+        fleet.sample_delivered(ROOM);
+        fleet.one_role_one_robot();
+        assert_eq!(refused(&fleet), BTreeSet::new(), "seed {seed}: friends are taken for foes");
+    });
+}
+
+fn wire<T: Serialize>(said: &T) -> Bytes {
+    codec::encode(said).expect("a message").into()
+}
+
+fn within<T: Serialize>(said: &T) -> Bytes {
+    wire(&Within { cluster: None, said: wire(said).to_vec() })
+}
+
+/// Somebody with the key of a robot, at its place in the network.
+struct Compromised {
+    /// As a node uses it, and as it is.
+    sealed: SharedBus,
+    plain: SharedBus,
+    keys: Keys,
+    /// How often each was done: repeated, moved, claimed, answered.
+    did: [AtomicU64; 4],
+}
+
+impl Compromised {
+    async fn publish(&self, bus: &SharedBus, key: &str, payload: Bytes, beside: Bytes) {
+        bus.publish_with(key, payload, beside, Encoding::Wire, Delivery::Block).await.expect("a network");
+    }
+
+    /// Says again whatever is heard, there and on the keys of others.
+    async fn repeats(self: Arc<Self>) {
+        let mut heard = self.plain.subscribe("consort/ward/**").await.expect("a network");
+        let mut said: BTreeSet<Bytes> = BTreeSet::new();
+        while let Some(sample) = heard.recv().await {
+            let what: Bytes = [sample.key.as_bytes(), &sample.payload[..], &sample.beside[..]].concat().into();
+            if !said.insert(what) {
+                continue;
+            }
+            tokio::time::sleep(Duration::from_millis(50)).await;
+            self.publish(&self.plain, &sample.key, sample.payload.clone(), sample.beside.clone()).await;
+            self.did[0].fetch_add(1, Ordering::Relaxed);
+            let moved = ["gorse", "lab-arm", "aster", "basil"].windows(2).find_map(|pair| {
+                let moved = sample.key.replace(pair[0], pair[1]);
+                (moved != sample.key).then_some(moved)
+            });
+            if let Some(moved) = moved {
+                said.insert([moved.as_bytes(), &sample.payload[..], &sample.beside[..]].concat().into());
+                self.publish(&self.plain, &moved, sample.payload, sample.beside).await;
+                self.did[1].fetch_add(1, Ordering::Relaxed);
+            }
+        }
+    }
+
+    /// Says what only others may say, with the seal that it has.
+    async fn claims(self: Arc<Self>) {
+        let node = |name: &str| NodeId::new(name).expect("a name");
+        let still =
+            Statement::Still { stamp: Stamp { incarnation: u64::MAX, version: u64::MAX }, since: 1, proof: None };
+        let still = Bytes::from(codec::encode_for(2, still).expect("a message"));
+        for round in 0.. {
+            let term = 1_000_000 + round;
+            for name in ["fern", "basil"] {
+                let beacon = Beacon {
+                    node: node(name),
+                    term,
+                    voters: [node("fern")].into(),
+                    since_ms: 0,
+                    cluster: None,
+                    wire: Some(200),
+                };
+                let changed = Changed { node: node(name), term };
+                let event =
+                    format!(r#"{{"node": "{name}", "sequence": 1, "at_ms": 1, "event": "elected", "term": {term}}}"#);
+                let body = Key::Body("gorse".parse().expect("a name"), BodyCall::State);
+                for (key, payload) in [
+                    (Key::Beacon, within(&beacon)),
+                    (Key::Changed, within(&changed)),
+                    (Key::Knowledge(node("gorse")), still.clone()),
+                    (Key::Events(node("basil")), event.into()),
+                    (body, Bytes::from_static(b"anywhere")),
+                ] {
+                    self.publish(&self.sealed, &self.keys.write(&key), payload, Bytes::new()).await;
+                    self.did[2].fetch_add(1, Ordering::Relaxed);
+                }
+            }
+            tokio::time::sleep(Duration::from_millis(500)).await;
+        }
+    }
+
+    /// Answers what others are asked: with the question, sealed and bare; and asks it again of whom it is for.
+    async fn answers(self: Arc<Self>, key: &'static str, bare: bool) {
+        let bus = if bare { &self.plain } else { &self.sealed };
+        let mut asked = bus.serve(&format!("consort/ward/{key}")).await.expect("a network");
+        let mut again: BTreeSet<Bytes> = BTreeSet::new();
+        while let Some(query) = asked.recv().await {
+            let on = query.key.replace('*', "gorse");
+            let _ = query.replier.reply(&on, query.payload.clone(), Encoding::Wire).await;
+            self.did[3].fetch_add(1, Ordering::Relaxed);
+            if bare && again.insert(query.payload.clone()) {
+                drop(self.plain.query(&on, query.payload, Duration::from_secs(1)).await);
+            }
+        }
+    }
+}
+
+#[test]
+fn whoever_has_the_key_of_a_robot_changes_nothing_of_others() {
+    tell(SEEDS, async |seed| {
+        let mut fleet = closed(seed, Member::carrier("fern", "Dock").late()).await;
+        let papers = fleet.papers.as_ref().expect("a closed fleet");
+        let plain: SharedBus = Arc::new(fleet.network.bus("fern".parse().expect("a name")));
+        let keyring = papers.of(&"fern".parse().expect("a name"), [NodeRole::Robot].into(), 1_000);
+        let sealed = papers.sealed(Arc::clone(&plain), keyring, Clock::virtual_at(0)).await;
+        let fern = Arc::new(Compromised { sealed, plain, keys: fleet.keys().clone(), did: Default::default() });
+        let mut tasks = tokio::task::JoinSet::new();
+        tasks.spawn(Arc::clone(&fern).repeats());
+        tasks.spawn(Arc::clone(&fern).claims());
+        for key in
+            ["wire/bid/*", "wire/award/*", "wire/report/*", "wire/live/*", "wire/raft/*/*", "wire/body/*/command"]
+        {
+            tasks.spawn(Arc::clone(&fern).answers(key, false));
+            tasks.spawn(Arc::clone(&fern).answers(key, true));
+        }
+        let elected = |what: &Happening| matches!(what, Happening::Elected { .. });
+        let before = fleet.chronicle.count(elected);
+        let mission = fleet.submit("a", ROOM).await;
+        fleet.completes(&mission).await;
+        fleet.each_task_once(&mission);
+        fleet.sample_delivered(ROOM);
+        fleet.one_role_one_robot();
+        assert_eq!(
+            fleet.holder(&mission, "r1").map(|robot| robot.to_string()),
+            Some("gorse".to_owned()),
+            "seed {seed}"
+        );
+        assert_eq!(fleet.chronicle.count(elected), before, "seed {seed}: nobody else coordinates\n{}", fleet.tale());
+        assert_eq!(fleet.chronicle.count(released), 0, "seed {seed}: nobody loses a role\n{}", fleet.tale());
+        assert_eq!(fleet.coordinator().await.as_str(), "aster", "seed {seed}");
+        let did = fern.did.each_ref().map(|count| count.load(Ordering::Relaxed));
+        assert!(did.iter().all(|count| *count > 10), "seed {seed}: repeated, moved, claimed, answered: {did:?}");
+        let told = refused(&fleet);
+        for reason in [
+            "node fern (robot) may not publish on wire/beacon",
+            "node fern (robot) may not publish on wire/changed",
+            "node fern (robot) may not publish on wire/knowledge/gorse",
+            "node fern (robot) may not publish on wire/body/gorse/state",
+            "node fern (robot) may not answer on wire/report/aster",
+            "node fern (robot) may not answer on wire/body/gorse/command",
+        ] {
+            assert!(told.contains(reason), "seed {seed}: {reason}: {told:#?}");
+        }
+        let raft = told.iter().any(|told| told.starts_with("node fern (robot) may not answer on wire/raft/"));
+        assert!(raft, "seed {seed}: {told:#?}");
+        tasks.shutdown().await;
+    });
+}
+
+/// What a node knows of a robot: the record, as it was signed.
+fn record(fleet: &Fleet, at: &str, of: &str) -> Record {
+    let heard = |base: &KnowledgeBase| base.get(&of.parse().expect("a name")).map(|heard| heard.record.clone());
+    fleet.heard(at).read(heard).expect("it is known")
+}
+
+#[test]
+fn whoever_hands_on_what_others_said_can_neither_change_it_nor_make_it_up() {
+    tell(SEEDS, async |seed| {
+        let mut fleet = closed(seed, Member::carrier("fern", "Dock").late()).await;
+        let papers = fleet.papers.as_ref().expect("a closed fleet");
+        let name: NodeId = "fern".parse().expect("a name");
+        let plain: SharedBus = Arc::new(fleet.network.bus(name.clone()));
+        let keyring = papers.of(&name, [NodeRole::Robot].into(), 1_000);
+        let sealed = papers.sealed(plain, keyring, Clock::virtual_at(0)).await;
+        fleet.until("records are signed", SOON, |fleet| record(fleet, "gorse", "lab-arm").proof.is_some()).await;
+
+        let said = record(&fleet, "gorse", "lab-arm");
+        let later = Stamp { incarnation: u64::MAX, version: 7 };
+        let mut broken = said.clone();
+        broken.stamp = later;
+        broken.knowledge.worker.as_mut().expect("a robot").availability =
+            Availability::OutOfService { problem: "says fern".to_owned() };
+        let by_fern = Record { proof: Some(sealed.notary().sign(&broken)), ..broken.clone() };
+        let renewed = Record { stamp: later, ..said.clone() };
+        let unsigned = Record { proof: None, ..broken.clone() };
+        let malformed = |fleet: &Fleet| fleet.heard("gorse").counters().malformed;
+        let before = malformed(&fleet);
+        for records in [vec![broken], vec![by_fern], vec![renewed], vec![unsigned]] {
+            // And that gorse itself had said something that nobody can go beyond.
+            let digest = Digest::from([("gorse".parse().expect("a name"), later)]);
+            let exchange = Exchange { sums: vec![], scope: Scope::ALL, digest, records };
+            let bytes = codec::encode_for(2, exchange).expect("a message");
+            let key = fleet.keys().write(&Key::Gossip("gorse".parse().expect("a name")));
+            let mut answers = sealed.query(&key, bytes.into(), Duration::from_secs(1)).await.expect("a network");
+            while answers.recv().await.is_some() {}
+        }
+        fleet.until("gorse has told of it", SOON, |fleet| malformed(fleet) >= before + 7).await;
+        for of in ["lab-arm", "gorse"] {
+            let known = record(&fleet, "gorse", of);
+            assert!(known.stamp.incarnation < 100, "seed {seed}: {known:?}");
+        }
+        assert_eq!(record(&fleet, "gorse", "lab-arm").knowledge, said.knowledge, "seed {seed}");
+        let mission = fleet.submit("a", ROOM).await;
+        fleet.completes(&mission).await;
+    });
+}
