@@ -4,9 +4,7 @@ use super::cards::Cards;
 use super::files::TrustFiles;
 use super::keyring::{Card, Keyring};
 use super::refusals::Refusals;
-use crate::bus::{
-    Bus, BusError, Delivery, Encoding, Link, Presence, Query, Replier, Reply, Sample, SharedBus, Stream, Token,
-};
+use crate::bus::{BusError, Encoding, Layer, Query, Replier, Reply, Sample, SharedBus, Stream, turn_away};
 use crate::clock::Clock;
 use async_trait::async_trait;
 use bytes::Bytes;
@@ -14,7 +12,6 @@ use consort_protocol::keys::Keys;
 use consort_protocol::trust::{Act, Fingerprint, Freshness, Kind, Window, check, open, signed_part};
 use std::collections::BTreeMap;
 use std::sync::Arc;
-use std::time::Duration;
 
 /// A bus that seals what is said below `wire/`, and hands out only what its author sealed, may say, and says for the first
 /// time. Everything else passes as it is: it is for anybody's clients, who seal nothing.
@@ -57,69 +54,6 @@ impl SealedBus {
 
     fn below<'a>(&self, key: &'a str) -> Option<&'a str> {
         self.keys.below(key)
-    }
-
-    fn samples(&self, samples: Stream<Sample>) -> Stream<Sample> {
-        let (trust, keys, mut windows) = (Arc::clone(&self.trust), self.keys.clone(), Windows::default());
-        samples.sifting(move |sample| {
-            let heard = Heard { kind: Kind::Publication, key: &sample.key, bytes: &sample.payload };
-            match trust.believe(&keys, Act::Publish, heard, Some(&mut windows)) {
-                Ok(believed) => {
-                    let payload = believed.payload(&sample.payload);
-                    Some(Sample { payload, ..sample })
-                }
-                Err(_) => None,
-            }
-        })
-    }
-
-    fn questions(&self, questions: Stream<Query>) -> Stream<Query> {
-        let (trust, keys, mut windows) = (Arc::clone(&self.trust), self.keys.clone(), Windows::default());
-        questions.sifting(move |query| {
-            let heard = Heard { kind: Kind::Question, key: &query.key, bytes: &query.payload };
-            match trust.believe(&keys, Act::Ask, heard, Some(&mut windows)) {
-                Ok(believed) => {
-                    let payload = believed.payload(&query.payload);
-                    let asked = Kind::Answer(believed.by, believed.number);
-                    let keyring = Arc::clone(&trust.keyring);
-                    let replier = Box::new(SealedReplier { replier: query.replier, keyring, asked });
-                    Some(Query { payload, replier, ..query })
-                }
-                Err(reason) => {
-                    // Whoever asks in good faith need not wait for its limit.
-                    tokio::spawn(async move { query.replier.refuse(&reason).await });
-                    None
-                }
-            }
-        })
-    }
-
-    /// Seals a question, asks it, and reads the answers.
-    async fn asked<F>(
-        &self,
-        key_expr: &str,
-        payload: Bytes,
-        ask: impl FnOnce(Bytes) -> F,
-    ) -> Result<Stream<Reply>, BusError>
-    where
-        F: Future<Output = Result<Stream<Reply>, BusError>>,
-    {
-        if !self.is_sealed(key_expr) {
-            return ask(payload).await;
-        }
-        let keyring = &self.trust.keyring;
-        let (number, own) = (keyring.number(), keyring.fingerprint());
-        // What is asked reaches whoever answers without its parameters.
-        let key = key_expr.split('?').next().unwrap_or_default();
-        let replies = ask(keyring.seal(Kind::Question, number, key, &payload).into()).await?;
-        let (trust, keys) = (Arc::clone(&self.trust), self.keys.clone());
-        Ok(replies.sifting(move |reply| {
-            let Ok(bytes) = &reply.payload else { return Some(reply) };
-            let heard = Heard { kind: Kind::Answer(own, number), key: &reply.key, bytes };
-            let believed = trust.believe(&keys, Act::Answer, heard, None).ok()?;
-            let payload = Ok(believed.payload(bytes));
-            Some(Reply { payload, ..reply })
-        }))
     }
 }
 
@@ -200,51 +134,84 @@ fn late(card: &Card, below: &str) -> String {
     )
 }
 
-#[async_trait]
-impl Bus for SealedBus {
-    async fn publish(&self, key: &str, payload: Bytes, encoding: Encoding, delivery: Delivery) -> Result<(), BusError> {
-        let payload = if self.is_sealed(key) {
-            let keyring = &self.trust.keyring;
-            keyring.seal(Kind::Publication, keyring.number(), key, &payload).into()
-        } else {
-            payload
-        };
-        self.bus.publish(key, payload, encoding, delivery).await
+impl Layer for SealedBus {
+    /// The number of a question that was sealed.
+    type Asked = Option<u64>;
+
+    fn carrier(&self) -> &SharedBus {
+        &self.bus
     }
 
-    async fn subscribe(&self, key_expr: &str) -> Result<Stream<Sample>, BusError> {
-        let samples = self.bus.subscribe(key_expr).await?;
-        Ok(if self.is_sealed(key_expr) { self.samples(samples) } else { samples })
+    fn publication(&self, key: &str, payload: Bytes) -> Result<Bytes, BusError> {
+        if !self.is_sealed(key) {
+            return Ok(payload);
+        }
+        let keyring = &self.trust.keyring;
+        Ok(keyring.seal(Kind::Publication, keyring.number(), key, &payload).into())
     }
 
-    async fn query(&self, key_expr: &str, payload: Bytes, limit: Duration) -> Result<Stream<Reply>, BusError> {
-        self.asked(key_expr, payload, |payload| self.bus.query(key_expr, payload, limit)).await
+    fn publications(&self, key_expr: &str, samples: Stream<Sample>) -> Stream<Sample> {
+        if !self.is_sealed(key_expr) {
+            return samples;
+        }
+        let (trust, keys, mut windows) = (Arc::clone(&self.trust), self.keys.clone(), Windows::default());
+        samples.sifting(move |sample| {
+            let heard = Heard { kind: Kind::Publication, key: &sample.key, bytes: &sample.payload };
+            match trust.believe(&keys, Act::Publish, heard, Some(&mut windows)) {
+                Ok(believed) => {
+                    let payload = believed.payload(&sample.payload);
+                    Some(Sample { payload, ..sample })
+                }
+                Err(_) => None,
+            }
+        })
     }
 
-    async fn query_nearest(&self, key_expr: &str, payload: Bytes, limit: Duration) -> Result<Stream<Reply>, BusError> {
-        self.asked(key_expr, payload, |payload| self.bus.query_nearest(key_expr, payload, limit)).await
+    fn question(&self, key_expr: &str, payload: Bytes) -> Result<(Bytes, Option<u64>), BusError> {
+        if !self.is_sealed(key_expr) {
+            return Ok((payload, None));
+        }
+        let keyring = &self.trust.keyring;
+        let number = keyring.number();
+        // What is asked reaches whoever answers without its parameters.
+        let key = key_expr.split('?').next().unwrap_or_default();
+        Ok((keyring.seal(Kind::Question, number, key, &payload).into(), Some(number)))
     }
 
-    async fn serve(&self, key_expr: &str) -> Result<Stream<Query>, BusError> {
-        let questions = self.bus.serve(key_expr).await?;
-        Ok(if self.is_sealed(key_expr) { self.questions(questions) } else { questions })
+    fn answers(&self, asked: Option<u64>, replies: Stream<Reply>) -> Stream<Reply> {
+        let Some(number) = asked else { return replies };
+        let (trust, keys) = (Arc::clone(&self.trust), self.keys.clone());
+        replies.sifting(move |reply| {
+            let Ok(bytes) = &reply.payload else { return Some(reply) };
+            let kind = Kind::Answer(trust.keyring.fingerprint(), number);
+            let heard = Heard { kind, key: &reply.key, bytes };
+            let believed = trust.believe(&keys, Act::Answer, heard, None).ok()?;
+            let payload = Ok(believed.payload(bytes));
+            Some(Reply { payload, ..reply })
+        })
     }
 
-    async fn serve_complete(&self, key_expr: &str) -> Result<Stream<Query>, BusError> {
-        let questions = self.bus.serve_complete(key_expr).await?;
-        Ok(if self.is_sealed(key_expr) { self.questions(questions) } else { questions })
-    }
-
-    async fn announce(&self, key: &str) -> Result<Token, BusError> {
-        self.bus.announce(key).await
-    }
-
-    async fn watch(&self, key_expr: &str) -> Result<Stream<Presence>, BusError> {
-        self.bus.watch(key_expr).await
-    }
-
-    async fn links(&self) -> Vec<Link> {
-        self.bus.links().await
+    fn questions(&self, key_expr: &str, questions: Stream<Query>) -> Stream<Query> {
+        if !self.is_sealed(key_expr) {
+            return questions;
+        }
+        let (trust, keys, mut windows) = (Arc::clone(&self.trust), self.keys.clone(), Windows::default());
+        questions.sifting(move |query| {
+            let heard = Heard { kind: Kind::Question, key: &query.key, bytes: &query.payload };
+            match trust.believe(&keys, Act::Ask, heard, Some(&mut windows)) {
+                Ok(believed) => {
+                    let payload = believed.payload(&query.payload);
+                    let asked = Kind::Answer(believed.by, believed.number);
+                    let keyring = Arc::clone(&trust.keyring);
+                    let replier = Box::new(SealedReplier { replier: query.replier, keyring, asked });
+                    Some(Query { payload, replier, ..query })
+                }
+                Err(reason) => {
+                    turn_away(query, reason);
+                    None
+                }
+            }
+        })
     }
 }
 
