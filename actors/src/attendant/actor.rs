@@ -1,32 +1,21 @@
-//! The attendant: speaks for those who play unmanaged roles, since they take no orders from the fleet.
-//!
-//! It follows the missions under way, runs each unmanaged role's local plan as far as the others' signals allow, asks the
-//! host of people to do the tasks in it, and tells the others when they have been done. One attendant in a fleet is
-//! enough, two do no harm: asks and signals have names of their own and repeating them changes nothing.
-//!
-//! It remembers nothing beyond its life. What it had asked is asked again by the next one, under the same id, if it is still
-//! wanted; else nobody repeats it, and the host of people withdraws it.
+//! The attendant's mailbox: whom it hears, what it asks for, and what people call off.
 
-mod asks;
-
-use self::asks::{Asked, Dismissals, Matter, Words};
-use crate::body::{PeopleAsk, PersonState, PersonWord};
-use crate::bus::{BusError, Sample, SharedBus};
+use super::asks::{Dismissals, Words};
+use super::jobs::{Job, JobKey, ask_around, ask_person};
+use crate::body::{PersonState, PersonWord};
+use crate::bus::{Sample, SharedBus};
 use crate::events::Events;
-use crate::robot::{Move, Outdated, Sequencer, Talk, ask as send_report};
+use crate::robot::Talk;
 use crate::tasks::Tasks;
 use bytes::Bytes;
 use consort_protocol::codec;
-use consort_protocol::event::Happening;
-use consort_protocol::ids::{ClusterId, MissionId, NodeId, RobotId, RoleId};
+use consort_protocol::ids::{MissionId, NodeId, RobotId, RoleId};
 use consort_protocol::keys::{ApiCall, Key, Keys, PeopleCall};
-use consort_protocol::lease::Epoch;
 use consort_protocol::ledger::Branch;
-use consort_protocol::message::{Beacon, FailureKind, Live, LivePlan, Report, ReportAnswer, Said, TaskFailure};
-use consort_protocol::plan::{LocalPlan, Signal};
-use consort_skills::actions::{ActionError, GoalId, PersonAsk};
+use consort_protocol::message::{Beacon, Live, ReportAnswer, Said};
+use consort_skills::actions::GoalId;
 use ractor::{Actor, ActorProcessingErr, ActorRef};
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeMap;
 use std::time::Duration;
 use tracing::{debug, warn};
 
@@ -74,34 +63,21 @@ pub struct Attendant;
 
 /// State of [`Attendant`].
 pub struct AttendantState {
-    settings: AttendantSettings,
-    coordinator: Option<Beacon>,
-    jobs: BTreeMap<(MissionId, RoleId), Job>,
+    pub(super) settings: AttendantSettings,
+    pub(super) coordinator: Option<Beacon>,
+    pub(super) jobs: BTreeMap<JobKey, Job>,
     /// How often the coordinator was asked which missions are under way, and which of these questions is the latest of which
     /// the answer was taken: answers may overtake one another.
     looks: u64,
     seen: u64,
-    dismissals: Dismissals,
+    pub(super) dismissals: Dismissals,
     /// Missions that people called off, and who did: asked of the coordinator until they are no longer under way.
     called_off: BTreeMap<MissionId, String>,
     words: Words,
-    talk: Talk,
+    pub(super) talk: Talk,
     /// Signals under awards no longer in force, counted since the start.
-    outdated: u64,
-    tasks: Tasks,
-}
-
-/// One unmanaged role of a mission under way.
-struct Job {
-    cluster: Option<ClusterId>,
-    branch: Branch,
-    plan: LocalPlan,
-    sequencer: Sequencer,
-    /// What the person is at.
-    ask: Option<Asked>,
-    failure: Option<TaskFailure>,
-    /// What was said under awards no longer in force, so that each is told of once.
-    outdated: BTreeSet<(Signal, Epoch)>,
+    pub(super) outdated: u64,
+    pub(super) tasks: Tasks,
 }
 
 #[ractor::async_trait]
@@ -175,17 +151,7 @@ impl Actor for Attendant {
                 state.ask_again(&myself, id);
             }
             AttendantMessage::Reported(mission, role, branch, answer) => {
-                let key = (mission, role);
-                let Some(job) = state.jobs.get_mut(&key).filter(|job| job.branch == branch) else { return Ok(()) };
-                match answer {
-                    ReportAnswer::Ended { .. } => state.put_down(&myself, &key),
-                    ReportAnswer::Renewed { ended, told, .. } => {
-                        job.sequencer.set_known(&ended);
-                        job.sequencer.hear_of(&told);
-                        state.advance(&myself, &key).await;
-                    }
-                    ReportAnswer::NotCoordinator { .. } => {}
-                }
+                state.reported(&myself, &(mission, role), branch, answer).await;
             }
         }
         Ok(())
@@ -219,7 +185,7 @@ impl AttendantState {
         if !beacon.follows(self.coordinator.as_ref()) {
             return;
         }
-        let new = self.coordinator.as_ref().map(|known| (known.term, &known.node)) != Some((beacon.term, &beacon.node));
+        let new = beacon.is_of_another_reign(self.coordinator.as_ref());
         self.coordinator = Some(beacon);
         if new {
             self.look(myself);
@@ -242,105 +208,9 @@ impl AttendantState {
         });
     }
 
-    async fn follow_missions(
-        &mut self,
-        myself: &ActorRef<AttendantMessage>,
-        Live { cluster, plans, .. }: Live,
-    ) -> Result<(), BusError> {
-        let live: Vec<_> = plans.iter().map(|live| (live.mission.clone(), live.plan.role.clone())).collect();
-        for key in self.jobs.keys().filter(|key| !live.contains(key)).cloned().collect::<Vec<_>>() {
-            self.put_down(myself, &key);
-        }
-        for LivePlan { mission, branch, plan, ended, holders, vacant, told } in plans {
-            let key = (mission.clone(), plan.role.clone());
-            match self.jobs.get(&key) {
-                // Said by a coordinator that has yet to learn of the recovery branch.
-                Some(job) if job.cluster == cluster && branch < job.branch => continue,
-                Some(job) if (job.cluster, job.branch) != (cluster, branch) || job.plan != plan => {
-                    self.put_down(myself, &key);
-                }
-                Some(_) | None => {}
-            }
-            if let Some(job) = self.jobs.get_mut(&key) {
-                job.sequencer.set_known(&ended);
-                if *job.sequencer.holders() != holders {
-                    if job.sequencer.set_holders(holders) {
-                        ask_around(&self.talk, &mut self.tasks, myself, &mission, &job.sequencer);
-                    }
-                    // Whoever was to be met is somebody else now: ask anew.
-                    if let Some(asked) = job.ask.take_if(|asked| asked.is_outdated(job.sequencer.holders())) {
-                        job.sequencer.break_off();
-                        self.dismiss(myself, asked.id());
-                    }
-                }
-            } else {
-                let role = plan.role.clone();
-                let sequencer = match Sequencer::new(plan.clone(), &ended, holders) {
-                    Ok(sequencer) => sequencer,
-                    Err(problem) => {
-                        warn!(%mission, %role, %problem, "a plan that cannot be taken up");
-                        continue;
-                    }
-                };
-                self.talk.begin(&mission, &role, Epoch::default(), sequencer.said().clone()).await?;
-                ask_around(&self.talk, &mut self.tasks, myself, &mission, &sequencer);
-                let outdated = BTreeSet::new();
-                let job = Job { cluster, branch, plan, sequencer, ask: None, failure: None, outdated };
-                self.jobs.insert(key.clone(), job);
-            }
-            if let Some(job) = self.jobs.get_mut(&key) {
-                job.sequencer.set_vacant(&vacant);
-                job.sequencer.hear_of(&told);
-            }
-            self.advance(myself, &key).await;
-        }
-        Ok(())
-    }
-
-    async fn hear(&mut self, myself: &ActorRef<AttendantMessage>, said: &Said) {
-        for signal in &said.signals {
-            let key = (said.mission.clone(), signal.to.clone());
-            let Some(job) = self.jobs.get_mut(&key) else { continue };
-            match job.sequencer.hear(signal, said.epoch) {
-                Ok(true) => self.advance(myself, &key).await,
-                Ok(false) => {}
-                Err(Outdated { known }) => {
-                    self.outdated += 1;
-                    if job.outdated.insert((signal.clone(), said.epoch)) {
-                        let (mission, signal) = (said.mission.clone(), signal.clone());
-                        let (epoch, count) = (said.epoch, self.outdated);
-                        self.settings.events.tell(Happening::Outdated { mission, signal, epoch, known, count });
-                    }
-                }
-            }
-        }
-    }
-
-    async fn person_ended(&mut self, myself: &ActorRef<AttendantMessage>, id: GoalId, result: Result<(), ActionError>) {
-        let asked = self.jobs.iter().find(|(_, job)| job.ask.as_ref().is_some_and(|asked| asked.id() == id));
-        let Some(key) = asked.map(|(key, _)| key.clone()) else { return };
-        let Some(job) = self.jobs.get_mut(&key) else { return };
-        let (Some(Asked { spot, .. }), Some(task)) = (job.ask.take(), job.sequencer.at().cloned()) else { return };
-        let (mission, role) = key.clone();
-        match result {
-            Ok(()) => {
-                job.sequencer.end(spot);
-                self.settings.events.tell(Happening::TaskEnded { mission, role, task });
-            }
-            Err(problem) => {
-                let cause = problem.to_string();
-                let (failed, kind) = (Some(task.clone()), FailureKind::Task);
-                job.failure = Some(TaskFailure { task: failed, cause: cause.clone(), kind });
-                self.settings.events.tell(Happening::TaskFailed { mission, role, task, cause });
-            }
-        }
-        self.report(myself, &key);
-        self.advance(myself, &key).await;
-    }
-
     /// Somebody calls off the mission for which a robot came to them: whichever it is in which the robot and they have a part.
     fn call_off(&mut self, by: &str, role: &RoleId, robot: &RobotId, said_ms: u64) {
-        let theirs = |((_, plays), job): &(&(MissionId, RoleId), &Job)| {
+        let theirs = |((_, plays), job): &(&JobKey, &Job)| {
             plays == role && job.sequencer.holders().values().any(|holding| holding.robot == *robot)
         };
         let Some(mission) = self.jobs.iter().find(theirs).map(|((mission, _), _)| mission.clone()) else { return };
@@ -361,129 +231,6 @@ impl AttendantState {
             }
         });
     }
-
-    /// Somebody has called off what is still wanted: this attendant itself, before it knew better, or another.
-    fn ask_again(&mut self, myself: &ActorRef<AttendantMessage>, id: GoalId) {
-        let mut asks = self.jobs.values_mut().filter_map(|job| job.ask.as_mut());
-        let Some(asked) = asks.find(|asked| asked.id() == id) else { return };
-        asked.again();
-        ask_person(&self.settings, &mut self.tasks, myself, asked.id(), Some(asked.ask()));
-    }
-
-    async fn advance(&mut self, myself: &ActorRef<AttendantMessage>, key: &(MissionId, RoleId)) {
-        let (mission, role) = key;
-        let mut moved = false;
-        while let Some(job) = self.jobs.get_mut(key).filter(|job| job.failure.is_none()) {
-            let Some(next) = job.sequencer.next_move() else { break };
-            moved = true;
-            match next {
-                Move::Perform { spot, task, spec } => {
-                    let (cluster, branch, holders) = (job.cluster, job.branch, job.sequencer.holders().clone());
-                    let (mission, role) = (mission.clone(), role.clone());
-                    let began =
-                        Happening::TaskBegan { mission: mission.clone(), role: role.clone(), task: task.clone() };
-                    let asked = Asked::first(spot, Matter { cluster, mission, branch, role, task, spec, holders });
-                    self.settings.events.tell(began);
-                    ask_person(&self.settings, &mut self.tasks, myself, asked.id(), Some(asked.ask()));
-                    job.ask = Some(asked);
-                }
-                Move::Tell(signal) => {
-                    self.talk.say(mission, &signal).await;
-                    self.settings.events.tell(Happening::Sent { mission: mission.clone(), signal });
-                }
-                Move::Heard(signal) => {
-                    self.settings.events.tell(Happening::Heard { mission: mission.clone(), signal });
-                }
-            }
-        }
-        if moved {
-            self.report(myself, key);
-        }
-    }
-
-    /// Lets the ledger know how far the role has come.
-    fn report(&mut self, myself: &ActorRef<AttendantMessage>, key: &(MissionId, RoleId)) {
-        let (Some(job), Some(beacon)) = (self.jobs.get(key), &self.coordinator) else { return };
-        if job.sequencer.ended().is_empty() && job.failure.is_none() {
-            return; // nothing that the ledger does not know
-        }
-        let (mission, role) = key.clone();
-        let report = Report {
-            robot: RobotId::from(self.settings.node.clone()),
-            incarnation: 0,
-            mission: mission.clone(),
-            role: role.clone(),
-            epoch: Epoch::default(),
-            branch: job.branch,
-            ended: job.sequencer.ended().clone(),
-            at: job.sequencer.at().cloned(),
-            place: None,
-            resumes: false,
-            failure: job.failure.clone(),
-        };
-        let to_node = self.settings.keys.write(&Key::Report(beacon.node.clone()));
-        let (bus, limit, to, branch) = (self.settings.bus.clone(), self.settings.beat, myself.clone(), job.branch);
-        self.tasks.spawn(async move {
-            match send_report(bus, &to_node, &report, limit).await {
-                // An attendant that has stopped needs no answer.
-                Some(answer) => drop(to.cast(AttendantMessage::Reported(mission, role, branch, answer))),
-                None => debug!(%mission, %role, "a report was not answered; the next beat repeats it"),
-            }
-        });
-    }
-
-    fn put_down(&mut self, myself: &ActorRef<AttendantMessage>, key: &(MissionId, RoleId)) {
-        let Some(job) = self.jobs.remove(key) else { return };
-        self.talk.put_down(&key.0, &key.1);
-        if let Some(asked) = job.ask {
-            self.dismiss(myself, asked.id());
-        }
-    }
-
-    /// Calls an ask off. Each beat repeats it until it is answered, lest somebody serve it in the next mission.
-    fn dismiss(&mut self, myself: &ActorRef<AttendantMessage>, id: GoalId) {
-        self.dismissals.add(id);
-        ask_person(&self.settings, &mut self.tasks, myself, id, None);
-    }
-}
-
-/// Asks those from whom something is awaited what they have said.
-fn ask_around(
-    talk: &Talk,
-    tasks: &mut Tasks,
-    myself: &ActorRef<AttendantMessage>,
-    mission: &MissionId,
-    sequencer: &Sequencer,
-) {
-    let to = myself.clone();
-    talk.ask(mission, &sequencer.awaiting(), tasks, move |said| {
-        // An attendant that has stopped needs no answer.
-        let _ = to.cast(AttendantMessage::Said(said));
-    });
-}
-
-fn ask_person(
-    settings: &AttendantSettings,
-    tasks: &mut Tasks,
-    myself: &ActorRef<AttendantMessage>,
-    id: GoalId,
-    ask: Option<PersonAsk>,
-) {
-    let bytes = match codec::encode(&PeopleAsk { id, ask }) {
-        Ok(bytes) => Bytes::from(bytes),
-        Err(problem) => return warn!(%problem, "an ask does not fit a message"),
-    };
-    let (bus, key, to) = (settings.bus.clone(), settings.keys.write(&Key::People(PeopleCall::Ask)), myself.clone());
-    tasks.spawn(async move {
-        let Ok(mut replies) = bus.query(&key, bytes, Duration::from_millis(500)).await else { return };
-        while let Some(reply) = replies.recv().await {
-            match reply.payload.map(|bytes| codec::decode::<PersonState>(&bytes)) {
-                // An attendant that has stopped needs no answer.
-                Ok(Ok(state)) => drop(to.cast(AttendantMessage::Asked(id, state))),
-                other => debug!(?other, "an ask was not answered"),
-            }
-        }
-    });
 }
 
 /// `None` if the answer did not come in full.

@@ -336,8 +336,7 @@ impl RobotState {
                     return; // one that does not know that it no longer coordinates
                 }
                 let abroad = self.coordinator.as_ref().is_some_and(|known| beacon.is_abroad(known));
-                let new = self.coordinator.as_ref().map(|known| (known.term, &known.node))
-                    != Some((beacon.term, &beacon.node));
+                let new = beacon.is_of_another_reign(self.coordinator.as_ref());
                 if abroad {
                     info!(robot = %self.settings.robot, node = %beacon.node, "follows the coordinator of another cluster");
                     self.tenure.forget_latest();

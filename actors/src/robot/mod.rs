@@ -40,7 +40,7 @@ mod work;
 pub use actor::{Robot, RobotMessage};
 pub use bidder::{Bidder, Circumstance};
 pub use forecast::Forecast;
-pub(crate) use holding::ask;
+pub(crate) use holding::send_report;
 pub use ladder::{Ladder, Rung, Setback};
 pub use page::{Page, PageError};
 pub use patience::{Patience, Stopwatch};
