@@ -74,6 +74,7 @@ mod systems;
 #[cfg(test)]
 mod tests;
 mod whereabouts;
+mod ways;
 
 pub use fittings::{DoorSetup, Object, Obstacle};
 pub use journal::{Happening, JournalEntry};
