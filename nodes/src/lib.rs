@@ -29,6 +29,7 @@ pub mod rendering;
 pub mod running;
 pub mod screen;
 mod service;
+mod signals;
 pub mod source;
 pub mod telemetry;
 pub mod trust;
