@@ -1,5 +1,6 @@
 //! What is the matter with a fleet, in words, each with how bad it is.
 
+use consort_protocol::count::count;
 use consort_protocol::ids::NodeId;
 use serde::Serialize;
 
@@ -112,11 +113,7 @@ pub(super) fn findings(picture: &Picture) -> Vec<Finding> {
     }
     if all.is_empty() {
         let coordinator = picture.coordinator.as_ref().map(|(node, term)| format!("{node} coordinates in term {term}"));
-        let nodes = if picture.alive == 1 {
-            "1 node is alive".to_owned()
-        } else {
-            format!("{} nodes are alive", picture.alive)
-        };
+        let nodes = count(picture.alive, "node is alive", "nodes are alive");
         let says = format!("{}; {voters} of {voters} voters reachable; {nodes}", coordinator.unwrap_or_default());
         all.push(Finding { level: Level::Ok, about: "fleet", name: None, says });
     }

@@ -5,6 +5,7 @@ use crate::exit::Failure;
 use crate::output::{self, Waiting};
 use crate::plan::{Instead, Plan};
 use clap::{Args as ClapArgs, Subcommand};
+use consort_protocol::count::count;
 use consort_sim::experiment::calibration::{Calibration, Observation, QUANTILE};
 use consort_sim::experiment::design::{self, Design};
 use consort_sim::experiment::outcome::EndState;
@@ -216,8 +217,8 @@ fn carry_out(args: &RunArgs) -> Result<(), Failure> {
     write_observations(out, &observations)?;
     write_report(out, &written(&heading(&plan), &rows, None))?;
     output::line(summary(&rows))?;
-    let count = rows.len();
-    output::line(format_args!("{count} trials in {seconds:.1} s; see {}", out.join("report.md").display()))
+    let trials = count(rows.len(), "trial", "trials");
+    output::line(format_args!("{trials} in {seconds:.1} s; see {}", out.join("report.md").display()))
 }
 
 fn calibrate(args: &CalibrateArgs) -> Result<(), Failure> {
@@ -251,7 +252,8 @@ fn calibrate(args: &CalibrateArgs) -> Result<(), Failure> {
     let gain = Gain { learned, trials, before, after, observed_before, observed_after };
     write_report(out, &written(&heading(&plan), &gain.before, Some(&gain)))?;
     output::line(format_args!("as they were:\n{}\ncalibrated:\n{}", summary(&gain.before), summary(&gain.after)))?;
-    output::line(format_args!("learned from {trials} trials; see {}", out.join("report.md").display()))
+    let trials = count(trials, "trial", "trials");
+    output::line(format_args!("learned from {trials}; see {}", out.join("report.md").display()))
 }
 
 fn with_progress(stage: &Stage, jobs: usize, what: &'static str) -> Vec<Outcome> {
