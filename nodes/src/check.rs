@@ -1,7 +1,7 @@
 //! Whether files are right, each judged by what it is.
 
 use crate::config::{self, FleetConfig, Problem, Problems, RobotConfig, StationConfig, WorldConfig};
-use crate::plan::{Instead, Plan};
+use crate::evaluation::{Evaluation, Instead};
 use crate::{floor, kit, source, wiring};
 use consort_protocol::count::count;
 use consort_protocol::ids::TaskId;
@@ -123,10 +123,10 @@ fn judge(kind: Kind, path: &Path, text: &str, file: &str) -> Result<String, Prob
         Kind::Workers => source::workers(text, file).map(|workers| format!("{} of them", workers.len())),
         Kind::Scenarios => source::scenarios(text, file).map(|scenarios| format!("{} of them", scenarios.len())),
         Kind::Design => {
-            let plan = Plan::of(config::load(path)?, &Instead::default())?;
-            let design = &plan.design;
-            plan.stage(design.clone(), None)?;
-            let trials = plan.scenarios.len() * design.policies.len() * design.treatments.len();
+            let evaluation = Evaluation::of(config::load(path)?, &Instead::default())?;
+            let design = &evaluation.design;
+            evaluation.stage(design.clone(), None)?;
+            let trials = evaluation.scenarios.len() * design.policies.len() * design.treatments.len();
             let trials = count(trials * design.repetitions as usize, "trial", "trials");
             Ok(format!("{}, {trials}", design.name))
         }
