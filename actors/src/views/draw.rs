@@ -1,7 +1,7 @@
 //! The fleet as one node sees it, in JSON.
 
 use super::Views;
-use super::health::{Picture, findings};
+use super::health::{Signs, findings};
 use super::mission::{auctions, mission, missions};
 use super::standing::Standing;
 use crate::gossip::Status;
@@ -192,36 +192,36 @@ impl Window<'_> {
     }
 
     fn health(&self) -> Value {
-        let findings = findings(&self.picture());
+        let findings = findings(&self.signs());
         json!({ "level": findings.first().map(|worst| worst.level), "findings": findings })
     }
 
-    fn picture(&self) -> Picture {
+    fn signs(&self) -> Signs {
         let statuses = self.of.knowledge.statuses();
         let alive = |node: &NodeId| *node == self.of.node || statuses.get(node).is_some_and(Status::is_alive);
-        let mut picture = Picture {
+        let mut signs = Signs {
             coordinator: self.standing.coordinator.clone().map(|node| (node, self.standing.term)),
             silent_ms: self.standing.age_ms,
             foreign: self.foreign(),
             alive: statuses.values().filter(|status| status.is_alive()).count(),
             knows_missions: self.standing.keeps_ledger,
-            ..Picture::default()
+            ..Signs::default()
         };
         let lost = |node: &NodeId| self.standing.voters_lost.contains(node);
-        picture.voters = self.standing.voters.iter().map(|node| (node.clone(), alive(node) && !lost(node))).collect();
+        signs.voters = self.standing.voters.iter().map(|node| (node.clone(), alive(node) && !lost(node))).collect();
         self.of.knowledge.read(|base| {
             for (node, heard) in base.iter() {
                 let status = statuses.get(node).copied().unwrap_or(Status::Unknown);
                 let age_ms = u64::try_from(heard.age(self.now).as_millis()).unwrap_or(u64::MAX);
                 if matches!(status, Status::Down { .. } | Status::Suspect { .. }) && !heard.record.knowledge.leaving {
-                    picture.unwell.push((node.clone(), status.word(), age_ms));
+                    signs.unwell.push((node.clone(), status.word(), age_ms));
                 }
                 match heard.record.knowledge.worker.as_ref().map(|worker| &worker.availability) {
                     Some(Availability::OutOfService { problem }) => {
-                        picture.out_of_service.push((node.clone(), problem.clone()));
+                        signs.out_of_service.push((node.clone(), problem.clone()));
                     }
                     Some(Availability::Holding { mission, role, suspended: true }) if alive(node) => {
-                        picture.suspended.push((node.clone(), format!("{role} of {mission}")));
+                        signs.suspended.push((node.clone(), format!("{role} of {mission}")));
                     }
                     Some(Availability::Holding { .. } | Availability::Free) | None => {}
                 }
@@ -231,17 +231,17 @@ impl Window<'_> {
             for entry in ledger.missions() {
                 match (&entry.state, &entry.auction) {
                     (MissionState::NeedsRescue { cause, .. }, _) => {
-                        picture.rescue.push((entry.id.to_string(), cause.clone()));
+                        signs.rescue.push((entry.id.to_string(), cause.clone()));
                     }
                     (MissionState::Pending, Some(auction)) => {
                         let why = auction.failure.clone().map(|why| (entry.id.to_string(), why));
-                        picture.pending.extend(why);
+                        signs.pending.extend(why);
                     }
                     _ => {}
                 }
             }
         });
-        picture
+        signs
     }
 }
 
