@@ -33,5 +33,6 @@ mod signals;
 pub mod source;
 pub mod telemetry;
 pub mod trust;
+mod watcher;
 pub mod wiring;
 pub mod words;

@@ -2,13 +2,13 @@
 
 use crate::client::{Client, ClientFlags};
 use crate::command::length::length;
-use crate::dashboard::follow;
 use crate::exit::Failure;
 use crate::file::there_already;
 use crate::output::{self, Waiting};
 use crate::picture::{Ear, FloorPlan, Picture};
 use crate::recording::{Recorded, Recorder, Tape};
 use crate::signals::Signals;
+use crate::watcher::follow;
 use consort_actors::clock::Clock;
 use consort_protocol::count::count;
 use consort_sim::record::foxglove::Existing;
