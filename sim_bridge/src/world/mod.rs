@@ -73,8 +73,8 @@ mod system;
 mod systems;
 #[cfg(test)]
 mod tests;
-mod whereabouts;
 mod ways;
+mod whereabouts;
 
 pub use fittings::{DoorSetup, Object, Obstacle};
 pub use journal::{Happening, JournalEntry};
