@@ -13,12 +13,16 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
 use tokio::time::Instant;
 
-impl Fleet {
-    /// The names of the nodes that run.
-    pub fn names(&self) -> Vec<NodeId> {
-        self.nodes.values().map(|node| node.node.clone()).collect()
-    }
+/// Who of these coordinates: of several who believe that they do, the latest elected.
+pub(crate) fn coordinating<'a>(nodes: impl Iterator<Item = &'a NodeHandle>) -> Option<NodeId> {
+    let leads = |node: &NodeHandle| {
+        let leadership = node.replica.as_ref()?.leadership().borrow().clone();
+        leadership.is_me.then(|| (leadership.term, node.node.clone()))
+    };
+    nodes.filter_map(leads).max().map(|(_, node)| node)
+}
 
+impl Fleet {
     /// Waits until somebody coordinates, and says who.
     pub async fn coordinator(&mut self) -> NodeId {
         self.until("an election", Duration::from_secs(20), |fleet| fleet.coordinating().is_some()).await;
@@ -27,11 +31,7 @@ impl Fleet {
 
     /// Who coordinates at this moment: of several who believe that they do, the latest elected.
     pub fn coordinating(&self) -> Option<NodeId> {
-        let leads = |node: &NodeHandle| {
-            let leadership = node.replica.as_ref()?.leadership().borrow().clone();
-            leadership.is_me.then(|| (leadership.term, node.node.clone()))
-        };
-        self.nodes.values().filter_map(leads).max().map(|(_, node)| node)
+        coordinating(self.nodes.values())
     }
 
     /// The names of the nodes that run.

@@ -75,8 +75,6 @@ pub struct AttendantState {
     called_off: BTreeMap<MissionId, String>,
     words: Words,
     pub(super) talk: Talk,
-    /// Signals under awards no longer in force, counted since the start.
-    pub(super) outdated: u64,
     pub(super) tasks: Tasks,
 }
 
@@ -110,7 +108,6 @@ impl Actor for Attendant {
             called_off: BTreeMap::new(),
             words: Words::default(),
             talk: Talk::new(bus, keys),
-            outdated: 0,
             tasks,
         })
     }

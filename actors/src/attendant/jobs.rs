@@ -4,7 +4,7 @@ use super::actor::{AttendantMessage, AttendantSettings, AttendantState};
 use super::asks::{Asked, Matter};
 use crate::body::{PeopleAsk, PersonState};
 use crate::bus::BusError;
-use crate::robot::{Move, Outdated, Sequencer, Talk, send_report};
+use crate::robot::{Move, Outdated, OutdatedSignals, Sequencer, Talk, send_report};
 use crate::tasks::Tasks;
 use bytes::Bytes;
 use consort_protocol::codec;
@@ -14,10 +14,9 @@ use consort_protocol::keys::{Key, PeopleCall};
 use consort_protocol::lease::Epoch;
 use consort_protocol::ledger::Branch;
 use consort_protocol::message::{FailureKind, Live, LivePlan, Report, ReportAnswer, Said, TaskFailure};
-use consort_protocol::plan::{LocalPlan, Signal};
+use consort_protocol::plan::LocalPlan;
 use consort_skills::actions::{ActionError, GoalId, PersonAsk};
 use ractor::ActorRef;
-use std::collections::BTreeSet;
 use std::time::Duration;
 use tracing::{debug, warn};
 
@@ -34,7 +33,7 @@ pub(super) struct Job {
     pub(super) ask: Option<Asked>,
     pub(super) failure: Option<TaskFailure>,
     /// What was said under awards no longer in force, so that each is told of once.
-    pub(super) outdated: BTreeSet<(Signal, Epoch)>,
+    pub(super) outdated: OutdatedSignals,
 }
 
 impl AttendantState {
@@ -124,7 +123,7 @@ impl AttendantState {
             sequencer,
             ask: None,
             failure: None,
-            outdated: BTreeSet::new(),
+            outdated: OutdatedSignals::new(),
         };
         self.jobs.insert(key.clone(), job);
         Ok(())
@@ -139,12 +138,8 @@ impl AttendantState {
                 Ok(true) => self.advance(myself, &key).await,
                 Ok(false) => {}
                 Err(Outdated { known }) => {
-                    self.outdated += 1;
-                    if job.outdated.insert((signal.clone(), said.epoch)) {
-                        let (mission, signal) = (said.mission.clone(), signal.clone());
-                        let (epoch, count) = (said.epoch, self.outdated);
-                        self.settings.events.tell(Happening::Outdated { mission, signal, epoch, known, count });
-                    }
+                    let told = self.talk.note_outdated(&mut job.outdated, said, signal, known);
+                    told.into_iter().for_each(|what| self.settings.events.tell(what));
                 }
             }
         }

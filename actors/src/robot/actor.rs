@@ -97,8 +97,6 @@ pub struct RobotState {
     pub(super) asked_at: NodeTime,
     pub(super) priced_at: NodeTime,
     pub(super) runs: u64,
-    /// Signals under awards no longer in force, counted since the start.
-    pub(super) outdated: u64,
     /// Whether the notebook is being written.
     pub(super) writing: bool,
     /// Whether there is, or may be, a page in the notebook.
@@ -162,7 +160,6 @@ impl Actor for Robot {
             asked_at: now,
             priced_at: now,
             runs: 0,
-            outdated: 0,
             writing: false,
             // Whatever stands there and is not taken up is torn out.
             page_written: true,

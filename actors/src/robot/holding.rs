@@ -5,6 +5,7 @@ use super::job::Job;
 use super::ladder::{Ladder, Setback};
 use super::pen::{Pen, Telling};
 use super::sequencer::Sequencer;
+use super::talk::OutdatedSignals;
 use crate::answer;
 use crate::bus::{BusError, Query, SharedBus};
 use crate::tasks::Tasks;
@@ -167,7 +168,7 @@ impl RobotState {
             surrender: None,
             first_goal,
             told_of_charge: false,
-            outdated: BTreeSet::new(),
+            outdated: OutdatedSignals::new(),
             _hearing: hearing,
         });
         if let Some(failure) = failure {

@@ -48,4 +48,4 @@ pub use pen::{Pen, Telling};
 pub use sequencer::{Detours, Move, Outdated, Sequencer, Spot};
 pub use settings::RobotSettings;
 pub use skill_runner::SkillOutcome;
-pub(crate) use talk::Talk;
+pub(crate) use talk::{OutdatedSignals, Talk};
