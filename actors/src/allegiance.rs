@@ -7,10 +7,7 @@
 //!
 //! Nobody has to think of that: [`ClusterBus`] puts the cluster around whatever concerns missions, and lets in what is its own.
 
-use crate::bus::{
-    Bus, BusError, Delivery, Encoding, Link, Presence, Query, Reply, Sample, SharedBus, Stream, Token, Whom,
-};
-use async_trait::async_trait;
+use crate::bus::{BusError, Layer, Query, Reply, Said, Sample, SharedBus, Stream, turn_away};
 use bytes::Bytes;
 use consort_protocol::codec;
 use consort_protocol::ids::ClusterId;
@@ -18,8 +15,7 @@ use consort_protocol::keys::Keys;
 use consort_protocol::message::Within;
 use std::sync::Arc;
 use std::time::Duration;
-use tokio::sync::{mpsc, watch};
-use tokio::task::JoinSet;
+use tokio::sync::watch;
 use tokio::time::Instant;
 use tracing::{debug, info};
 
@@ -139,103 +135,60 @@ fn unwrap(allegiance: &Allegiance, payload: &[u8]) -> Result<Bytes, String> {
     }
 }
 
-#[async_trait]
-impl Bus for ClusterBus {
-    async fn publish_with(
-        &self,
-        key: &str,
-        payload: Bytes,
-        beside: Bytes,
-        encoding: Encoding,
-        delivery: Delivery,
-    ) -> Result<(), BusError> {
-        self.bus.publish_with(key, self.wrap(key, payload)?, beside, encoding, delivery).await
+impl Layer for ClusterBus {
+    type Asked = ();
+
+    fn carrier(&self) -> &SharedBus {
+        &self.bus
     }
 
-    async fn subscribe(&self, key_expr: &str) -> Result<Stream<Sample>, BusError> {
-        let mut samples = self.bus.subscribe(key_expr).await?;
+    fn publication(&self, key: &str, said: Said) -> Result<Said, BusError> {
+        Ok(Said { payload: self.wrap(key, said.payload)?, ..said })
+    }
+
+    fn publications(&self, key_expr: &str, samples: Stream<Sample>) -> Stream<Sample> {
         if !self.keys.is_within_cluster(key_expr) {
-            return Ok(samples);
+            return samples;
         }
-        let (to, own) = mpsc::unbounded_channel();
         let allegiance = self.allegiance.clone();
-        let mut task = JoinSet::new();
-        task.spawn(async move {
-            while let Some(sample) = samples.recv().await {
-                match unwrap(&allegiance, &sample.payload) {
-                    Ok(payload) => {
-                        if to.send(Sample { payload, ..sample }).is_err() {
-                            return;
-                        }
-                    }
-                    Err(problem) => debug!(%problem, "not heard"),
-                }
+        samples.sifting(move |sample| match unwrap(&allegiance, &sample.payload) {
+            Ok(payload) => Some(Sample { payload, ..sample }),
+            Err(problem) => {
+                debug!(%problem, "not heard");
+                None
             }
-        });
-        Ok(Stream::new(own, Box::new(task)))
+        })
     }
 
-    async fn ask(
-        &self,
-        key_expr: &str,
-        payload: Bytes,
-        beside: Bytes,
-        limit: Duration,
-        whom: Whom,
-    ) -> Result<Stream<Reply>, BusError> {
-        self.bus.ask(key_expr, self.wrap(key_expr, payload)?, beside, limit, whom).await
+    fn question(&self, key_expr: &str, said: Said) -> Result<(Said, ()), BusError> {
+        Ok((Said { payload: self.wrap(key_expr, said.payload)?, ..said }, ()))
     }
 
-    async fn serve_complete(&self, key_expr: &str) -> Result<Stream<Query>, BusError> {
-        // Nothing that concerns missions is served alike by several nodes.
-        self.bus.serve_complete(key_expr).await
+    /// Whoever answered let the question in, and so is of this cluster.
+    fn answers(&self, (): (), replies: Stream<Reply>) -> Stream<Reply> {
+        replies
     }
 
-    async fn serve(&self, key_expr: &str) -> Result<Stream<Query>, BusError> {
-        let mut queries = self.bus.serve(key_expr).await?;
+    fn questions(&self, key_expr: &str, questions: Stream<Query>) -> Stream<Query> {
         if !self.keys.is_within_cluster(key_expr) {
-            return Ok(queries);
+            return questions;
         }
-        let (to, own) = mpsc::unbounded_channel();
         let allegiance = self.allegiance.clone();
-        let mut task = JoinSet::new();
-        task.spawn(async move {
-            while let Some(query) = queries.recv().await {
-                match unwrap(&allegiance, &query.payload) {
-                    Ok(payload) => {
-                        if to.send(Query { payload, ..query }).is_err() {
-                            return;
-                        }
-                    }
-                    Err(problem) => {
-                        debug!(key = query.key, %problem, "not answered");
-                        if let Err(problem) = query.replier.refuse(&problem).await {
-                            debug!(%problem, "a refusal was not sent");
-                        }
-                    }
-                }
+        questions.sifting(move |query| match unwrap(&allegiance, &query.payload) {
+            Ok(payload) => Some(Query { payload, ..query }),
+            Err(problem) => {
+                debug!(key = query.key, %problem, "not answered");
+                turn_away(query, problem);
+                None
             }
-        });
-        Ok(Stream::new(own, Box::new(task)))
-    }
-
-    async fn announce(&self, key: &str) -> Result<Token, BusError> {
-        self.bus.announce(key).await
-    }
-
-    async fn watch(&self, key_expr: &str) -> Result<Stream<Presence>, BusError> {
-        self.bus.watch(key_expr).await
-    }
-
-    async fn links(&self) -> Vec<Link> {
-        self.bus.links().await
+        })
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::bus::{LinkModel, VirtualNetwork};
+    use crate::bus::{Bus, Delivery, Encoding, LinkModel, VirtualNetwork};
     use consort_protocol::ids::{FleetId, NodeId};
     use consort_protocol::keys::Key;
 

@@ -1,8 +1,9 @@
 //! Whether files are right, each judged by what it is.
 
 use crate::config::{self, FleetConfig, Problem, Problems, RobotConfig, StationConfig, WorldConfig};
-use crate::plan::{Instead, Plan};
+use crate::evaluation::{Evaluation, Instead};
 use crate::{floor, kit, source, wiring};
+use consort_protocol::count::count;
 use consort_protocol::ids::TaskId;
 use consort_protocol::mission::{Format, IhtnReading, Mission, MissionTemplate, TemplateKind, import_ihtn};
 use consort_protocol::plan::divide_and_check;
@@ -93,7 +94,8 @@ fn judge(kind: Kind, path: &Path, text: &str, file: &str) -> Result<String, Prob
         Kind::Map => {
             let floor = floor::read(text, file)?;
             wiring::equipment(&floor)?;
-            Ok(format!("{} places, {} ways", floor.topology.places.len(), floor.topology.edges.len()))
+            let (places, ways) = (floor.topology.places.len(), floor.topology.edges.len());
+            Ok(format!("{}, {}", count(places, "place", "places"), count(ways, "way", "ways")))
         }
         Kind::Fleet => {
             let fleet: FleetConfig = config::load(path)?;
@@ -115,20 +117,23 @@ fn judge(kind: Kind, path: &Path, text: &str, file: &str) -> Result<String, Prob
         Kind::World => {
             let world: WorldConfig = config::load(path)?;
             wiring::build_world(&world, &world.fleet.resolve()?)?;
-            Ok(format!("{} robots, {} people", world.robot.len(), world.person.len()))
+            let robots = count(world.robot.len(), "robot", "robots");
+            Ok(format!("{robots}, {}", count(world.person.len(), "person", "people")))
         }
         Kind::Workers => source::workers(text, file).map(|workers| format!("{} of them", workers.len())),
         Kind::Scenarios => source::scenarios(text, file).map(|scenarios| format!("{} of them", scenarios.len())),
         Kind::Design => {
-            let plan = Plan::of(config::load(path)?, &Instead::default())?;
-            let design = &plan.design;
-            plan.stage(design.clone(), None)?;
-            let trials = plan.scenarios.len() * design.policies.len() * design.treatments.len();
-            Ok(format!("{}, {} trials", design.name, trials * design.repetitions as usize))
+            let evaluation = Evaluation::of(config::load(path)?, &Instead::default())?;
+            let design = &evaluation.design;
+            evaluation.stage(design.clone(), None)?;
+            let trials = evaluation.scenarios.len() * design.policies.len() * design.treatments.len();
+            let trials = count(trials * design.repetitions as usize, "trial", "trials");
+            Ok(format!("{}, {trials}", design.name))
         }
         Kind::Calibration => {
             let learned: Calibration = config::load(path)?;
-            Ok(format!("{} skills, {} legs", learned.skills.len(), learned.legs.len()))
+            let skills = count(learned.skills.len(), "skill", "skills");
+            Ok(format!("{skills}, {}", count(learned.legs.len(), "leg", "legs")))
         }
     }
 }
@@ -148,13 +153,9 @@ fn mission(text: &str, path: &Path, file: &str) -> Result<String, Problems> {
     let (mission, recovery) = template
         .instantiate_both(&given, &kit::domain())
         .map_err(|errors| Problems(errors.problems.iter().map(|problem| Problem::of(file, problem)).collect()))?;
-    let size = |mission: &Mission| {
-        let division = divide_and_check(mission).map_err(|error| Problems::from(Problem::of(file, error)))?;
-        let steps: usize = division.plans.values().map(|plan| plan.steps.len()).sum();
-        Ok::<_, Problems>(format!("{} roles, {steps} steps", mission.roles.len()))
-    };
-    let of_recovery = recovery.as_ref().map(size).transpose()?.map(|size| format!(", recovery with {size}"));
-    Ok(format!("{}, {}{}", template.name(), size(&mission)?, of_recovery.unwrap_or_default()))
+    let recovery = recovery.map(|recovery| size(&recovery, file)).transpose()?;
+    let of_recovery = recovery.map(|size| format!(", recovery with {size}"));
+    Ok(format!("{}, {}{}", template.name(), size(&mission, file)?, of_recovery.unwrap_or_default()))
 }
 
 /// A flat iHTN does not say who is a person: `nurse` is taken for one.
@@ -169,9 +170,15 @@ fn ihtn(text: &str, path: &Path, file: &str) -> Result<String, Problems> {
     };
     let mission = import_ihtn(text, &reading, &kit::domain())
         .map_err(|errors| Problems(errors.problems.iter().map(|problem| Problem::of(file, problem)).collect()))?;
-    let division = divide_and_check(&mission).map_err(|error| Problems::from(Problem::of(file, error)))?;
-    let steps: usize = division.plans.values().map(|plan| plan.steps.len()).sum();
-    Ok(format!("{} roles, {steps} steps", mission.roles.len()))
+    size(&mission, file)
+}
+
+/// How large a mission is, once it has been found to be one that can be carried out.
+fn size(mission: &Mission, file: &str) -> Result<String, Problems> {
+    let division = divide_and_check(mission).map_err(|error| Problems::from(Problem::of(file, error)))?;
+    let steps = division.plans.values().map(|plan| plan.steps.len()).sum();
+    let roles = count(mission.roles.len(), "role", "roles");
+    Ok(format!("{roles}, {}", count::<usize>(steps, "step", "steps")))
 }
 
 /// What kind of file a text is.

@@ -1,11 +1,46 @@
-//! Files that are there whole or not at all.
+//! Files that are read or written whole, or not at all.
 
 use crate::config::Problem;
 use crate::exit::Failure;
 use std::fs;
-use std::io::{self, Write};
+use std::io::{self, Read, Write};
 use std::os::unix::fs::OpenOptionsExt;
 use std::path::Path;
+
+/// Largest file of any kind that is read whole, in bytes.
+pub(crate) const BYTES_MAX: u64 = 16 << 20;
+
+/// Why a file was not read.
+#[derive(Debug, thiserror::Error)]
+pub(crate) enum ReadError {
+    /// The system does not give it, or it is no text.
+    #[error("cannot be read: {0}")]
+    Unreadable(#[from] io::Error),
+    /// So many bytes are more than it may have.
+    #[error("{0} bytes are more than the {1} allowed")]
+    TooLarge(u64, u64),
+    /// A pipe or a device, which does not say how long it is, gave more than it may have.
+    #[error("it has more than the {0} bytes allowed")]
+    Endless(u64),
+}
+
+/// The text of a file of at most so many bytes.
+///
+/// # Errors
+/// [`ReadError`], without the file's name; no more of it was read than is allowed.
+pub(crate) fn text(file: &Path, bytes_max: u64) -> Result<String, ReadError> {
+    let file = fs::File::open(file)?;
+    let bytes = file.metadata()?.len();
+    if bytes > bytes_max {
+        return Err(ReadError::TooLarge(bytes, bytes_max));
+    }
+    let mut read = vec![];
+    if file.take(bytes_max + 1).read_to_end(&mut read)? as u64 > bytes_max {
+        return Err(ReadError::Endless(bytes_max));
+    }
+    let no_text = |_| io::Error::new(io::ErrorKind::InvalidData, "stream did not contain valid UTF-8");
+    Ok(String::from_utf8(read).map_err(no_text)?)
+}
 
 /// Writes a file as a whole or not at all, with these rights: whoever reads it meanwhile finds what was there.
 ///
@@ -28,4 +63,22 @@ pub(crate) fn write_whole(file: &Path, text: &str, mode: u32) -> Result<(), Prob
 /// What somebody hears whose file is there already, where `--force` replaces it.
 pub(crate) fn there_already(file: &Path) -> Failure {
     Failure::Usage(format!("{}: this file is there already; --force replaces it", file.display()))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn no_more_is_read_than_is_allowed_even_of_what_has_no_end() {
+        let manifest = Path::new(env!("CARGO_MANIFEST_DIR")).join("Cargo.toml");
+        let whole = text(&manifest, BYTES_MAX).expect("it is there");
+        let bytes = whole.len() as u64;
+        assert_eq!(text(&manifest, bytes).expect("it is just as large"), whole);
+        let said = |file: &Path, max| text(file, max).expect_err("it is too large").to_string();
+        assert_eq!(said(&manifest, bytes - 1), format!("{bytes} bytes are more than the {} allowed", bytes - 1));
+        assert_eq!(said(Path::new("/dev/zero"), 100), "it has more than the 100 bytes allowed");
+        let absent = said(Path::new("/nowhere"), 100);
+        assert!(absent.starts_with("cannot be read: No such file"), "{absent}");
+    }
 }

@@ -1,6 +1,7 @@
 //! Maps, from wherever they come, as routes for estimators and skills and as a floor for the simulator.
 
 use crate::config::{Problem, Problems};
+use crate::file::{self, BYTES_MAX, ReadError};
 use consort_sim::map::{self, GROUND, Map, MapError};
 use consort_skills::environment::TopologicalMap;
 use serde_json::{Value, json};
@@ -71,10 +72,13 @@ pub fn load(name: &str) -> Result<Floor, Problems> {
 /// # Errors
 /// [`Problems`] that it cannot be read, with the maps that are shipped.
 pub fn text(name: &str) -> Result<String, Problems> {
-    std::fs::read_to_string(Path::new(name)).map_err(|error| {
-        let shipped = map::SHIPPED.join(", ");
-        let what = format!("this map cannot be read: {error}; it is the path of a file, or one of {shipped}");
-        Problem::of(name, what).into()
+    file::text(Path::new(name), BYTES_MAX).map_err(|problem| match problem {
+        ReadError::Unreadable(_) => {
+            let shipped = map::SHIPPED.join(", ");
+            let what = format!("this map {problem}; it is the path of a file, or one of {shipped}");
+            Problem::of(name, what).into()
+        }
+        ReadError::TooLarge(..) | ReadError::Endless(_) => Problem::of(name, problem).into(),
     })
 }
 

@@ -7,21 +7,24 @@ use crate::dashboard::Dashboard;
 use crate::exit::Failure;
 use crate::metrics::{Metrics, Watched, serve};
 use crate::picture::FloorPlan;
+use crate::signals::Signals;
 use crate::telemetry::Telemetry;
 use crate::trust::NodeTrust;
 use crate::wiring::bus_settings;
 use crate::{floor, output, service};
+use consort_actors::autopilot::Farewell;
 use consort_actors::bus::{Bus, Link, MeteredBus, SharedBus, ZenohBus};
 use consort_actors::clock::Clock;
 use consort_actors::node::{NodeHandle, NodeSettings};
 use consort_actors::observe::SharedObserver;
+use consort_protocol::count::count;
+use consort_protocol::ids::NodeId;
 use consort_protocol::keys::Keys;
 use std::io::IsTerminal;
 use std::net::SocketAddr;
 use std::sync::Arc;
 use std::time::Duration;
 use tokio::runtime::{Builder, Runtime};
-use tokio::signal::unix::{SignalKind, signal};
 use tracing::{info, warn};
 use tracing_subscriber::EnvFilter;
 
@@ -97,8 +100,7 @@ async fn until_told(
 ) -> Result<(), Failure> {
     let Surroundings { telemetry: told, bus, dashboard, .. } = surroundings;
     // Before anything is started: a signal that comes early is not lost.
-    let mut terminate = signal(SignalKind::terminate()).map_err(|problem| no_signal(&problem))?;
-    let mut interrupt = signal(SignalKind::interrupt()).map_err(|problem| no_signal(&problem))?;
+    let mut signals = Signals::open()?;
     let page = match dashboard {
         Some(at) => Some((take("--dashboard", *at).await?, FloorPlan::new(&floor::load(&fleet.map)?))),
         None => None,
@@ -139,32 +141,12 @@ async fn until_told(
     service::ready();
     watch.spawn(service::keep_watch(zenoh.clone(), Keys::new(&fleet.name), name.clone()));
 
-    let mut left = None;
-    let ended = node.ended_or_left();
-    let signal = tokio::select! {
-        _ = terminate.recv() => Ok("SIGTERM"),
-        _ = interrupt.recv() => Ok("Ctrl-C"),
-        () = stdin_closed(until_stdin_closes) => Ok("end of input"),
-        ended = ended => match ended {
-            Ok(farewell) => {
-                left = Some(farewell);
-                Ok("it has left the fleet for good")
-            }
-            Err(cause) => Err(cause),
-        },
-    };
+    let end = told_to_end(&mut node, &mut signals, until_stdin_closes).await;
     service::stopping();
-    let signal = signal.map_err(|cause| Failure::Unsuccessful(format!("{name} stopped: {cause}")))?;
-    info!(node = %name, signal, "stops");
+    let end = end.map_err(|cause| Failure::Unsuccessful(format!("{name} stopped: {cause}")))?;
+    info!(node = %name, signal = end.word(), "stops");
     let goodbye = async {
-        match left {
-            None => node.stop().await,
-            Some(farewell) => {
-                info!(node = %name, successor = farewell.successor.map(tracing::field::display), released = farewell.released,
-                    role_given_back = farewell.role_given_back, "left");
-                node.end().await;
-            }
-        }
+        end.of(node, &name).await;
         telemetry.end().await;
         zenoh.close().await
     };
@@ -174,6 +156,43 @@ async fn until_told(
         Err(_) => warn!(node = %name, "stopped without having told everybody in {GOODBYE:?}"),
     }
     Ok(())
+}
+
+/// How a node that works comes to its end.
+enum End {
+    /// Somebody told it to, in this way.
+    Told(&'static str),
+    /// It has left the fleet.
+    Left(Farewell),
+}
+
+impl End {
+    fn word(&self) -> &'static str {
+        match self {
+            End::Told(how) => how,
+            End::Left(_) => "it has left the fleet for good",
+        }
+    }
+
+    async fn of(self, node: NodeHandle, name: &NodeId) {
+        match self {
+            End::Told(_) => node.stop().await,
+            End::Left(farewell) => {
+                info!(node = %name, successor = farewell.successor.map(tracing::field::display), released = farewell.released,
+                    role_given_back = farewell.role_given_back, "left");
+                node.end().await;
+            }
+        }
+    }
+}
+
+/// Waits until the node is to end; an error if it has by itself, and why.
+async fn told_to_end(node: &mut NodeHandle, signals: &mut Signals, until_stdin_closes: bool) -> Result<End, String> {
+    tokio::select! {
+        signal = signals.heard() => Ok(End::Told(signal)),
+        () = stdin_closed(until_stdin_closes) => Ok(End::Told("end of input")),
+        ended = node.ended_or_left() => ended.map(End::Left),
+    }
 }
 
 async fn take(flag: &str, at: SocketAddr) -> Result<Taken, Failure> {
@@ -227,10 +246,6 @@ async fn stdin_closed(of_interest: bool) {
     let _ = heard.await;
 }
 
-fn no_signal(problem: &std::io::Error) -> Failure {
-    Failure::Unsuccessful(format!("signals cannot be heard: {problem}"))
-}
-
 /// Says to whom the node is linked, whenever that changes, and when it is linked to nobody, whom it tries.
 async fn say_links(bus: ZenohBus, connect: Vec<String>) {
     let mut said: Option<Vec<Link>> = None;
@@ -248,9 +263,9 @@ async fn say_links(bus: ZenohBus, connect: Vec<String>) {
                     warn!(trying, "linked to nobody; keeps trying");
                     format!("linked to nobody; keeps trying {trying}")
                 }
-                (count, _) => {
+                (neighbours, _) => {
                     info!(links = describe(&links), "linked");
-                    format!("linked with {count} {}", if count == 1 { "neighbour" } else { "neighbours" })
+                    format!("linked with {}", count(neighbours, "neighbour", "neighbours"))
                 }
             };
             service::status(&status);

@@ -1,6 +1,7 @@
 //! Missions and workers, from files and by name.
 
 use crate::config::{Problem, Problems};
+use crate::file::{self, BYTES_MAX};
 use consort_protocol::ids::{PlaceId, RobotId, TaskType};
 use consort_protocol::knowledge::{Availability, Worker};
 use consort_protocol::mission::{Format, MissionTemplate, shipped};
@@ -13,21 +14,12 @@ use serde_json::{Map, Value};
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
-/// Largest file of any kind that is read whole, in bytes.
-const BYTES_MAX: u64 = 16 << 20;
-
 /// The text of a file.
 ///
 /// # Errors
 /// [`Problems`] saying why it cannot be read.
 pub fn text(path: &Path) -> Result<String, Problems> {
-    let unreadable = |problem: std::io::Error| Problem::of(path.display(), format!("cannot be read: {problem}"));
-    let bytes = std::fs::metadata(path).map_err(unreadable)?.len();
-    if bytes > BYTES_MAX {
-        let what = format!("{bytes} bytes are more than the {BYTES_MAX} allowed");
-        return Err(Problem::of(path.display(), what).into());
-    }
-    Ok(std::fs::read_to_string(path).map_err(unreadable)?)
+    file::text(path, BYTES_MAX).map_err(|problem| Problem::of(path.display(), problem).into())
 }
 
 /// A mission by the name of one that is shipped, or else from a file.

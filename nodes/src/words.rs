@@ -4,6 +4,7 @@
 //! of an auction, and draws progress as a bar. A node's own log ([`telemetry`](crate::telemetry)) has the fields of an event and
 //! not a sentence, since programs sort it; how loud it is of something is decided here all the same.
 
+use consort_protocol::count::count;
 use consort_protocol::event::{Event, Happening};
 use consort_protocol::ledger::MissionState;
 use consort_protocol::plan::{Signal, SignalKind};
@@ -47,7 +48,8 @@ pub fn words(event: &Event) -> Words {
         }
         Happening::Called { mission, roles, round, asked } => {
             let roles = joined(roles);
-            calm("auction", format!("{mission}: bids for {roles} asked of {asked} members (round {round})"))
+            let asked = count(*asked, "member", "members");
+            calm("auction", format!("{mission}: bids for {roles} asked of {asked} (round {round})"))
         }
         Happening::Bid { mission, bid } => {
             let (energy, left) = (bid.energy * 100.0, bid.remaining * 100.0);
@@ -102,7 +104,8 @@ pub fn words(event: &Event) -> Words {
             calm("ends", format!("{node} as {role} of {mission}: {}", format!("{reason:?}").to_lowercase()))
         }
         Happening::TaskRetried { role, task, attempt, cause, .. } => {
-            calm("task again", format!("{task}: {node} as {role} after {attempt} attempts: {cause}"))
+            let attempts = count(*attempt, "attempt", "attempts");
+            calm("task again", format!("{task}: {node} as {role} after {attempts}: {cause}"))
         }
         Happening::Alternative { role, task, tasks, cause, .. } => {
             calm("another way", format!("{node} as {role}: {} instead of {task}: {cause}", joined(tasks)))

@@ -14,7 +14,7 @@
 mod bounds;
 
 use crate::ids::{EnsembleId, NodeId, TaskType};
-use crate::knowledge::{Availability, Heard, Knowledge, KnowledgeBase};
+use crate::knowledge::{Availability, Knowledge, KnowledgeBase};
 use crate::units::NodeTime;
 use bounds::LOOPS_MAX;
 use cel::{Context, Env, Program, Value};
@@ -36,7 +36,7 @@ pub struct EnsembleSpec {
     pub skills: BTreeSet<TaskType>,
     /// Conditions on a member, all of which must hold.
     pub membership: Vec<String>,
-    /// Conditions on the coordinator, all of which must hold. None: any node may coordinate.
+    /// Conditions on the coordinator. While one does not hold, nobody is a member. None: whoever coordinates will do.
     #[serde(default)]
     pub coordinator: Vec<String>,
     /// Knowledge older than this does not count, in milliseconds. Raised: members are believed in for longer after they
@@ -252,22 +252,6 @@ impl Ensemble {
     /// Everyone this node believes to be a member.
     pub fn members(&self, coordinator: &NodeId, base: &KnowledgeBase, now: NodeTime) -> BTreeSet<NodeId> {
         base.iter().map(|(node, _)| node).filter(|n| self.judge(n, coordinator, base, now).member).cloned().collect()
-    }
-
-    /// Whether a node may coordinate the ensemble, by what it says of itself: conditions on the coordinator see it in both
-    /// places.
-    ///
-    /// # Errors
-    /// Why not, in words: the first condition that is false, or cannot be evaluated for what the node says.
-    pub fn may_coordinate(&self, node: &NodeId, heard: &Heard) -> Result<(), String> {
-        let itself = (node, &heard.record.knowledge);
-        let facts = self.facts(itself, itself)?;
-        for condition in &self.coordinator {
-            if !condition.holds(&facts)? {
-                return Err(format!("`{}` is false for {node}", condition.text));
-            }
-        }
-        Ok(())
     }
 
     /// The variables that conditions may name.

@@ -4,9 +4,9 @@
 //! `A–Z a–z 0–9 _ . -`, so that no name can hold a `/`, a `*` or anything else that Zenoh gives a meaning to. Place
 //! names are *labels* as people write them on a map (`IC Room 6`): 1 to 64 characters without control characters.
 
-use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
+use crate::schema::inline_schema;
+use schemars::{Schema, json_schema};
 use serde::{Deserialize, Serialize};
-use std::borrow::Cow;
 use std::fmt;
 use std::sync::Arc;
 
@@ -91,19 +91,7 @@ macro_rules! names {
             }
         }
 
-        impl JsonSchema for $name {
-            fn inline_schema() -> bool {
-                true
-            }
-
-            fn schema_name() -> Cow<'static, str> {
-                stringify!($name).into()
-            }
-
-            fn json_schema(_: &mut SchemaGenerator) -> Schema {
-                schema($allowed)
-            }
-        }
+        inline_schema!($name, schema($allowed));
 
         impl TryFrom<String> for $name {
             type Error = NameError;

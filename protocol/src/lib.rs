@@ -33,6 +33,7 @@
 
 pub mod auction;
 pub mod codec;
+pub mod count;
 pub mod ensemble;
 pub mod event;
 pub mod ids;
@@ -45,6 +46,7 @@ pub mod mission;
 pub mod mutants;
 pub mod plan;
 pub mod pose;
+mod schema;
 pub mod trust;
 pub mod units;
 pub mod versions;

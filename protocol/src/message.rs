@@ -124,6 +124,11 @@ impl Beacon {
         known.is_none_or(|known| self.term >= known.term || self.is_abroad(known))
     }
 
+    /// Whether it is of another reign than `known`: of another node, or another term of the same.
+    pub fn is_of_another_reign(&self, known: Option<&Beacon>) -> bool {
+        known.is_none_or(|known| (self.term, &self.node) != (known.term, &known.node))
+    }
+
     /// Whether this is certainly the coordinator of another cluster.
     pub fn is_abroad(&self, known: &Beacon) -> bool {
         self.cluster.is_some() && known.cluster.is_some() && self.cluster != known.cluster

@@ -4,9 +4,9 @@
 //! may run it faster than the wall clock), [`NodeTime`] is when things happen to processes (elections, leases,
 //! windows, retries; monotonic, since the node started).
 
-use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
+use crate::schema::inline_schema;
+use schemars::json_schema;
 use serde::{Deserialize, Serialize};
-use std::borrow::Cow;
 use std::fmt;
 use std::ops::{Add, AddAssign, Sub};
 use std::time::Duration;
@@ -50,19 +50,7 @@ macro_rules! quantities {
             }
         }
 
-        impl JsonSchema for $name {
-            fn inline_schema() -> bool {
-                true
-            }
-
-            fn schema_name() -> Cow<'static, str> {
-                stringify!($name).into()
-            }
-
-            fn json_schema(_: &mut SchemaGenerator) -> Schema {
-                json_schema!($schema)
-            }
-        }
+        inline_schema!($name, json_schema!($schema));
 
         impl TryFrom<f64> for $name {
             type Error = UnitError;
@@ -147,12 +135,10 @@ impl AddAssign for Seconds {
 impl BatteryShare {
     /// A full battery.
     pub const FULL: BatteryShare = BatteryShare(1.0);
-}
 
-impl fmt::LowerExp for BatteryShare {
-    /// As a percentage: `{:e}` prints `63.5 %`.
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "{:.*} %", f.precision().unwrap_or(1), self.0 * 100.0)
+    /// As a percentage, in words: `63.5 %`.
+    pub fn percent(self) -> String {
+        format!("{:.1} %", self.0 * 100.0)
     }
 }
 

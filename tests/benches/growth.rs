@@ -10,7 +10,8 @@
 //! JSON for each size, with what the mean node received by kind of message (most of what a small message costs on a wire
 //! is its envelope, so that messages count as well as bytes), and draws `tests/figures/growth.svg`.
 
-use consort_tests::{Fleet, Member};
+use consort_protocol::ids::NodeId;
+use consort_tests::{Fleet, Member, slug};
 use plotters::prelude::*;
 use serde_json::{Value, json};
 use std::collections::BTreeMap;
@@ -49,7 +50,7 @@ async fn measure(robots: usize) -> Figures {
     let mut fleet = Fleet::hospital(1, members, &["s1", "s2", "s3"], &[]).await;
     sleep(SETTLE).await;
     let coordinator = fleet.coordinator().await;
-    let nodes = fleet.names();
+    let nodes: Vec<NodeId> = fleet.running().iter().map(|name| slug(name)).collect();
     let traffic = |fleet: &Fleet| nodes.iter().map(|node| fleet.network.traffic(node)).collect::<Vec<_>>();
     let before = traffic(&fleet);
     sleep(SPAN).await;

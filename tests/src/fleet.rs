@@ -285,11 +285,6 @@ impl Fleet {
         self.members.contains_key(node.as_str())
     }
 
-    /// A bus of somebody who is no node.
-    pub fn client(&self) -> &VirtualBus {
-        &self.client
-    }
-
     /// The fleet's keys.
     pub fn keys(&self) -> &Keys {
         &self.keys

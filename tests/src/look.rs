@@ -1,6 +1,7 @@
 //! How things stand, looked at from inside and from the world.
 
 use crate::{Fleet, slug};
+use consort_actors::bus::LinkModel;
 use consort_actors::gossip::SharedKnowledge;
 use consort_actors::node::NodeHandle;
 use consort_protocol::event::Happening;
@@ -11,13 +12,18 @@ use consort_sim::world::{Happening as InWorld, JournalEntry, Keeper};
 use consort_skills::actions::BodyHost;
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
+use tokio::time::Instant;
+
+/// Who of these coordinates: of several who believe that they do, the latest elected.
+pub(crate) fn coordinating<'a>(nodes: impl Iterator<Item = &'a NodeHandle>) -> Option<NodeId> {
+    let leads = |node: &NodeHandle| {
+        let leadership = node.replica.as_ref()?.leadership().borrow().clone();
+        leadership.is_me.then(|| (leadership.term, node.node.clone()))
+    };
+    nodes.filter_map(leads).max().map(|(_, node)| node)
+}
 
 impl Fleet {
-    /// The names of the nodes that run.
-    pub fn names(&self) -> Vec<NodeId> {
-        self.nodes.values().map(|node| node.node.clone()).collect()
-    }
-
     /// Waits until somebody coordinates, and says who.
     pub async fn coordinator(&mut self) -> NodeId {
         self.until("an election", Duration::from_secs(20), |fleet| fleet.coordinating().is_some()).await;
@@ -26,11 +32,7 @@ impl Fleet {
 
     /// Who coordinates at this moment: of several who believe that they do, the latest elected.
     pub fn coordinating(&self) -> Option<NodeId> {
-        let leads = |node: &NodeHandle| {
-            let leadership = node.replica.as_ref()?.leadership().borrow().clone();
-            leadership.is_me.then(|| (leadership.term, node.node.clone()))
-        };
-        self.nodes.values().filter_map(leads).max().map(|(_, node)| node)
+        coordinating(self.nodes.values())
     }
 
     /// The names of the nodes that run.
@@ -150,10 +152,19 @@ impl Fleet {
         })
     }
 
-    /// Waits until a robot's body has ended all that it has begun: a goal that was canceled ends within a crossing of the
-    /// network.
+    /// Waits until a robot's body has ended all that it has begun, and what its driver last said has reached it: a goal that was
+    /// sent and canceled at once begins and ends within some crossings of the network.
     pub async fn comes_to_rest(&mut self, robot: &str) {
-        let at_rest = |fleet: &Fleet| fleet.goals_of(robot).0 == fleet.goals_of(robot).1;
+        // The order to begin, its answer, the order to end; and some more.
+        let crossings = LinkModel::LAN.latency_max * 4;
+        let (mut goals, mut since) = (self.goals_of(robot), Instant::now());
+        let at_rest = |fleet: &Fleet| {
+            let now = fleet.goals_of(robot);
+            if now != goals {
+                (goals, since) = (now, Instant::now());
+            }
+            now.0 == now.1 && since.elapsed() > crossings
+        };
         self.until(&format!("the body of {robot} to be at rest"), Duration::from_secs(1), at_rest).await;
     }
 

@@ -42,7 +42,7 @@ async fn told_too_early(seed: u64, epoch: impl Fn(Epoch) -> Epoch) -> (Fleet, Mi
     // Somebody of the same cluster: it is the epoch alone that tells them apart.
     let allegiance = Allegiance::default();
     allegiance.keep(fleet.ledger(|ledger| ledger.cluster()).flatten().expect("a ledger that was founded"));
-    let client = ClusterBus::new(Arc::new(fleet.client().clone()), fleet.keys().clone(), allegiance);
+    let client = ClusterBus::new(Arc::new(fleet.client.clone()), fleet.keys().clone(), allegiance);
     client.publish(&key, bytes, Encoding::Wire, Delivery::Drop).await.expect("a virtual bus");
     (fleet, mission)
 }

@@ -110,7 +110,7 @@ fn what_a_nurse_did_before_is_not_taken_for_what_she_does_in_the_recovery_branch
         let said = codec::encode(&Within { cluster: None, said }).expect("a small message");
         let coordinator = fleet.coordinator().await;
         let key = fleet.keys().write(&Key::Report(coordinator));
-        let mut replies = fleet.client().query(&key, said.into(), SOON).await.expect("a bus");
+        let mut replies = fleet.client.query(&key, said.into(), SOON).await.expect("a bus");
         let reply = replies.recv().await.expect("an answer").payload.expect("no refusal");
         let (epoch, reason) = (Epoch::default(), Ending::Replaced);
         let answer: ReportAnswer = codec::decode(&reply).expect("an answer");

@@ -4,6 +4,7 @@ use crate::usual::{began, fleet};
 use consort_actors::bus::{Bus, VirtualBus};
 use consort_protocol::event::Happening;
 use consort_protocol::keys::ApiCall;
+use consort_protocol::ledger::MissionState;
 use consort_tests::{Fleet, slug, tell};
 use serde_json::{Value, json};
 use std::collections::{BTreeMap, BTreeSet};
@@ -214,6 +215,38 @@ fn views_are_answered_in_a_moment_while_nobody_leads_and_say_so() {
         };
         let health = fleet.seen("the loss of the quorum", Duration::from_secs(20), says).await;
         assert_eq!(health["coordinator"], Value::Null, "seed {seed}: {health}");
+    });
+}
+
+#[test]
+fn a_robot_that_is_down_holds_what_the_ledger_says_and_not_what_it_last_said() {
+    tell(SEEDS, async |seed| {
+        let mut fleet = fleet(seed, ROOM).await;
+        let mission = fleet.submit("a", ROOM).await;
+        fleet.until("the way to the laboratory", SOON, |fleet| fleet.happened(began("navto_lab"))).await;
+        let says = async |fleet: &Fleet| {
+            let robot = fleet.view("robot/gorse").await.remove("robot/gorse")?;
+            (robot["robot"]["availability"]["holding"]["role"] == "r1").then_some(())
+        };
+        fleet.seen("gorse's word that it holds r1", SOON, says).await;
+        fleet.kill("gorse").await;
+        let end = fleet.end_of(&mission).await;
+        assert!(matches!(end, MissionState::NeedsRescue { .. }), "seed {seed}: {end:?}");
+        let closed = fleet.answer(ApiCall::Rescued, &json!({ "mission": mission, "by": "Nia" })).await;
+        assert!(closed["state"]["failed"].is_object(), "seed {seed}: {closed}");
+        // Whether it keeps the ledger, as most do, or has nothing but gorse's last word, as the world's node.
+        for node in ["aster", "basil", "clove", "fern", "lab-arm", "world"] {
+            let shown = async |_: &Fleet| {
+                let (views, _) = look(&fleet.network.bus(slug(node)), "consort/ward/view/**").await;
+                let of_all = views["view/fleet"]["nodes"].as_array()?.iter().find(|node| node["node"] == "gorse")?;
+                let alone = views.get("view/robot/gorse")?;
+                (of_all["status"] == "down").then(|| [of_all.clone(), alone.clone()])
+            };
+            for gorse in fleet.seen("gorse is down", SOON, shown).await {
+                assert_eq!(gorse["holds"], Value::Null, "seed {seed}: {node}: {gorse}");
+                assert_eq!(gorse["robot"]["availability"], "free", "seed {seed}: {node}: {gorse}");
+            }
+        }
     });
 }
 

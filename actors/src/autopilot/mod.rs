@@ -14,6 +14,7 @@ mod decide;
 mod departure;
 mod founding;
 mod perform;
+mod sight;
 
 pub(crate) use bootstrap::Bootstrap;
 pub use decide::{Change, Health, Member, View, decide};

@@ -1,13 +1,12 @@
-//! What the decision sees, and how it is carried out. Lives as long as its node coordinates.
+//! When there is something to decide, and how it is carried out. Lives as long as its node coordinates.
 
-use super::decide::{Change, Health, Member, View, decide};
+use super::decide::{Change, View, decide};
+use super::sight::{Attendance, Sight};
 use crate::gossip::SharedKnowledge;
-use crate::replica::{HandOverError, MemberError, RaftId, Replica};
-use consort_protocol::ids::{ClusterId, NodeId};
-use consort_protocol::knowledge::Knowledge;
+use crate::replica::{HandOverError, MemberError, Replica};
+use consort_protocol::ids::ClusterId;
 use consort_protocol::ledger::Ledger;
 use serde_json::{Value, json};
-use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
 use tokio::time::Instant;
 
@@ -20,10 +19,6 @@ const HAND_OVER: Duration = Duration::from_millis(200);
 /// How long to wait after a change that failed.
 const AGAIN: Duration = Duration::from_secs(1);
 
-/// A voter that answers nothing counts as there for so much longer while gossip reaches it: its process may be held up
-/// by its disk.
-const HELD_UP: u32 = 3;
-
 /// The autopilot of one reign.
 pub(crate) struct Autopilot {
     target: usize,
@@ -35,7 +30,7 @@ pub(crate) struct Autopilot {
     changed: Instant,
     not_before: Instant,
     busy: bool,
-    well_since: BTreeMap<RaftId, Instant>,
+    attendance: Attendance,
     /// When this node last gave the lead away because another was better placed.
     yielded: Option<Instant>,
     latest: Option<(Instant, String)>,
@@ -70,7 +65,7 @@ impl Autopilot {
             changed: now,
             not_before: now,
             busy: false,
-            well_since: BTreeMap::new(),
+            attendance: Attendance::default(),
             yielded,
             latest: None,
         }
@@ -123,63 +118,12 @@ impl Autopilot {
 
     fn view(&mut self, replica: &Replica<Ledger>, knowledge: &SharedKnowledge, cluster: ClusterId) -> View {
         let leadership = replica.leadership().borrow().clone();
-        let (heard, lags) = (replica.heard(), replica.lags());
-        let known: BTreeMap<NodeId, Knowledge> = knowledge
-            .read(|base| base.iter().map(|(node, heard)| (node.clone(), heard.record.knowledge.clone())).collect());
-        let now = Instant::now();
-        let me = replica.id();
-
-        let mut present = BTreeSet::new();
-        let mut member = |id: RaftId, node: &NodeId, health: Health| {
-            let health = match health {
-                Health::Well { .. } => {
-                    present.insert(id);
-                    let since = *self.well_since.entry(id).or_insert(now);
-                    Health::Well { since: now.saturating_duration_since(since) }
-                }
-                health @ (Health::Silent { .. } | Health::Replaced) => health,
-            };
-            let said = known.get(node);
-            Member {
-                node: node.clone(),
-                health,
-                fixed: said.is_some_and(|said| said.stationary && said.mains_powered),
-                leaving: said.is_some_and(|said| said.leaving),
-                lag: lags.get(&id).copied().flatten(),
-            }
-        };
-        let health = |id: RaftId, node: &NodeId| {
-            if id == me {
-                return Health::Well { since: Duration::ZERO };
-            }
-            let gossips = knowledge.alive(node);
-            if gossips && known.get(node).is_some_and(|said| said.replica != Some(id.0)) {
-                return Health::Replaced;
-            }
-            let reign = self.began.elapsed();
-            let silent = heard.get(&id).copied().flatten().map_or(reign, |age| age.min(reign));
-            match silent {
-                silent if silent <= self.near => Health::Well { since: Duration::ZERO },
-                silent if gossips => Health::Silent { since: silent / HELD_UP },
-                silent => Health::Silent { since: silent },
-            }
-        };
-        let mut members = |all: &BTreeMap<RaftId, NodeId>| -> BTreeMap<RaftId, Member> {
-            all.iter().map(|(id, node)| (*id, member(*id, node, health(*id, node)))).collect()
-        };
-        let (voters, observers) = (members(&leadership.voters), members(&leadership.observers));
-        let candidates = known.iter().filter_map(|(node, said)| {
-            let id = RaftId(said.replica.filter(|_| said.may_vote)?);
-            let new = !leadership.voters.contains_key(&id) && !leadership.observers.contains_key(&id);
-            let ours = said.cluster.is_none_or(|its| its == cluster);
-            (new && ours && knowledge.alive(node)).then(|| (id, node.clone()))
-        });
-        let candidates: BTreeMap<RaftId, NodeId> = candidates.collect();
-        let there = |(id, node): (&RaftId, &NodeId)| (*id, member(*id, node, Health::Well { since: Duration::ZERO }));
-        let candidates = candidates.iter().map(there).collect();
-        self.well_since.retain(|id, _| present.contains(id));
+        let sight = Sight::of(replica, knowledge, self.near, self.began.elapsed());
+        let (mut voters, mut observers) = (sight.members(&leadership.voters), sight.members(&leadership.observers));
+        let mut candidates = sight.candidates(&leadership, cluster);
+        self.attendance.follow([&mut voters, &mut observers, &mut candidates]);
         View {
-            me,
+            me: replica.id(),
             target: self.target,
             dead_after: self.dead_after,
             settle: self.dead_after * 3,

@@ -15,6 +15,7 @@
 
 mod host;
 mod link;
+mod mirror;
 mod wire;
 
 use std::time::Duration;

@@ -1,14 +1,11 @@
 //! A bus whose traffic is counted, for a node's metrics: what a node sends and hears itself, by payload, without what it
 //! relays for others and what the bus adds.
 
-use super::{
-    Bus, BusError, Delivery, Encoding, Link, Presence, Query, Replier, Reply, Sample, SharedBus, Stream, Token, Whom,
-};
+use super::{BusError, Encoding, Layer, Query, Replier, Reply, Said, Sample, SharedBus, Stream};
 use async_trait::async_trait;
 use bytes::Bytes;
 use consort_protocol::keys::KeyKind;
 use std::sync::Arc;
-use std::time::Duration;
 
 /// Which way a message goes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -36,79 +33,49 @@ impl MeteredBus {
     pub fn new(bus: SharedBus, meter: Arc<dyn Meter>) -> MeteredBus {
         MeteredBus { bus, meter }
     }
+}
 
-    fn counted_replies(&self, replies: Stream<Reply>) -> Stream<Reply> {
+impl Layer for MeteredBus {
+    type Asked = ();
+
+    fn carrier(&self) -> &SharedBus {
+        &self.bus
+    }
+
+    fn publication(&self, key: &str, said: Said) -> Result<Said, BusError> {
+        self.meter.count(KeyKind::of(key), Direction::Sent, said.payload.len() + said.beside.len());
+        Ok(said)
+    }
+
+    fn publications(&self, _: &str, samples: Stream<Sample>) -> Stream<Sample> {
         let meter = Arc::clone(&self.meter);
-        replies.passing(move |reply: Reply| {
+        samples.passing(move |sample| {
+            meter.count(KeyKind::of(&sample.key), Direction::Received, sample.payload.len() + sample.beside.len());
+            sample
+        })
+    }
+
+    fn question(&self, key_expr: &str, said: Said) -> Result<(Said, ()), BusError> {
+        self.meter.count(KeyKind::of(key_expr), Direction::Sent, said.payload.len() + said.beside.len());
+        Ok((said, ()))
+    }
+
+    fn answers(&self, (): (), replies: Stream<Reply>) -> Stream<Reply> {
+        let meter = Arc::clone(&self.meter);
+        replies.passing(move |reply| {
             let bytes = reply.payload.as_ref().map_or_else(String::len, Bytes::len);
             meter.count(KeyKind::of(&reply.key), Direction::Received, bytes + reply.beside.len());
             reply
         })
     }
 
-    fn counted_questions(&self, questions: Stream<Query>) -> Stream<Query> {
+    fn questions(&self, _: &str, questions: Stream<Query>) -> Stream<Query> {
         let meter = Arc::clone(&self.meter);
-        questions.passing(move |query: Query| {
+        questions.passing(move |query| {
             meter.count(KeyKind::of(&query.key), Direction::Received, query.payload.len() + query.beside.len());
             let replier = MeteredReplier { replier: query.replier, meter: Arc::clone(&meter) };
             Query { replier: Box::new(replier), ..query }
         })
-    }
-}
-
-#[async_trait]
-impl Bus for MeteredBus {
-    async fn publish_with(
-        &self,
-        key: &str,
-        payload: Bytes,
-        beside: Bytes,
-        encoding: Encoding,
-        delivery: Delivery,
-    ) -> Result<(), BusError> {
-        self.meter.count(KeyKind::of(key), Direction::Sent, payload.len() + beside.len());
-        self.bus.publish_with(key, payload, beside, encoding, delivery).await
-    }
-
-    async fn subscribe(&self, key_expr: &str) -> Result<Stream<Sample>, BusError> {
-        let meter = Arc::clone(&self.meter);
-        let count = move |sample: Sample| {
-            meter.count(KeyKind::of(&sample.key), Direction::Received, sample.payload.len() + sample.beside.len());
-            sample
-        };
-        Ok(self.bus.subscribe(key_expr).await?.passing(count))
-    }
-
-    async fn ask(
-        &self,
-        key_expr: &str,
-        payload: Bytes,
-        beside: Bytes,
-        limit: Duration,
-        whom: Whom,
-    ) -> Result<Stream<Reply>, BusError> {
-        self.meter.count(KeyKind::of(key_expr), Direction::Sent, payload.len() + beside.len());
-        Ok(self.counted_replies(self.bus.ask(key_expr, payload, beside, limit, whom).await?))
-    }
-
-    async fn serve(&self, key_expr: &str) -> Result<Stream<Query>, BusError> {
-        Ok(self.counted_questions(self.bus.serve(key_expr).await?))
-    }
-
-    async fn serve_complete(&self, key_expr: &str) -> Result<Stream<Query>, BusError> {
-        Ok(self.counted_questions(self.bus.serve_complete(key_expr).await?))
-    }
-
-    async fn announce(&self, key: &str) -> Result<Token, BusError> {
-        self.bus.announce(key).await
-    }
-
-    async fn watch(&self, key_expr: &str) -> Result<Stream<Presence>, BusError> {
-        self.bus.watch(key_expr).await
-    }
-
-    async fn links(&self) -> Vec<Link> {
-        self.bus.links().await
     }
 }
 

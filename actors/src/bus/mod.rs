@@ -32,10 +32,12 @@
 //! ```
 
 mod keys;
+mod layer;
 mod metered;
 pub mod virtual_bus;
 pub mod zenoh_bus;
 
+pub(crate) use layer::{Layer, Said, turn_away};
 pub use metered::{Direction, Meter, MeteredBus};
 pub use virtual_bus::{LinkModel, Traffic, TrafficByKind, VirtualBus, VirtualNetwork};
 pub use zenoh_bus::{ZenohBus, ZenohSettings};

@@ -97,8 +97,6 @@ pub struct RobotState {
     pub(super) asked_at: NodeTime,
     pub(super) priced_at: NodeTime,
     pub(super) runs: u64,
-    /// Signals under awards no longer in force, counted since the start.
-    pub(super) outdated: u64,
     /// Whether the notebook is being written.
     pub(super) writing: bool,
     /// Whether there is, or may be, a page in the notebook.
@@ -162,7 +160,6 @@ impl Actor for Robot {
             asked_at: now,
             priced_at: now,
             runs: 0,
-            outdated: 0,
             writing: false,
             // Whatever stands there and is not taken up is torn out.
             page_written: true,
@@ -336,8 +333,7 @@ impl RobotState {
                     return; // one that does not know that it no longer coordinates
                 }
                 let abroad = self.coordinator.as_ref().is_some_and(|known| beacon.is_abroad(known));
-                let new = self.coordinator.as_ref().map(|known| (known.term, &known.node))
-                    != Some((beacon.term, &beacon.node));
+                let new = beacon.is_of_another_reign(self.coordinator.as_ref());
                 if abroad {
                     info!(robot = %self.settings.robot, node = %beacon.node, "follows the coordinator of another cluster");
                     self.tenure.forget_latest();

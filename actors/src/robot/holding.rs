@@ -5,6 +5,7 @@ use super::job::Job;
 use super::ladder::{Ladder, Setback};
 use super::pen::{Pen, Telling};
 use super::sequencer::Sequencer;
+use super::talk::OutdatedSignals;
 use crate::answer;
 use crate::bus::{BusError, Query, SharedBus};
 use crate::tasks::Tasks;
@@ -167,7 +168,7 @@ impl RobotState {
             surrender: None,
             first_goal,
             told_of_charge: false,
-            outdated: BTreeSet::new(),
+            outdated: OutdatedSignals::new(),
             _hearing: hearing,
         });
         if let Some(failure) = failure {
@@ -254,7 +255,7 @@ impl RobotState {
         self.reported_at = sent;
         let (bus, limit, to) = (self.settings.bus.clone(), self.settings.terms.lease / 4, myself.clone());
         self.tasks.spawn(async move {
-            let answer = ask(bus, &key, &report, limit).await;
+            let answer = send_report(bus, &key, &report, limit).await;
             // A robot that has stopped needs no answer.
             let _ = to.cast(RobotMessage::Reported { sent, answer });
         });
@@ -288,8 +289,8 @@ impl RobotState {
 
 const LEAVES: &str = "it leaves the fleet";
 
-/// Asks one coordinator.
-pub(crate) async fn ask(bus: SharedBus, key: &str, report: &Report, limit: Duration) -> Option<ReportAnswer> {
+/// Reports to one coordinator, and gives its answer.
+pub(crate) async fn send_report(bus: SharedBus, key: &str, report: &Report, limit: Duration) -> Option<ReportAnswer> {
     let bytes = Bytes::from(codec::encode(report).expect("a report fits a message"));
     let mut replies = bus.query(key, bytes, limit).await.ok()?;
     match codec::decode(&replies.recv().await?.payload.ok()?) {

@@ -7,14 +7,13 @@ use super::pen::Pen;
 use super::sequencer::{Sequencer, Spot};
 use super::skill_runner::RunnerMessage;
 use super::surrender::Surrender;
+use super::talk::OutdatedSignals;
 use crate::tasks::Tasks;
 use consort_protocol::ids::{MissionId, RoleId};
-use consort_protocol::lease::{Award, Epoch};
-use consort_protocol::plan::Signal;
+use consort_protocol::lease::Award;
 use consort_protocol::units::NodeTime;
 use consort_skills::actions::GoalId;
 use ractor::ActorRef;
-use std::collections::BTreeSet;
 
 /// The plan under way.
 pub(super) struct Job {
@@ -35,7 +34,7 @@ pub(super) struct Job {
     /// Whether it was told that the battery falls short.
     pub(super) told_of_charge: bool,
     /// What was said under awards no longer in force, so that each is told of once.
-    pub(super) outdated: BTreeSet<(Signal, Epoch)>,
+    pub(super) outdated: OutdatedSignals,
     pub(super) _hearing: Tasks,
 }
 

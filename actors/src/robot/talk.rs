@@ -8,6 +8,7 @@ use crate::bus::{BusError, Delivery, Encoding, SharedBus};
 use crate::tasks::Tasks;
 use bytes::Bytes;
 use consort_protocol::codec;
+use consort_protocol::event::Happening;
 use consort_protocol::ids::{MissionId, RoleId};
 use consort_protocol::keys::{Key, Keys};
 use consort_protocol::lease::Epoch;
@@ -27,7 +28,12 @@ pub(crate) struct Talk {
     keys: Keys,
     /// Those of roles that were put down in the order in which they were.
     tellers: VecDeque<Teller>,
+    /// Signals under awards no longer in force, counted since the start.
+    outdated: u64,
 }
+
+/// What a role was told under awards no longer in force.
+pub(crate) type OutdatedSignals = BTreeSet<(Signal, Epoch)>;
 
 struct Teller {
     mission: MissionId,
@@ -40,7 +46,7 @@ struct Teller {
 
 impl Talk {
     pub(crate) fn new(bus: SharedBus, keys: Keys) -> Talk {
-        Talk { bus, keys, tellers: VecDeque::new() }
+        Talk { bus, keys, tellers: VecDeque::new(), outdated: 0 }
     }
 
     /// Begins to answer for a role, with what it has said already.
@@ -91,6 +97,21 @@ impl Talk {
         if let Err(problem) = self.bus.publish(&key, bytes, Encoding::Wire, Delivery::Drop).await {
             debug!(%problem, "a signal was not published; who waits for it will ask");
         }
+    }
+
+    /// A signal was heard that its teller said under an award no longer in force: counted, and what there is to tell of it when
+    /// its hearer hears it for the first time.
+    pub(crate) fn note_outdated(
+        &mut self,
+        heard: &mut OutdatedSignals,
+        said: &Said,
+        signal: &Signal,
+        known: Epoch,
+    ) -> Option<Happening> {
+        self.outdated += 1;
+        let (mission, epoch, count) = (said.mission.clone(), said.epoch, self.outdated);
+        let first = heard.insert((signal.clone(), epoch));
+        first.then(|| Happening::Outdated { mission, signal: signal.clone(), epoch, known, count })
     }
 
     /// Asks those from whom something is awaited what they have said; each answer is handed to `tell`.

@@ -250,12 +250,8 @@ impl RobotState {
             match job.sequencer.hear(signal, said.epoch) {
                 Ok(new) => news |= new,
                 Err(Outdated { known }) => {
-                    self.outdated += 1;
-                    if job.outdated.insert((signal.clone(), said.epoch)) {
-                        let (mission, signal) = (said.mission.clone(), signal.clone());
-                        let (epoch, count) = (said.epoch, self.outdated);
-                        self.settings.events.tell(Happening::Outdated { mission, signal, epoch, known, count });
-                    }
+                    let told = self.talk.note_outdated(&mut job.outdated, said, signal, known);
+                    told.into_iter().for_each(|what| self.settings.events.tell(what));
                 }
             }
         }

@@ -4,9 +4,7 @@ use super::cards::{Cards, wall};
 use super::keyring::{Card, Keyring};
 use super::notary::Signatory;
 use super::refusals::Refusals;
-use crate::bus::{
-    Bus, BusError, Delivery, Encoding, Link, Presence, Query, Replier, Reply, Sample, SharedBus, Stream, Token, Whom,
-};
+use crate::bus::{BusError, Encoding, Layer, Query, Replier, Reply, Said, Sample, SharedBus, Stream, turn_away};
 use crate::clock::Clock;
 use crate::gossip::SharedNotary;
 use async_trait::async_trait;
@@ -19,7 +17,6 @@ use consort_protocol::trust::{
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 use std::sync::Arc;
-use std::time::Duration;
 
 /// A bus that seals what the fleet's nodes say, and hands out only what its author sealed, may say, and says for the first time.
 ///
@@ -106,7 +103,7 @@ impl SealedBus {
     }
 
     /// What nodes ask one another.
-    fn questions(&self, questions: Stream<Query>) -> Stream<Query> {
+    fn sealed_questions(&self, questions: Stream<Query>) -> Stream<Query> {
         let (trust, keys, mut windows) = (Arc::clone(&self.trust), self.keys.clone(), Windows::default());
         questions.sifting(move |query| {
             let heard = Heard { kind: Kind::Question, key: &query.key, bytes: &query.payload, beside: None };
@@ -119,8 +116,7 @@ impl SealedBus {
                     Some(Query { payload, replier, ..query })
                 }
                 Err(reason) => {
-                    // Whoever asks in good faith need not wait for its limit.
-                    tokio::spawn(async move { query.replier.refuse(&reason).await });
+                    turn_away(query, reason);
                     None
                 }
             }
@@ -138,14 +134,6 @@ impl SealedBus {
             }
             None => query,
         })
-    }
-
-    fn served(&self, key_expr: &str, questions: Stream<Query>) -> Stream<Query> {
-        match self.place(key_expr) {
-            Place::Around => self.questions(questions),
-            Place::Beside => self.anybodys_questions(questions),
-            Place::Nowhere => questions,
-        }
     }
 
     /// Those answers to a question that are believed; of an answer beside which there is a seal, `asked` is the question.
@@ -277,82 +265,68 @@ fn late(card: &Card, below: &str) -> String {
     )
 }
 
-#[async_trait]
-impl Bus for SealedBus {
-    async fn publish_with(
-        &self,
-        key: &str,
-        payload: Bytes,
-        beside: Bytes,
-        encoding: Encoding,
-        delivery: Delivery,
-    ) -> Result<(), BusError> {
-        let keyring = &self.trust.keyring;
-        let (payload, beside) = match self.place(key) {
-            Place::Around => (keyring.seal(Kind::Publication, keyring.number(), key, &payload).into(), beside),
-            Place::Beside => {
-                let seal = keyring.seal_beside(Kind::Publication, key, &[], &payload);
-                (payload, seal.into())
-            }
-            Place::Nowhere => (payload, beside),
-        };
-        self.bus.publish_with(key, payload, beside, encoding, delivery).await
+impl Layer for SealedBus {
+    /// The number of a question that was sealed, and the question itself if the seals of its answers stand beside them.
+    type Asked = Option<(u64, Option<Bytes>)>;
+
+    fn carrier(&self) -> &SharedBus {
+        &self.bus
     }
 
-    async fn subscribe(&self, key_expr: &str) -> Result<Stream<Sample>, BusError> {
-        let samples = self.bus.subscribe(key_expr).await?;
-        Ok(match self.place(key_expr) {
-            Place::Nowhere => samples,
-            place => self.samples(samples, place),
+    fn publication(&self, key: &str, said: Said) -> Result<Said, BusError> {
+        let keyring = &self.trust.keyring;
+        Ok(match self.place(key) {
+            Place::Around => {
+                let payload = keyring.seal(Kind::Publication, keyring.number(), key, &said.payload).into();
+                Said { payload, ..said }
+            }
+            Place::Beside => {
+                let beside = keyring.seal_beside(Kind::Publication, key, &[], &said.payload).into();
+                Said { beside, ..said }
+            }
+            Place::Nowhere => said,
         })
     }
 
-    async fn ask(
-        &self,
-        key_expr: &str,
-        payload: Bytes,
-        beside: Bytes,
-        limit: Duration,
-        whom: Whom,
-    ) -> Result<Stream<Reply>, BusError> {
-        let keyring = &self.trust.keyring;
-        // What is asked reaches whoever answers without its parameters.
-        let key = key_expr.split('?').next().unwrap_or_default();
-        match self.place(key) {
-            Place::Nowhere => self.bus.ask(key_expr, payload, beside, limit, whom).await,
-            Place::Around => {
-                let number = keyring.number();
-                let sealed = keyring.seal(Kind::Question, number, key, &payload).into();
-                let replies = self.bus.ask(key_expr, sealed, beside, limit, whom).await?;
-                Ok(self.replies(replies, number, None))
-            }
-            Place::Beside => {
-                let number = keyring.number();
-                let asker = write_asker(keyring.fingerprint(), number).into();
-                let replies = self.bus.ask(key_expr, payload.clone(), asker, limit, whom).await?;
-                Ok(self.replies(replies, number, Some(payload)))
-            }
+    fn publications(&self, key_expr: &str, samples: Stream<Sample>) -> Stream<Sample> {
+        match self.place(key_expr) {
+            Place::Nowhere => samples,
+            place => self.samples(samples, place),
         }
     }
 
-    async fn serve(&self, key_expr: &str) -> Result<Stream<Query>, BusError> {
-        Ok(self.served(key_expr, self.bus.serve(key_expr).await?))
+    fn question(&self, key_expr: &str, said: Said) -> Result<(Said, Self::Asked), BusError> {
+        let keyring = &self.trust.keyring;
+        // What is asked reaches whoever answers without its parameters.
+        let key = key_expr.split('?').next().unwrap_or_default();
+        Ok(match self.place(key) {
+            Place::Nowhere => (said, None),
+            Place::Around => {
+                let number = keyring.number();
+                let payload = keyring.seal(Kind::Question, number, key, &said.payload).into();
+                (Said { payload, ..said }, Some((number, None)))
+            }
+            Place::Beside => {
+                let number = keyring.number();
+                let (beside, asked) = (write_asker(keyring.fingerprint(), number).into(), said.payload.clone());
+                (Said { beside, ..said }, Some((number, Some(asked))))
+            }
+        })
     }
 
-    async fn serve_complete(&self, key_expr: &str) -> Result<Stream<Query>, BusError> {
-        Ok(self.served(key_expr, self.bus.serve_complete(key_expr).await?))
+    fn answers(&self, asked: Self::Asked, replies: Stream<Reply>) -> Stream<Reply> {
+        match asked {
+            Some((number, asked)) => self.replies(replies, number, asked),
+            None => replies,
+        }
     }
 
-    async fn announce(&self, key: &str) -> Result<Token, BusError> {
-        self.bus.announce(key).await
-    }
-
-    async fn watch(&self, key_expr: &str) -> Result<Stream<Presence>, BusError> {
-        self.bus.watch(key_expr).await
-    }
-
-    async fn links(&self) -> Vec<Link> {
-        self.bus.links().await
+    fn questions(&self, key_expr: &str, questions: Stream<Query>) -> Stream<Query> {
+        match self.place(key_expr) {
+            Place::Around => self.sealed_questions(questions),
+            Place::Beside => self.anybodys_questions(questions),
+            Place::Nowhere => questions,
+        }
     }
 }
 

@@ -3,6 +3,7 @@
 use super::Looks;
 use crate::calls::{self, Which};
 use consort_protocol::auction::{AuctionRecord, Explanation, explain};
+use consort_protocol::count::count;
 use consort_protocol::ids::{MissionId, NodeId};
 use consort_protocol::keys::{ApiCall, Key};
 use serde_json::{Value, json};
@@ -147,7 +148,7 @@ fn words(
         }
     }
     if let Some(omitted) = explanation.map(|explanation| explanation.omitted).filter(|omitted| *omitted > 0) {
-        lines.push(format!("{omitted} more answers were not kept"));
+        lines.push(count(omitted, "more answer was not kept", "more answers were not kept"));
     }
     lines.extend(others.iter().map(|(_, why)| why.clone()));
     lines.extend(releases.iter().cloned());

@@ -1,13 +1,14 @@
 //! The fleet as one node sees it, in JSON.
 
 use super::Views;
-use super::health::{Picture, findings};
+use super::health::{Signs, findings};
 use super::mission::{auctions, mission, missions};
 use super::standing::Standing;
 use crate::gossip::Status;
-use consort_protocol::ids::{NodeId, RobotId};
+use consort_protocol::ids::{MissionId, NodeId, RobotId, RoleId};
 use consort_protocol::keys::Key;
 use consort_protocol::knowledge::{Availability, Heard};
+use consort_protocol::lease::Epoch;
 use consort_protocol::ledger::{Ledger, MissionState};
 use consort_protocol::units::NodeTime;
 use serde_json::{Map, Value, json};
@@ -147,21 +148,26 @@ impl Window<'_> {
     /// One node. The statuses come from outside: knowledge is locked while its records are looked at.
     fn node(&self, node: &NodeId, heard: &Heard, statuses: &BTreeMap<NodeId, Status>) -> Value {
         let record = &heard.record;
-        let worker = record.knowledge.worker.as_ref();
+        let alive = statuses.get(node).is_some_and(Status::is_alive);
         let by_ledger = self.ledger(|ledger| {
             let held = ledger.held_by(&RobotId::from(node.clone()));
-            held.map(|(entry, role, epoch)| json!({ "mission": entry.id, "role": role, "epoch": epoch.to_string() }))
+            held.map(|(entry, role, epoch)| (entry.id.clone(), role.clone(), Some(epoch)))
         });
+        let mut worker = record.knowledge.worker.clone();
+        if let (false, Some(worker)) = (alive, &mut worker) {
+            worker.availability = since_down(&worker.availability, by_ledger.as_ref().and_then(Option::as_ref));
+        }
         // Without the ledger, what the robot says of itself.
-        let held = by_ledger.unwrap_or_else(|| match worker.map(|worker| &worker.availability) {
-            Some(Availability::Holding { mission, role, .. }) => {
-                Some(json!({ "mission": mission, "role": role, "epoch": null }))
-            }
+        let held = by_ledger.unwrap_or_else(|| match worker.as_ref().map(|worker| &worker.availability) {
+            Some(Availability::Holding { mission, role, .. }) => Some((mission.clone(), role.clone(), None)),
             Some(Availability::Free | Availability::OutOfService { .. }) | None => None,
+        });
+        let held = held.map(|(mission, role, epoch)| {
+            json!({ "mission": mission, "role": role, "epoch": epoch.map(|epoch: Epoch| epoch.to_string()) })
         });
         json!({
             "node": node,
-            "alive": statuses.get(node).is_some_and(Status::is_alive),
+            "alive": alive,
             "status": statuses.get(node).unwrap_or(&Status::Unknown).word(),
             "age_ms": heard.age(self.now).as_millis(),
             "seen_by": self.of.node,
@@ -186,36 +192,36 @@ impl Window<'_> {
     }
 
     fn health(&self) -> Value {
-        let findings = findings(&self.picture());
+        let findings = findings(&self.signs());
         json!({ "level": findings.first().map(|worst| worst.level), "findings": findings })
     }
 
-    fn picture(&self) -> Picture {
+    fn signs(&self) -> Signs {
         let statuses = self.of.knowledge.statuses();
         let alive = |node: &NodeId| *node == self.of.node || statuses.get(node).is_some_and(Status::is_alive);
-        let mut picture = Picture {
+        let mut signs = Signs {
             coordinator: self.standing.coordinator.clone().map(|node| (node, self.standing.term)),
             silent_ms: self.standing.age_ms,
             foreign: self.foreign(),
             alive: statuses.values().filter(|status| status.is_alive()).count(),
             knows_missions: self.standing.keeps_ledger,
-            ..Picture::default()
+            ..Signs::default()
         };
         let lost = |node: &NodeId| self.standing.voters_lost.contains(node);
-        picture.voters = self.standing.voters.iter().map(|node| (node.clone(), alive(node) && !lost(node))).collect();
+        signs.voters = self.standing.voters.iter().map(|node| (node.clone(), alive(node) && !lost(node))).collect();
         self.of.knowledge.read(|base| {
             for (node, heard) in base.iter() {
                 let status = statuses.get(node).copied().unwrap_or(Status::Unknown);
                 let age_ms = u64::try_from(heard.age(self.now).as_millis()).unwrap_or(u64::MAX);
                 if matches!(status, Status::Down { .. } | Status::Suspect { .. }) && !heard.record.knowledge.leaving {
-                    picture.unwell.push((node.clone(), status.word(), age_ms));
+                    signs.unwell.push((node.clone(), status.word(), age_ms));
                 }
                 match heard.record.knowledge.worker.as_ref().map(|worker| &worker.availability) {
                     Some(Availability::OutOfService { problem }) => {
-                        picture.out_of_service.push((node.clone(), problem.clone()));
+                        signs.out_of_service.push((node.clone(), problem.clone()));
                     }
-                    Some(Availability::Holding { mission, role, suspended: true }) => {
-                        picture.suspended.push((node.clone(), format!("{role} of {mission}")));
+                    Some(Availability::Holding { mission, role, suspended: true }) if alive(node) => {
+                        signs.suspended.push((node.clone(), format!("{role} of {mission}")));
                     }
                     Some(Availability::Holding { .. } | Availability::Free) | None => {}
                 }
@@ -225,16 +231,32 @@ impl Window<'_> {
             for entry in ledger.missions() {
                 match (&entry.state, &entry.auction) {
                     (MissionState::NeedsRescue { cause, .. }, _) => {
-                        picture.rescue.push((entry.id.to_string(), cause.clone()));
+                        signs.rescue.push((entry.id.to_string(), cause.clone()));
                     }
                     (MissionState::Pending, Some(auction)) => {
                         let why = auction.failure.clone().map(|why| (entry.id.to_string(), why));
-                        picture.pending.extend(why);
+                        signs.pending.extend(why);
                     }
                     _ => {}
                 }
             }
         });
-        picture
+        signs
+    }
+}
+
+/// A role that a robot holds, as the ledger says.
+type Held = (MissionId, RoleId, Option<Epoch>);
+
+/// Whether a robot that is down could take a role, if it were there. It hears of nothing any more, so that it last said to hold
+/// a role means nothing: it holds what the ledger says, and nothing that is known where there is no ledger.
+fn since_down(said: &Availability, held: Option<&Held>) -> Availability {
+    match (said, held) {
+        (Availability::OutOfService { .. }, _) => said.clone(),
+        (_, Some((mission, role, _))) => {
+            let suspended = matches!(said, Availability::Holding { suspended: true, .. });
+            Availability::Holding { mission: mission.clone(), role: role.clone(), suspended }
+        }
+        (_, None) => Availability::Free,
     }
 }

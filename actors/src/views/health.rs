@@ -1,5 +1,6 @@
 //! What is the matter with a fleet, in words, each with how bad it is.
 
+use consort_protocol::count::count;
 use consort_protocol::ids::NodeId;
 use serde::Serialize;
 
@@ -30,7 +31,7 @@ pub(super) struct Finding {
 
 /// What a node knows that health is judged by.
 #[derive(Debug, Clone, Default)]
-pub(super) struct Picture {
+pub(super) struct Signs {
     /// Who coordinates, and in which term.
     pub(super) coordinator: Option<(NodeId, u64)>,
     /// How long ago there was word from a coordinator, in milliseconds; `None` for never.
@@ -56,14 +57,14 @@ pub(super) struct Picture {
 }
 
 /// Judges. What is worst comes first; if nothing is the matter, one finding says so.
-pub(super) fn findings(picture: &Picture) -> Vec<Finding> {
+pub(super) fn findings(signs: &Signs) -> Vec<Finding> {
     let mut all = vec![];
     let mut find = |level, about, name: Option<&str>, says: String| {
         all.push(Finding { level, about, name: name.map(str::to_owned), says });
     };
-    let (alive, voters) = (picture.voters.iter().filter(|(_, alive)| *alive).count(), picture.voters.len());
+    let (alive, voters) = (signs.voters.iter().filter(|(_, alive)| *alive).count(), signs.voters.len());
     let has_quorum = voters == 0 || alive > voters / 2;
-    match (&picture.coordinator, picture.silent_ms) {
+    match (&signs.coordinator, signs.silent_ms) {
         (Some(_), _) => {}
         (None, None) => find(Level::Error, "coordinator", None, "nobody has been heard to coordinate yet".to_owned()),
         (None, Some(silent)) => {
@@ -72,7 +73,7 @@ pub(super) fn findings(picture: &Picture) -> Vec<Finding> {
             find(Level::Error, "coordinator", None, says);
         }
     }
-    let lost = picture.voters.iter().filter(|(_, alive)| !alive).map(|(node, _)| node.as_str()).collect::<Vec<_>>();
+    let lost = signs.voters.iter().filter(|(_, alive)| !alive).map(|(node, _)| node.as_str()).collect::<Vec<_>>();
     if !has_quorum {
         let says = format!("no quorum: {alive} of {voters} voters reachable; lost are {}", lost.join(", "));
         find(Level::Error, "quorum", None, says);
@@ -82,41 +83,37 @@ pub(super) fn findings(picture: &Picture) -> Vec<Finding> {
             format!("{alive} of {voters} voters reachable, without {}; {more} more may be lost", lost.join(", "));
         find(Level::Warning, "quorum", None, says);
     }
-    for (cluster, node) in &picture.foreign {
+    for (cluster, node) in &signs.foreign {
         let says = format!(
             "{node} belongs to another cluster of this fleet's name, {cluster}, founded apart: they do not merge. Stop the \
              nodes of one of them and start them again with empty stores"
         );
         find(Level::Error, "cluster", Some(node.as_str()), says);
     }
-    for (mission, why) in &picture.rescue {
+    for (mission, why) in &signs.rescue {
         find(Level::Error, "mission", Some(mission), format!("{mission} needs rescue: {why}"));
     }
-    for (node, word, age_ms) in &picture.unwell {
+    for (node, word, age_ms) in &signs.unwell {
         let says = format!("{node} is {word}; it was last heard {:.1} s ago", *age_ms as f64 / 1e3);
         find(Level::Warning, "node", Some(node.as_str()), says);
     }
-    for (robot, problem) in &picture.out_of_service {
+    for (robot, problem) in &signs.out_of_service {
         find(Level::Warning, "robot", Some(robot.as_str()), format!("{robot} is out of service: {problem}"));
     }
-    for (robot, role) in &picture.suspended {
+    for (robot, role) in &signs.suspended {
         let says = format!("{robot} stands still as {role}: its lease ran out");
         find(Level::Warning, "robot", Some(robot.as_str()), says);
     }
-    for (mission, why) in &picture.pending {
+    for (mission, why) in &signs.pending {
         find(Level::Warning, "mission", Some(mission), format!("{mission} waits: {why}"));
     }
-    if !picture.knows_missions {
+    if !signs.knows_missions {
         let says = "no keeper of the ledger answers: nothing is known of missions".to_owned();
         find(Level::Warning, "ledger", None, says);
     }
     if all.is_empty() {
-        let coordinator = picture.coordinator.as_ref().map(|(node, term)| format!("{node} coordinates in term {term}"));
-        let nodes = if picture.alive == 1 {
-            "1 node is alive".to_owned()
-        } else {
-            format!("{} nodes are alive", picture.alive)
-        };
+        let coordinator = signs.coordinator.as_ref().map(|(node, term)| format!("{node} coordinates in term {term}"));
+        let nodes = count(signs.alive, "node is alive", "nodes are alive");
         let says = format!("{}; {voters} of {voters} voters reachable; {nodes}", coordinator.unwrap_or_default());
         all.push(Finding { level: Level::Ok, about: "fleet", name: None, says });
     }
@@ -132,14 +129,14 @@ mod tests {
         NodeId::new(name).unwrap()
     }
 
-    fn well() -> Picture {
+    fn well() -> Signs {
         let voters = ["a", "b", "c"].map(|name| (node(name), true)).to_vec();
         let coordinator = Some((node("a"), 3));
-        Picture { coordinator, silent_ms: Some(0), voters, alive: 7, knows_missions: true, ..Picture::default() }
+        Signs { coordinator, silent_ms: Some(0), voters, alive: 7, knows_missions: true, ..Signs::default() }
     }
 
-    fn words(picture: &Picture) -> Vec<(Level, String)> {
-        findings(picture).into_iter().map(|finding| (finding.level, finding.says)).collect()
+    fn words(signs: &Signs) -> Vec<(Level, String)> {
+        findings(signs).into_iter().map(|finding| (finding.level, finding.says)).collect()
     }
 
     #[test]
@@ -150,15 +147,15 @@ mod tests {
 
     #[test]
     fn voters_that_are_lost_are_a_warning_until_too_many_are() {
-        let mut picture = well();
-        picture.voters[1].1 = false;
+        let mut signs = well();
+        signs.voters[1].1 = false;
         let says = "2 of 3 voters reachable, without b; 0 more may be lost".to_owned();
-        assert_eq!(words(&picture), [(Level::Warning, says)]);
-        picture.voters[2].1 = false;
-        picture.coordinator = None;
-        picture.silent_ms = Some(2500);
+        assert_eq!(words(&signs), [(Level::Warning, says)]);
+        signs.voters[2].1 = false;
+        signs.coordinator = None;
+        signs.silent_ms = Some(2500);
         assert_eq!(
-            words(&picture),
+            words(&signs),
             [
                 (Level::Error, "nobody coordinates; the last word of a coordinator is 2.5 s old".to_owned()),
                 (Level::Error, "no quorum: 1 of 3 voters reachable; lost are b, c".to_owned()),
@@ -168,15 +165,15 @@ mod tests {
 
     #[test]
     fn what_is_worst_comes_first() {
-        let mut picture = well();
-        picture.unwell = vec![(node("d"), "down", 9000)];
-        picture.out_of_service = vec![(node("e"), "its battery is empty".to_owned())];
-        picture.suspended = vec![(node("f"), "r1 of m-1".to_owned())];
-        picture.pending = vec![("m-2".to_owned(), "no viable bid for r1".to_owned())];
-        picture.rescue = vec![("m-3".to_owned(), "g was lost with the sample".to_owned())];
-        picture.foreign = vec![("00ff".to_owned(), node("z"))];
+        let mut signs = well();
+        signs.unwell = vec![(node("d"), "down", 9000)];
+        signs.out_of_service = vec![(node("e"), "its battery is empty".to_owned())];
+        signs.suspended = vec![(node("f"), "r1 of m-1".to_owned())];
+        signs.pending = vec![("m-2".to_owned(), "no viable bid for r1".to_owned())];
+        signs.rescue = vec![("m-3".to_owned(), "g was lost with the sample".to_owned())];
+        signs.foreign = vec![("00ff".to_owned(), node("z"))];
         let levels: Vec<(Level, &str)> =
-            findings(&picture).iter().map(|finding| (finding.level, finding.about)).collect();
+            findings(&signs).iter().map(|finding| (finding.level, finding.about)).collect();
         use Level::{Error, Warning};
         let expected = [
             (Error, "cluster"),
@@ -187,7 +184,7 @@ mod tests {
             (Warning, "mission"),
         ];
         assert_eq!(levels, expected);
-        let says: Vec<String> = words(&picture).into_iter().map(|(_, says)| says).skip(1).take(4).collect();
+        let says: Vec<String> = words(&signs).into_iter().map(|(_, says)| says).skip(1).take(4).collect();
         assert_eq!(
             says,
             [

@@ -5,6 +5,7 @@ use crate::exit::Failure;
 use crate::file::{there_already, write_whole};
 use crate::output;
 use consort_actors::store::Backup;
+use consort_protocol::count::count;
 use consort_protocol::keys::ApiCall;
 use serde_json::{Value, json};
 use std::path::PathBuf;
@@ -61,7 +62,9 @@ pub fn run(args: Args) -> Result<(), Failure> {
         return output::line(said);
     }
     output::line(format_args!(
-        "{}: the ledger of {fleet} up to entry {term}.{index}, given by {by}: {missions} missions, of which {under_way} have not ended",
-        out.display()
+        "{}: the ledger of {fleet} up to entry {term}.{index}, given by {by}: {}, of which {}",
+        out.display(),
+        count(*missions, "mission", "missions"),
+        count(*under_way, "has not ended", "have not ended")
     ))
 }

@@ -3,6 +3,7 @@
 use crate::certs::{Certs, Holder, State};
 use crate::exit::Failure;
 use crate::output;
+use consort_protocol::count::count;
 use consort_protocol::ids::{FleetId, NodeId, PersonId};
 use consort_protocol::trust::{Bearer, Identity, NodeRole, Scope};
 use serde_json::json;
@@ -151,7 +152,8 @@ fn renew(dir: &Path, name: &str, days: u32) -> Result<(), Failure> {
 
 fn tell(folder: &Path, identity: &Identity, days: u32) -> Result<(), Failure> {
     let folder = folder.display();
-    output::line(format_args!("{folder} is for {} of fleet {}, for {days} days", identity.bearer, identity.fleet))
+    let good_for = count(days, "day", "days");
+    output::line(format_args!("{folder} is for {} of fleet {}, for {good_for}", identity.bearer, identity.fleet))
 }
 
 fn show(holders: &[Holder], json: bool) -> Result<(), Failure> {
@@ -162,8 +164,7 @@ fn show(holders: &[Holder], json: bool) -> Result<(), Failure> {
     let mut rows = vec![["NAME", "WHO", "GOOD FOR", "SERIAL"].map(str::to_owned).to_vec()];
     rows.extend(holders.iter().map(|holder| {
         let state = match holder.state {
-            State::Valid { days: 1 } => "1 day".to_owned(),
-            State::Valid { days } => format!("{days} days"),
+            State::Valid { days } => count(days, "day", "days"),
             State::Expired => "expired".to_owned(),
             State::Revoked => "revoked".to_owned(),
         };

@@ -3,6 +3,7 @@
 use crate::exit::Failure;
 use crate::output::{self, Waiting};
 use clap::{ArgGroup, Args as ClapArgs};
+use consort_protocol::count::count;
 use consort_protocol::mutants::{self, Mutant};
 use consort_tests::chaos::many::percentiles;
 use consort_tests::chaos::mutants::{HUNTS, hunt};
@@ -270,8 +271,8 @@ fn one(args: &Args, seed: u64) -> Result<(), Failure> {
 }
 
 fn many(args: &Args) -> Result<(), Failure> {
-    let count = args.seeds.end() - args.seeds.start() + 1;
-    let bar = ProgressBar::new(count);
+    let seeds = args.seeds.end() - args.seeds.start() + 1;
+    let bar = ProgressBar::new(seeds);
     let style = "{bar:40} {pos}/{len} seeds, {per_sec}, {eta} left  {msg}";
     bar.set_style(ProgressStyle::with_template(style).expect("the template is sound"));
     let began = Instant::now();
@@ -286,7 +287,8 @@ fn many(args: &Args) -> Result<(), Failure> {
     let found = many.run(|outcome| {
         bar.inc(1);
         totals.add(outcome);
-        bar.set_message(format!("{} missions, {} takeovers", totals.acknowledged, totals.takeovers.len()));
+        let missions = count(totals.acknowledged, "mission", "missions");
+        bar.set_message(format!("{missions}, {}", count(totals.takeovers.len(), "takeover", "takeovers")));
         if args.json && printed.is_ok() {
             printed = json(outcome);
         }
@@ -299,17 +301,18 @@ fn many(args: &Args) -> Result<(), Failure> {
         return broken(args, &args.order(outcome.seed), &args.generated(outcome.seed), violation, true);
     }
     let seconds = began.elapsed().as_secs_f64();
-    let rate = count as f64 * 60.0 / seconds;
+    let rate = seeds as f64 * 60.0 / seconds;
     if !args.json {
         output::line(format_args!(
-            "{count} seeds held: {} missions acknowledged, none lost ({} completed, {} failed with a cause, {} withdrawn)\n\
-             {} takeovers{}; converged{} after the last fault\n\
+            "{} held: {} acknowledged, none lost ({} completed, {} failed with a cause, {} withdrawn)\n\
+             {}{}; converged{} after the last fault\n\
              {:.1} simulated hours in {seconds:.1} s, {rate:.0} seeds a minute",
-            totals.acknowledged,
+            count(seeds, "seed", "seeds"),
+            count(totals.acknowledged, "mission", "missions"),
             totals.completed,
             totals.failed,
             totals.canceled,
-            totals.takeovers.len(),
+            count(totals.takeovers.len(), "takeover", "takeovers"),
             middle_and_worst(&totals.takeovers, 1.0, "ms"),
             middle_and_worst(&totals.converged, 1000.0, "s"),
             totals.simulated_ms as f64 / 3_600_000.0,
@@ -353,14 +356,14 @@ impl Totals {
 fn summary(outcome: &Outcome) -> String {
     let tally = &outcome.tally;
     format!(
-        "seed {} held: {} missions acknowledged, none lost ({} completed, {} failed with a cause, {} withdrawn); {} takeovers; \
+        "seed {} held: {} acknowledged, none lost ({} completed, {} failed with a cause, {} withdrawn); {}; \
          digest {}",
         outcome.seed,
-        tally.acknowledged,
+        count(tally.acknowledged, "mission", "missions"),
         tally.completed,
         tally.failed,
         tally.canceled,
-        tally.takeovers_ms.len(),
+        count(tally.takeovers_ms.len(), "takeover", "takeovers"),
         outcome.digest,
     )
 }
@@ -380,7 +383,7 @@ fn broken(
         let bar = ProgressBar::new_spinner();
         let mut last = violation.clone();
         let smallest = shrink(schedule, SHRINK_TRIES, |tried| {
-            bar.set_message(format!("leaving out what does not matter: {} steps", tried.steps.len()));
+            bar.set_message(format!("leaving out what does not matter: {}", count(tried.steps.len(), "step", "steps")));
             bar.tick();
             let again = in_quiet(args, order, tried).violation.filter(|again| again.invariant == violation.invariant);
             let fails = again.is_some();

@@ -3,6 +3,7 @@
 use crate::check::{Kind, check};
 use crate::exit::Failure;
 use crate::output;
+use consort_protocol::count::count;
 use std::path::PathBuf;
 
 /// Check mission, map, fleet, robot, station, world and workers files
@@ -41,6 +42,6 @@ pub fn run(args: Args) -> Result<(), Failure> {
     }
     match wrong {
         0 => Ok(()),
-        _ => Err(Failure::Unsuccessful(format!("{wrong} of {} files have problems", args.files.len()))),
+        _ => Err(Failure::Unsuccessful(format!("problems in {wrong} of {}", count(args.files.len(), "file", "files")))),
     }
 }

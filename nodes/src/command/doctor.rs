@@ -4,6 +4,7 @@ use crate::client::ClientFlags;
 use crate::doctor::{Patient, State, examine};
 use crate::exit::Failure;
 use crate::output;
+use consort_protocol::count::count;
 use serde_json::json;
 use std::path::PathBuf;
 
@@ -48,9 +49,12 @@ pub fn run(args: Args) -> Result<(), Failure> {
     if args.json {
         output::line(json!(findings))?;
     }
-    let count = |state| findings.iter().filter(|finding| finding.state == state).count();
-    match count(State::Error) {
+    let number = |state| findings.iter().filter(|finding| finding.state == state).count();
+    match number(State::Error) {
         0 => Ok(()),
-        errors => Err(Failure::Unsuccessful(format!("{errors} errors, {} warnings", count(State::Warning)))),
+        errors => {
+            let warnings = count(number(State::Warning), "warning", "warnings");
+            Err(Failure::Unsuccessful(format!("{}, {warnings}", count(errors, "error", "errors"))))
+        }
     }
 }

@@ -1,10 +1,11 @@
 //! `consort experiment`: the published evaluation, and others, on whole fleets.
 
 use crate::config::{self, Problem, Problems};
+use crate::evaluation::{Evaluation, Instead};
 use crate::exit::Failure;
 use crate::output::{self, Waiting};
-use crate::plan::{Instead, Plan};
 use clap::{Args as ClapArgs, Subcommand};
+use consort_protocol::count::count;
 use consort_sim::experiment::calibration::{Calibration, Observation, QUANTILE};
 use consort_sim::experiment::design::{self, Design};
 use consort_sim::experiment::outcome::EndState;
@@ -150,13 +151,13 @@ pub fn run(args: &Args) -> Result<(), Failure> {
 }
 
 impl Common {
-    fn plan(&self) -> Result<Plan, Failure> {
+    fn evaluation(&self) -> Result<Evaluation, Failure> {
         let mut design = self.design()?;
         design.repetitions = self.repetitions.unwrap_or(design.repetitions);
         design.seed = self.seed.unwrap_or(design.seed);
         let instead =
             Instead { scenarios: self.scenarios.as_deref(), map: self.map.as_deref(), legs: self.legs.as_deref() };
-        Ok(Plan::of(design, &instead)?)
+        Ok(Evaluation::of(design, &instead)?)
     }
 
     fn design(&self) -> Result<Design, Failure> {
@@ -182,13 +183,13 @@ impl Common {
     }
 }
 
-fn heading(plan: &Plan) -> Heading {
+fn heading(evaluation: &Evaluation) -> Heading {
     Heading {
-        design: plan.design.name.clone(),
-        seed: plan.design.seed,
-        map: plan.map.name().to_owned(),
-        travel: plan.travel.describe(),
-        world_speed: plan.design.world_speed,
+        design: evaluation.design.name.clone(),
+        seed: evaluation.design.seed,
+        map: evaluation.map.name().to_owned(),
+        travel: evaluation.travel.describe(),
+        world_speed: evaluation.design.world_speed,
     }
 }
 
@@ -200,12 +201,12 @@ fn written(heading: &Heading, rows: &[TrialRow], gain: Option<&Gain>) -> Vec<Rep
 }
 
 fn carry_out(args: &RunArgs) -> Result<(), Failure> {
-    let plan = args.common.plan()?;
+    let evaluation = args.common.evaluation()?;
     let learned = args.calibration.as_ref().map(|file| config::load::<Calibration>(file)).transpose()?;
-    let mut design = plan.design.clone();
+    let mut design = evaluation.design.clone();
     design.policies = args.policies.clone().unwrap_or(design.policies);
     design.treatments = args.treatments.clone().unwrap_or(design.treatments);
-    let stage = plan.stage(design, learned.map(Arc::new))?;
+    let stage = evaluation.stage(design, learned.map(Arc::new))?;
     args.common.folder()?;
     let began = Instant::now();
     let outcomes = with_progress(&stage, args.common.jobs(), "");
@@ -214,14 +215,14 @@ fn carry_out(args: &RunArgs) -> Result<(), Failure> {
     let out = &args.common.out;
     write_rows(out, "rows.csv", &rows)?;
     write_observations(out, &observations)?;
-    write_report(out, &written(&heading(&plan), &rows, None))?;
+    write_report(out, &written(&heading(&evaluation), &rows, None))?;
     output::line(summary(&rows))?;
-    let count = rows.len();
-    output::line(format_args!("{count} trials in {seconds:.1} s; see {}", out.join("report.md").display()))
+    let trials = count(rows.len(), "trial", "trials");
+    output::line(format_args!("{trials} in {seconds:.1} s; see {}", out.join("report.md").display()))
 }
 
 fn calibrate(args: &CalibrateArgs) -> Result<(), Failure> {
-    let plan = args.common.plan()?;
+    let evaluation = args.common.evaluation()?;
     let jobs = args.common.jobs();
     args.common.folder()?;
     let one = |design: &Design, policies: Vec<Policy>| Design {
@@ -230,17 +231,17 @@ fn calibrate(args: &CalibrateArgs) -> Result<(), Failure> {
         ..design.clone()
     };
     // Other chance than that of the trials by which the gain is judged; chance sends robots where we would not.
-    let seed = derive(plan.design.seed, &["calibrate"]);
-    let learning = Design { seed, ..one(&plan.design, vec![Policy::Consort, Policy::Random]) };
-    let stage = plan.stage(learning, None)?;
+    let seed = derive(evaluation.design.seed, &["calibrate"]);
+    let learning = Design { seed, ..one(&evaluation.design, vec![Policy::Consort, Policy::Random]) };
+    let stage = evaluation.stage(learning, None)?;
     let outcomes = with_progress(&stage, jobs, "learning ");
     let trials = outcomes.len();
     let (_, observations) = parted(outcomes);
     let learned = Arc::new(Calibration::of(&observations, args.quantile));
-    let judged = one(&plan.design, vec![Policy::Consort]);
-    let stage = plan.stage(judged.clone(), None)?;
+    let judged = one(&evaluation.design, vec![Policy::Consort]);
+    let stage = evaluation.stage(judged.clone(), None)?;
     let (before, observed_before) = parted(with_progress(&stage, jobs, "as they were "));
-    let stage = plan.stage(judged, Some(Arc::clone(&learned)))?;
+    let stage = evaluation.stage(judged, Some(Arc::clone(&learned)))?;
     let (after, observed_after) = parted(with_progress(&stage, jobs, "calibrated "));
     let out = &args.common.out;
     write(&out.join("calibration.toml"), &config::to_toml(&*learned))?;
@@ -249,9 +250,10 @@ fn calibrate(args: &CalibrateArgs) -> Result<(), Failure> {
     write_rows(out, "rows-after.csv", &after)?;
     let learned = (*learned).clone();
     let gain = Gain { learned, trials, before, after, observed_before, observed_after };
-    write_report(out, &written(&heading(&plan), &gain.before, Some(&gain)))?;
+    write_report(out, &written(&heading(&evaluation), &gain.before, Some(&gain)))?;
     output::line(format_args!("as they were:\n{}\ncalibrated:\n{}", summary(&gain.before), summary(&gain.after)))?;
-    output::line(format_args!("learned from {trials} trials; see {}", out.join("report.md").display()))
+    let trials = count(trials, "trial", "trials");
+    output::line(format_args!("learned from {trials}; see {}", out.join("report.md").display()))
 }
 
 fn with_progress(stage: &Stage, jobs: usize, what: &'static str) -> Vec<Outcome> {

@@ -4,6 +4,7 @@ use super::drawn_world;
 use crate::config::{Problem, Problems, to_toml};
 use crate::exit::Failure;
 use crate::{floor, output};
+use consort_protocol::count::count;
 use consort_sim::map::{self, Drawing, Map, Options, show};
 use std::path::{Path, PathBuf};
 
@@ -184,7 +185,7 @@ fn check(files: &[PathBuf], reading: &Reading) -> Result<(), Failure> {
     }
     match wrong {
         0 => Ok(()),
-        _ => Err(Failure::Unsuccessful(format!("{wrong} of {} maps have problems", files.len()))),
+        _ => Err(Failure::Unsuccessful(format!("problems in {wrong} of {}", count(files.len(), "map", "maps")))),
     }
 }
 
@@ -257,7 +258,7 @@ fn contents(drawing: &Drawing, map: &Map) -> String {
         (drawing.people.len(), "person", "people"),
         (drawing.others.len(), "other thing", "other things"),
     ];
-    let said = counts.iter().filter(|(count, ..)| *count > 0);
-    let said = said.map(|(count, one, many)| format!("{count} {}", if *count == 1 { one } else { many }));
+    let said = counts.iter().filter(|(number, ..)| *number > 0);
+    let said = said.map(|(number, one, many)| count(*number, one, many));
     format!("{}: {}", map.name(), said.collect::<Vec<_>>().join(", "))
 }

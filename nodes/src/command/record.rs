@@ -2,19 +2,20 @@
 
 use crate::client::{Client, ClientFlags};
 use crate::command::length::length;
-use crate::dashboard::follow;
 use crate::exit::Failure;
 use crate::file::there_already;
 use crate::output::{self, Waiting};
 use crate::picture::{Ear, FloorPlan, Picture};
 use crate::recording::{Recorded, Recorder, Tape};
+use crate::signals::Signals;
+use crate::watcher::follow;
 use consort_actors::clock::Clock;
+use consort_protocol::count::count;
 use consort_sim::record::foxglove::Existing;
 use indicatif::HumanBytes;
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Duration;
-use tokio::signal::unix::{SignalKind, signal};
 use tokio::task::JoinSet;
 use tokio::time::{Instant, sleep_until};
 
@@ -89,9 +90,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
 
 /// Has the recorder told what is heard, until it is to end.
 async fn listen(client: &Client, recorder: &Arc<Recorder>, until: Option<Instant>) -> Result<(), Failure> {
-    let no_signal = |problem: std::io::Error| Failure::Unsuccessful(format!("signals cannot be heard: {problem}"));
-    let mut interrupt = signal(SignalKind::interrupt()).map_err(no_signal)?;
-    let mut terminate = signal(SignalKind::terminate()).map_err(no_signal)?;
+    let mut signals = Signals::open()?;
     let ear: Arc<dyn Ear> = Arc::<Recorder>::clone(recorder);
     let mut tasks = JoinSet::new();
     follow(&mut tasks, client.bus(), client.keys().clone(), ear);
@@ -105,8 +104,7 @@ async fn listen(client: &Client, recorder: &Arc<Recorder>, until: Option<Instant
     tokio::pin!(end);
     loop {
         tokio::select! {
-            _ = interrupt.recv() => return Ok(()),
-            _ = terminate.recv() => return Ok(()),
+            _ = signals.heard() => return Ok(()),
             () = &mut end => return Ok(()),
             () = recorder.failed() => return Ok(()), // it says itself why
             () = tokio::time::sleep(LOOK) => {
@@ -124,7 +122,10 @@ fn words(recorded: &Recorded) -> String {
     let Recorded { seconds, events, reports, views, gaps, lost, bytes, .. } = recorded;
     let gaps = match gaps {
         0 => String::new(),
-        _ => format!(", {lost} events not heard in {gaps} gaps"),
+        _ => format!(", {} not heard in {}", count(*lost, "event", "events"), count(*gaps, "gap", "gaps")),
     };
-    format!("{seconds:.0} s, {events} events{gaps}, {reports} reports of bodies, {views} views, {}", HumanBytes(*bytes))
+    let events = count(*events, "event", "events");
+    let reports = count(*reports, "report of a body", "reports of bodies");
+    let views = count(*views, "view", "views");
+    format!("{seconds:.0} s, {events}{gaps}, {reports}, {views}, {}", HumanBytes(*bytes))
 }

@@ -5,6 +5,7 @@ use crate::output::{self, Waiting};
 use crate::wiring::random;
 use consort_actors::replica::Holdings;
 use consort_actors::store::{DurableStore, OpenError, ledger_of, recover};
+use consort_protocol::count::count;
 use consort_protocol::ids::{ClusterId, NodeId};
 use consort_protocol::ledger::Ledger;
 use std::collections::BTreeSet;
@@ -99,7 +100,11 @@ fn contents(holdings: &Holdings<Ledger>, node: &NodeId) -> String {
         format!("last entry (term.index)  {}", place(holdings.last)),
         format!("known to be committed    {}", place(holdings.committed)),
         format!("voters                   {voters}"),
-        format!("missions                 {}, of which {live} have not ended", missions.len()),
+        format!(
+            "missions                 {}, of which {}",
+            missions.len(),
+            count(live, "has not ended", "have not ended")
+        ),
     ];
     if !missions.is_empty() {
         lines.push(output::table(&missions));

@@ -7,11 +7,12 @@ use crate::exit::Failure;
 use crate::output;
 use crate::recording::{Player, Reel};
 use crate::running::{runtime, rust_log, start_log};
+use crate::signals::Signals;
+use consort_protocol::count::count;
 use std::net::SocketAddr;
 use std::path::PathBuf;
 use time::OffsetDateTime;
 use time::format_description::well_known::Rfc3339;
-use tokio::signal::unix::{SignalKind, signal};
 
 /// Show a recording of `consort record` in the dashboard
 ///
@@ -60,17 +61,13 @@ pub fn run(args: Args) -> Result<(), Failure> {
                 date(reel.to_ms())
             ));
         }
-        let about = format!("{file}: {fleet} from {began} on, {seconds:.0} s, {} marks", reel.marks().len());
-        let no_signal = |problem: std::io::Error| Failure::Unsuccessful(format!("signals cannot be heard: {problem}"));
-        let mut interrupt = signal(SignalKind::interrupt()).map_err(no_signal)?;
-        let mut terminate = signal(SignalKind::terminate()).map_err(no_signal)?;
+        let marks = count(reel.marks().len(), "mark", "marks");
+        let about = format!("{file}: {fleet} from {began} on, {seconds:.0} s, {marks}");
+        let mut signals = Signals::open()?;
         let dashboard = Dashboard::replay(address, reel, player);
         output::line(about)?;
         output::line(format_args!("dashboard: {}", dashboard.url()))?;
-        tokio::select! {
-            _ = interrupt.recv() => {}
-            _ = terminate.recv() => {}
-        }
+        signals.heard().await;
         Ok(())
     })
 }

@@ -5,6 +5,7 @@ use crate::exit::Failure;
 use crate::output;
 use crate::wiring::{fresh_store, random};
 use consort_actors::store::{Backup, DurableStore, OpenError, Owner, restore};
+use consort_protocol::count::count;
 use consort_protocol::ids::{ClusterId, NodeId};
 use std::fs;
 use std::path::PathBuf;
@@ -58,8 +59,10 @@ pub fn run(args: Args) -> Result<(), Failure> {
     restore(&store, ledger, last, ClusterId(random())).map_err(|problem| failed(&problem))?;
     let Backup { fleet, at_ms, missions, under_way, .. } = backup;
     let ago = now().as_secs().saturating_sub(at_ms / 1000);
+    let missions = count(missions, "mission", "missions");
+    let under_way = count(under_way, "has not ended", "have not ended");
     output::line(format_args!(
-        "{} is the store of {node}, the only voter of {fleet}, with {missions} missions, of which {under_way} have not ended, as they \
+        "{} is the store of {node}, the only voter of {fleet}, with {missions}, of which {under_way}, as they \
          stood {ago} s ago.\n\
          End all other nodes of {fleet}, and take their data directories away: old and new ledger do not merge. Start {node} as usual, \
          with --data-dir {0}; then the others, with empty data directories.",

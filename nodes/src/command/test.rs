@@ -3,6 +3,7 @@
 use crate::exit::Failure;
 use crate::output;
 use clap::Args as ClapArgs;
+use consort_protocol::count::count;
 use consort_tests::behavior::{self, Features, Filter, Order, listed};
 use std::io::{IsTerminal, stdout};
 use std::path::PathBuf;
@@ -83,7 +84,10 @@ pub fn run(args: Args) -> Result<(), Failure> {
     match outcome.failed.len() {
         _ if outcome.unheard => Err(Failure::OutputClosed),
         0 => Ok(()),
-        failed => Err(Failure::Unsuccessful(format!("{failed} of {} scenarios failed", failed + outcome.passed))),
+        failed => Err(Failure::Unsuccessful(format!(
+            "{failed} of {} failed",
+            count(failed + outcome.passed, "scenario", "scenarios")
+        ))),
     }
 }
 

@@ -1,10 +1,11 @@
 //! `consort watch`: the fleet on a terminal.
 
 use crate::client::ClientFlags;
-use crate::dashboard::{Board, follow};
+use crate::dashboard::Board;
 use crate::exit::Failure;
 use crate::picture::{FloorPlan, Picture};
 use crate::screen::{Paint, Screen, Turn};
+use crate::watcher::follow;
 use consort_actors::clock::Clock;
 use ratatui::crossterm::event::{Event, read};
 use std::io::IsTerminal;

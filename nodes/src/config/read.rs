@@ -1,6 +1,7 @@
 //! From TOML to configuration, with every unknown key named.
 
 use super::{Problem, Problems};
+use crate::file;
 use consort_protocol::mission::Allowed;
 use serde::Serialize;
 use serde::de::DeserializeOwned;
@@ -33,12 +34,7 @@ pub trait ConfigFile: DeserializeOwned + Serialize {
 /// [`Problems`] with all that is wrong.
 pub fn load<C: ConfigFile>(path: &Path) -> Result<C, Problems> {
     let file = path.display().to_string();
-    let unreadable = |problem: std::io::Error| Problem::of(&file, format!("cannot be read: {problem}"));
-    let bytes = std::fs::metadata(path).map_err(unreadable)?.len();
-    if bytes > BYTES_MAX {
-        return Err(Problem::of(&file, format!("{bytes} bytes are more than the {BYTES_MAX} allowed")).into());
-    }
-    let text = std::fs::read_to_string(path).map_err(unreadable)?;
+    let text = file::text(path, BYTES_MAX).map_err(|problem| Problem::of(&file, problem))?;
     let mut config: C = from_text(&text, &file)?;
     let absolute = std::path::absolute(path).unwrap_or_else(|_| path.to_owned());
     config.settle(absolute.parent().unwrap_or(Path::new("/")));

@@ -21,19 +21,20 @@ mod assets;
 mod board;
 mod csv;
 mod desk;
+mod follow;
 mod guard;
+mod json;
 mod projector;
 mod routes;
 mod session;
-mod watcher;
 
 pub use board::{Board, FRAME};
-pub(crate) use watcher::watch as follow;
 
 use crate::address::Taken;
 use crate::admission::Admission;
 use crate::picture::{FloorPlan, Picture};
 use crate::recording::{Player, Reel};
+use crate::watcher;
 use consort_actors::bus::SharedBus;
 use consort_actors::clock::Clock;
 use consort_protocol::ids::FleetId;
@@ -75,7 +76,7 @@ impl Dashboard {
         let desk = desk::Desk::new(Arc::clone(&bus), Keys::new(fleet), node);
         let mut dashboard = Dashboard::serve(address, Arc::clone(&board), Served::Fleet(Arc::new(desk)), admission);
         dashboard.draw(Arc::clone(&board));
-        watcher::watch(&mut dashboard.tasks, bus, Keys::new(fleet), board);
+        watcher::follow(&mut dashboard.tasks, bus, Keys::new(fleet), board);
         dashboard
     }
 

@@ -1,13 +1,14 @@
 //! What can be asked of the dashboard's server.
 
-use super::board::{Board, Frame};
+use super::board::Board;
 use super::desk::Problem;
+use super::follow::{FOLLOWERS, follow};
+use super::json::{JSON, answer, problem, read};
 use super::{Served, assets, csv, guard, session};
 use crate::admission::{Admission, Guest, admit};
 use crate::recording::Command;
 use axum::body::Bytes;
-use axum::extract::ws::{CloseFrame, Message, WebSocket};
-use axum::extract::{DefaultBodyLimit, Path, Query, State, WebSocketUpgrade};
+use axum::extract::{DefaultBodyLimit, Path, Query, State};
 use axum::http::{HeaderMap, StatusCode, header};
 use axum::response::{IntoResponse, Response};
 use axum::routing::{MethodRouter, get, post};
@@ -18,40 +19,21 @@ use consort_protocol::mission::{FILE_BYTES_MAX, shipped};
 use consort_protocol::trust::Scope;
 use consort_protocol::trust::access::needed;
 use serde::Deserialize;
-use serde::de::DeserializeOwned;
 use serde_json::{Value, json};
 use std::net::SocketAddr;
 use std::sync::Arc;
-use std::time::Duration;
-use tokio::sync::{OwnedSemaphorePermit, Semaphore, watch};
-use tokio::time::{MissedTickBehavior, interval};
-
-/// How long a client may take to take a message in. One that takes longer is gone, or as good as gone.
-const SLOW: Duration = Duration::from_secs(20);
-
-/// How many may follow at once: each costs the node a picture in the beginning, and what changes five times a second.
-const FOLLOWERS: usize = 100;
-
-/// How often it is looked whether who follows still may.
-const JUDGED_EVERY: Duration = Duration::from_secs(5);
-
-/// What a WebSocket is closed with when its token has ended, of the numbers that are an application's own (RFC 6455, 7.4.2).
-const TOKEN_ENDED: u16 = 4401;
-
-/// Largest message of a client's over the WebSocket, in bytes: it has nothing to say.
-const SAID_MAX: usize = 1024;
-
-const JSON: [(header::HeaderName, &str); 1] = [(header::CONTENT_TYPE, "application/json")];
+use tokio::sync::Semaphore;
 
 /// Events given at once.
 const EVENTS: usize = 500;
 
+/// What stands behind the routes.
 #[derive(Clone)]
 pub(super) struct Shared {
-    board: Arc<Board>,
+    pub(super) board: Arc<Board>,
     served: Served,
     pub(super) admission: Admission,
-    followers: Arc<Semaphore>,
+    pub(super) followers: Arc<Semaphore>,
 }
 
 /// The server's routes.
@@ -77,73 +59,6 @@ pub(super) fn router(board: Arc<Board>, served: Served, admission: Admission, ad
         .layer(DefaultBodyLimit::max(FILE_BYTES_MAX))
         .layer(axum::middleware::from_fn_with_state(address, guard::guard))
         .with_state(Shared { board, served, admission, followers: Arc::new(Semaphore::new(FOLLOWERS)) })
-}
-
-async fn follow(
-    State(shared): State<Shared>,
-    Extension(guest): Extension<Option<Guest>>,
-    upgrade: WebSocketUpgrade,
-) -> Response {
-    let Ok(place) = Arc::clone(&shared.followers).try_acquire_owned() else {
-        let what = format!("{FOLLOWERS} follow this node already, as many as may at once");
-        return problem(StatusCode::SERVICE_UNAVAILABLE, &what);
-    };
-    let frames = shared.board.frames();
-    // Before a frame has come whole, room is made for it.
-    let upgrade = upgrade.max_message_size(SAID_MAX).max_frame_size(SAID_MAX);
-    upgrade.on_upgrade(move |socket| send_frames(socket, shared, guest, frames, place))
-}
-
-/// Sends the whole, then what changes. Whoever is slow misses frames, and gets the whole again. Who was let in by a token follows
-/// for as long as that is good.
-async fn send_frames(
-    mut socket: WebSocket,
-    Shared { board, admission, .. }: Shared,
-    guest: Option<Guest>,
-    mut frames: watch::Receiver<Arc<Frame>>,
-    _place: OwnedSemaphorePermit,
-) {
-    let mut seen = 0;
-    let mut judged = interval(JUDGED_EVERY);
-    judged.set_missed_tick_behavior(MissedTickBehavior::Delay);
-    loop {
-        tokio::select! {
-            changed = frames.changed() => {
-                if changed.is_err() {
-                    return;
-                }
-                let frame = frames.borrow_and_update().clone();
-                let text = match frame.number.checked_sub(seen) {
-                    // What the whole, of a later frame, had already.
-                    Some(0) | None => None,
-                    Some(1) if seen > 0 => frame.text.clone(),
-                    Some(_) => {
-                        let (number, whole) = board.whole();
-                        seen = number;
-                        Some(whole)
-                    }
-                };
-                seen = seen.max(frame.number);
-                let Some(text) = text else { continue };
-                let sent = tokio::time::timeout(SLOW, socket.send(Message::Text(text))).await;
-                if !matches!(sent, Ok(Ok(()))) {
-                    return;
-                }
-            }
-            said = socket.recv() => {
-                if !matches!(said, Some(Ok(_))) {
-                    return;
-                }
-            }
-            _ = judged.tick() => {
-                if !admission.is_still_good(guest.as_ref()) {
-                    let end = CloseFrame { code: TOKEN_ENDED, reason: "the token is no longer good".into() };
-                    let _ = tokio::time::timeout(SLOW, socket.send(Message::Close(Some(end)))).await;
-                    return;
-                }
-            }
-        }
-    }
 }
 
 async fn picture(State(shared): State<Shared>) -> Response {
@@ -280,20 +195,6 @@ async fn move_replay(State(shared): State<Shared>, headers: HeaderMap, body: Byt
     }
 }
 
-/// Why a body is not taken.
-pub(super) type Refusal = (StatusCode, [(header::HeaderName, &'static str); 1], String);
-
-/// What somebody sends, which is JSON.
-pub(super) fn read<T: DeserializeOwned>(headers: &HeaderMap, body: &[u8]) -> Result<T, Refusal> {
-    let refusal = |status, what: &str| (status, JSON, json!({ "error": what }).to_string());
-    let kind = headers.get(header::CONTENT_TYPE).and_then(|kind| kind.to_str().ok()).unwrap_or("");
-    if kind.split(';').next().map(str::trim) != Some("application/json") {
-        return Err(refusal(StatusCode::UNSUPPORTED_MEDIA_TYPE, "a request is application/json"));
-    }
-    serde_json::from_slice(body)
-        .map_err(|mistake| refusal(StatusCode::BAD_REQUEST, &format!("the request is not as it should be: {mistake}")))
-}
-
 async fn health(State(shared): State<Shared>) -> Response {
     let reach = shared.board.with(|picture, _| picture.reach().clone());
     answer(StatusCode::OK, &json!({ "serving": true, "reach": reach }))
@@ -322,12 +223,4 @@ fn no_desk(served: &Served) -> Response {
 
 fn no_recording() -> Response {
     problem(StatusCode::NOT_FOUND, "what is shown here is no recording")
-}
-
-pub(super) fn problem(status: StatusCode, what: &str) -> Response {
-    answer(status, &json!({ "error": what }))
-}
-
-pub(super) fn answer(status: StatusCode, value: &Value) -> Response {
-    (status, JSON, value.to_string()).into_response()
 }

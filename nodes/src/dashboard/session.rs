@@ -1,6 +1,7 @@
 //! How a browser comes to show a token with each request: the page hands it over once, and gets a cookie that no script can read.
 
-use super::routes::{Shared, answer, read};
+use super::json::{answer, read};
+use super::routes::Shared;
 use crate::admission::{Guest, NotAdmitted};
 use axum::body::Bytes;
 use axum::extract::State;

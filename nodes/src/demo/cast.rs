@@ -82,69 +82,77 @@ fn slug<T: std::str::FromStr<Err: std::fmt::Debug>>(text: &str) -> T {
     text.parse().expect("the demo's own names are names")
 }
 
+/// Mobile robots with their bodies, where and as quick as chance has them.
+fn carriers(robots: usize, rng: &mut ChaCha8Rng, bodies: &mut Vec<RobotBody>) -> Vec<RobotConfig> {
+    let mut starts: Vec<&str> = ROOMS.into_iter().chain(["Dock"]).collect();
+    starts.shuffle(rng);
+    let mut carrier = |index: usize| {
+        // A lone robot must be able to do the job.
+        let kind = &KINDS[if robots < 3 { index + 1 } else { index % KINDS.len() }];
+        let name = NAMES.get(index).map_or_else(|| format!("robot-{index}"), |name| (*name).to_owned());
+        let place: PlaceId = slug(starts[index % starts.len()]);
+        let jitter = 1.0 + rng.random_range(-0.03..0.03);
+        let speed = MetresPerSecond::new(kind.speed_mps * jitter).expect("a speed");
+        let battery = BatteryShare::new(kind.battery).expect("a share");
+        let discharge = SharePerSecond::new(kind.discharge).expect("a rate");
+        let skills = CARRIER.into_iter().filter(|skill| Some(*skill) != kind.lacks).map(slug).collect();
+        let id: RobotId = slug(&name);
+        bodies.push(RobotBody::carrier(id.clone(), place.clone(), speed, battery, discharge));
+        RobotConfig {
+            speed_mps: Some(speed),
+            battery,
+            discharge_share_per_s: discharge,
+            ..RobotConfig::new(id, place, skills)
+        }
+    };
+    (0..robots).map(&mut carrier).collect()
+}
+
+/// Arms of the laboratory with their bodies.
+fn arms(arms: usize, bodies: &mut Vec<RobotBody>) -> impl Iterator<Item = RobotConfig> {
+    (0..arms).map(move |index| {
+        let name = if index == 0 { "lab-arm".to_owned() } else { format!("lab-arm-{}", index + 1) };
+        let (id, place): (RobotId, PlaceId) = (slug(&name), slug("Laboratory"));
+        bodies.push(RobotBody::arm(id.clone(), place.clone()));
+        let skills: BTreeSet<TaskType> = BTreeSet::from([slug("pick_up")]);
+        RobotConfig { stationary: true, mains_powered: true, ..RobotConfig::new(id, place, skills) }
+    })
+}
+
+/// The nurses of the rooms to which missions go, each with a sample for each of them.
+fn nurses(missions: usize) -> Vec<Person> {
+    let nurse = |(index, room): (usize, &str)| {
+        let samples = (index..missions).step_by(ROOMS.len()).map(|mission| format!("sample-{}", mission + 1));
+        let samples: Vec<_> = samples.map(|sample| sample.as_str().into()).collect();
+        (!samples.is_empty()).then(|| Person {
+            name: format!("nurse of {room}").as_str().into(),
+            role: slug::<RoleId>("nurse"),
+            place: slug(room),
+            samples,
+            mood: vec![],
+        })
+    };
+    ROOMS.into_iter().enumerate().filter_map(nurse).collect()
+}
+
 impl Cast {
     /// `robots` mobile ones and `missions` missions; `speed` world seconds pass in a second. The seed decides where the robots
     /// stand and how quick the nurses are.
     pub fn new(robots: usize, missions: usize, speed: f64, seed: u64) -> Cast {
-        let mut rng = ChaCha8Rng::seed_from_u64(seed);
-        let mut starts: Vec<&str> = ROOMS.into_iter().chain(["Dock"]).collect();
-        starts.shuffle(&mut rng);
-        // As many arms as there are missions under way at once, within reason: each mission needs one from its beginning.
-        let arms = missions.clamp(1, 3);
-        let mut cast = Vec::with_capacity(robots + arms);
         let mut bodies = vec![];
-        for index in 0..robots {
-            // A lone robot must be able to do the job.
-            let kind = &KINDS[if robots < 3 { index + 1 } else { index % KINDS.len() }];
-            let name = NAMES.get(index).map_or_else(|| format!("robot-{index}"), |name| (*name).to_owned());
-            let place: PlaceId = slug(starts[index % starts.len()]);
-            let jitter = 1.0 + rng.random_range(-0.03..0.03);
-            let speed = MetresPerSecond::new(kind.speed_mps * jitter).expect("a speed");
-            let battery = BatteryShare::new(kind.battery).expect("a share");
-            let discharge = SharePerSecond::new(kind.discharge).expect("a rate");
-            let skills = CARRIER.into_iter().filter(|skill| Some(*skill) != kind.lacks).map(slug).collect();
-            let id: RobotId = slug(&name);
-            bodies.push(RobotBody::carrier(id.clone(), place.clone(), speed, battery, discharge));
-            let mut robot = RobotConfig::new(id, place, skills);
-            robot.speed_mps = Some(speed);
-            robot.battery = battery;
-            robot.discharge_share_per_s = discharge;
-            cast.push(robot);
-        }
-        for index in 0..arms {
-            let name = if index == 0 { "lab-arm".to_owned() } else { format!("lab-arm-{}", index + 1) };
-            let (id, place): (RobotId, PlaceId) = (slug(&name), slug("Laboratory"));
-            bodies.push(RobotBody::arm(id.clone(), place.clone()));
-            let skills: BTreeSet<TaskType> = BTreeSet::from([slug("pick_up")]);
-            let mut arm = RobotConfig::new(id, place, skills);
-            arm.stationary = true;
-            arm.mains_powered = true;
-            cast.push(arm);
-        }
+        let mut cast = carriers(robots, &mut ChaCha8Rng::seed_from_u64(seed), &mut bodies);
+        // As many arms as there are missions under way at once, within reason: each mission needs one from its beginning.
+        cast.extend(arms(missions.clamp(1, 3), &mut bodies));
         // Three voters survive the death of one.
         let stations: Vec<StationConfig> = (cast.len()..3)
             .map(|index| StationConfig::new(slug::<NodeId>(&format!("station-{}", index + 1))))
             .collect();
-
         let requests: Vec<Request> = (0..missions)
             .map(|index| Request {
                 request: slug(&format!("demo-{}", index + 1)),
                 room: slug(ROOMS[index % ROOMS.len()]),
             })
             .collect();
-        let people = ROOMS.into_iter().enumerate().filter_map(|(index, room)| {
-            let samples = (index..missions).step_by(ROOMS.len()).map(|mission| format!("sample-{}", mission + 1));
-            let samples: Vec<_> = samples.map(|sample| sample.as_str().into()).collect();
-            let nurse = || Person {
-                name: format!("nurse of {room}").as_str().into(),
-                role: slug::<RoleId>("nurse"),
-                place: slug(room),
-                samples: samples.clone(),
-                mood: vec![],
-            };
-            (!samples.is_empty()).then(nurse)
-        });
-
         let fleet = FleetConfig {
             name: slug::<FleetId>("demo"),
             bootstrap_expect: cast.len() + stations.len(),
@@ -154,7 +162,7 @@ impl Cast {
             )],
             ..FleetConfig::default()
         };
-        let world = WorldConfig { seed, speed, robot: bodies, person: people.collect(), ..WorldConfig::default() };
+        let world = WorldConfig { seed, speed, robot: bodies, person: nurses(missions), ..WorldConfig::default() };
         let mut cast = Cast { fleet: fleet.clone(), world, robots: cast, stations, requests };
         let reference = FleetRef::from(fleet);
         cast.world.fleet = reference.clone();

@@ -3,11 +3,12 @@
 use super::cast::Cast;
 use super::narrator::Narrator;
 use super::stage::Stage;
+use crate::asking::{Hindrance, Whom, once};
 use crate::dashboard::Dashboard;
 use crate::exit::Failure;
 use crate::{kit, source};
-use bytes::Bytes;
-use consort_actors::bus::{Reply, Sample, SharedBus, Stream};
+use consort_actors::bus::{Sample, Stream};
+use consort_protocol::count::count;
 use consort_protocol::event::{Event, Happening};
 use consort_protocol::ids::{MissionId, NodeId};
 use consort_protocol::keys::{ApiCall, Key, Keys};
@@ -139,8 +140,8 @@ impl<S: Stage> Director<S> {
         let deadline = self.stage.elapsed() + ELECTION_LIMIT;
         while self.coordinator.is_none() {
             if self.stage.elapsed() >= deadline {
-                let voters = self.cast.voters().len();
-                let words = format!("nobody coordinates after {ELECTION_LIMIT:?}, though {voters} nodes may");
+                let voters = count(self.cast.voters().len(), "node", "nodes");
+                let words = format!("nobody coordinates after {ELECTION_LIMIT:?}, though {voters} may");
                 return Err(Failure::Unreached(words));
             }
             self.listen(events, Duration::from_millis(100)).await?;
@@ -160,13 +161,13 @@ impl<S: Stage> Director<S> {
             });
             let deadline = self.stage.elapsed() + ELECTION_LIMIT;
             let mission: MissionId = loop {
-                let answer = ask(&self.stage.bus(), &self.keys.write(&Key::Api(ApiCall::Submit)), &asked).await;
-                let problem = match answer {
-                    Some(answer) => match answer["mission"].as_str().and_then(|id| id.parse().ok()) {
+                let problem = match self.ask(&Key::Api(ApiCall::Submit), &asked.to_string(), Whom::All).await {
+                    Ok(answer) => match answer["mission"].as_str().and_then(|id| id.parse().ok()) {
                         Some(mission) => break mission,
-                        None => answer["error"].as_str().unwrap_or("an answer without a mission").to_owned(),
+                        None => "an answer without a mission".to_owned(),
                     },
-                    None => "nobody answered".to_owned(),
+                    Err(Hindrance::Refused(problem) | Hindrance::MayPass(problem, _)) => problem,
+                    Err(Hindrance::Silence) => "nobody answered".to_owned(),
                 };
                 if self.stage.elapsed() >= deadline {
                     return Err(Failure::Unsuccessful(format!("{} was not acknowledged: {problem}", request.request)));
@@ -311,6 +312,33 @@ impl<S: Stage> Director<S> {
         let samples: Vec<(String, String)> = world["samples"].as_array().into_iter().flatten().map(sample).collect();
         let delivered = samples.iter().filter(|(_, place)| place == "Laboratory").count();
 
+        let (rows, missions) = self.table();
+        let completed =
+            self.missions.values().filter(|fate| matches!(fate.end, Some((_, MissionState::Completed)))).count();
+        let all = self.missions.len();
+        let mut words: Vec<String> = self.takeover_in_words().into_iter().collect();
+        words.push(format!(
+            "{completed} of {all} missions completed; {delivered} of {} samples in the laboratory",
+            samples.len()
+        ));
+        let takeover = self
+            .takeover
+            .as_ref()
+            .map(|(_, node, took)| json!({ "node": node, "after_ms": took.as_secs_f64() * 1000.0 }));
+        let value = json!({
+            "event": "demo_summary", "missions": missions, "completed": completed, "samples": samples.len(),
+            "delivered": delivered, "killed": self.killed.as_ref().map(|(_, node)| node), "takeover": takeover,
+        });
+        self.narrator.close(&rows, &words, &value)?;
+        let killed_in_vain = self.killed.is_some() && self.takeover.is_none();
+        if completed == all && delivered == samples.len() && !killed_in_vain {
+            return Ok(());
+        }
+        Err(Failure::Unsuccessful("the demo did not end as it should".to_owned()))
+    }
+
+    /// What has become of each mission: a table for people, and the same for programs.
+    fn table(&self) -> (Vec<Vec<String>>, Vec<Value>) {
         let heads = ["mission", "room", "outcome", "award", "took", "auctions", "roles"];
         let mut rows = vec![heads.map(str::to_owned).to_vec()];
         let mut missions = vec![];
@@ -336,64 +364,31 @@ impl<S: Stage> Director<S> {
                 "took_s": took, "auctions": fate.auctions, "holders": fate.holders,
             }));
         }
-        let completed =
-            self.missions.values().filter(|fate| matches!(fate.end, Some((_, MissionState::Completed)))).count();
-        let all = self.missions.len();
-        let mut words = vec![];
-        match (&self.killed, &self.takeover) {
-            (Some((_, victim)), Some((_, node, took))) => {
-                words.push(format!(
-                    "coordinator {victim} killed; {node} took over within {:.0} ms",
-                    took.as_secs_f64() * 1000.0
-                ));
+        (rows, missions)
+    }
+
+    /// What has come of the kill, if there was one.
+    fn takeover_in_words(&self) -> Option<String> {
+        let (_, victim) = self.killed.as_ref()?;
+        Some(match &self.takeover {
+            Some((_, node, took)) => {
+                let ms = took.as_secs_f64() * 1000.0;
+                format!("coordinator {victim} killed; {node} took over within {ms:.0} ms")
             }
-            (Some((_, victim)), None) => {
-                words.push(format!("coordinator {victim} killed; nobody was heard to take over"));
-            }
-            (None, _) => {}
-        }
-        words.push(format!(
-            "{completed} of {all} missions completed; {delivered} of {} samples in the laboratory",
-            samples.len()
-        ));
-        let takeover = self
-            .takeover
-            .as_ref()
-            .map(|(_, node, took)| json!({ "node": node, "after_ms": took.as_secs_f64() * 1000.0 }));
-        let value = json!({
-            "event": "demo_summary", "missions": missions, "completed": completed, "samples": samples.len(),
-            "delivered": delivered, "killed": self.killed.as_ref().map(|(_, node)| node), "takeover": takeover,
-        });
-        self.narrator.close(&rows, &words, &value)?;
-        let killed_in_vain = self.killed.is_some() && self.takeover.is_none();
-        if completed == all && delivered == samples.len() && !killed_in_vain {
-            return Ok(());
-        }
-        Err(Failure::Unsuccessful("the demo did not end as it should".to_owned()))
+            None => format!("coordinator {victim} killed; nobody was heard to take over"),
+        })
     }
 
     async fn look(&self, key: &Key) -> Option<Value> {
-        let bus = self.stage.bus();
-        first(bus.query_nearest(&self.keys.write(key), Bytes::new(), QUERY_LIMIT).await.ok()?).await
+        self.ask(key, "", Whom::Nearest).await.ok()
+    }
+
+    async fn ask(&self, key: &Key, payload: &str, whom: Whom) -> Result<Value, Hindrance> {
+        once(&*self.stage.bus(), &self.keys.write(key), payload, QUERY_LIMIT, whom).await
     }
 }
 
 fn sample(report: &Value) -> (String, String) {
     let text = |key: &str| report[key].as_str().unwrap_or("?").to_owned();
     (text("id"), text("place"))
-}
-
-/// Asks, and gives the first answer that is JSON.
-async fn ask(bus: &SharedBus, key: &str, payload: &Value) -> Option<Value> {
-    let bytes = if payload.is_null() { vec![] } else { payload.to_string().into_bytes() };
-    first(bus.query(key, bytes.into(), QUERY_LIMIT).await.ok()?).await
-}
-
-async fn first(mut replies: Stream<Reply>) -> Option<Value> {
-    while let Some(reply) = replies.recv().await {
-        if let Some(value) = reply.payload.ok().and_then(|bytes| serde_json::from_slice(&bytes).ok()) {
-            return Some(value);
-        }
-    }
-    None
 }

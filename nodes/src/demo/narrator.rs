@@ -5,6 +5,7 @@ use crate::exit::Failure;
 use crate::output;
 use crate::words::{Words, words};
 use consort_protocol::auction::{AuctionEntry, AuctionRecord, Verdict};
+use consort_protocol::count::count;
 use consort_protocol::event::{Event, Happening};
 use consort_protocol::ids::{MissionId, RoleId, TaskId};
 use indicatif::{MultiProgress, ProgressBar, ProgressStyle};
@@ -31,8 +32,9 @@ impl Narrator {
         let mobile = cast.robots.iter().filter(|robot| robot.speed_mps.is_some());
         let words = mobile.map(|robot| {
             let speed = robot.speed_mps.map_or_else(|| "-".to_owned(), |speed| format!("{speed:.2}"));
-            let (name, place, charge, skills) = (&robot.name, &robot.place, robot.battery, robot.skills.len());
-            format!("           {name:10} {place:12} {speed}  charge {charge:e}  {skills} skills")
+            let (name, place, charge) = (&robot.name, &robot.place, robot.battery.percent());
+            let skills = count(robot.skills.len(), "skill", "skills");
+            format!("           {name:10} {place:12} {speed}  charge {charge}  {skills}")
         });
         Narrator { json, bars, missions: BTreeMap::new(), cast: words.collect::<Vec<_>>().join("\n") }
     }
@@ -61,7 +63,8 @@ impl Narrator {
             Happening::TaskEnded { role, task: id, .. } => task(role, format!("{id} done")),
             Happening::TaskFailed { role, task: id, cause, .. } => task(role, format!("{id} FAILED: {cause}")),
             Happening::TaskRetried { role, task: id, attempt, cause, .. } => {
-                task(role, format!("{id} failed {attempt} times, once more: {cause}"))
+                let times = count(*attempt, "time", "times");
+                task(role, format!("{id} failed {times}, once more: {cause}"))
             }
             Happening::Alternative { role, task: id, tasks, cause, .. } => {
                 let tasks = tasks.iter().map(TaskId::as_str).collect::<Vec<_>>().join(", ");

@@ -5,10 +5,12 @@
 
 use super::cast::Cast;
 use super::stage::Stage;
-use crate::config::{BusConfig, to_toml};
+use crate::config::{BusConfig, RobotConfig, StationConfig, WorldConfig, to_toml};
 use crate::exit::Failure;
+use crate::signals::Signals;
 use consort_actors::bus::zenoh_bus::Mode;
 use consort_actors::bus::{SharedBus, ZenohBus, ZenohSettings};
+use consort_protocol::count::count;
 use consort_protocol::ids::NodeId;
 use std::collections::BTreeMap;
 use std::fs::{self, File};
@@ -19,7 +21,6 @@ use std::process::Stdio;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 use tokio::process::{Child, Command};
-use tokio::signal::unix::{Signal, SignalKind, signal};
 
 /// How long the world's node may take until the onlooker can connect to it.
 const CONNECT_LIMIT: Duration = Duration::from_secs(20);
@@ -34,27 +35,7 @@ pub struct Processes {
     endpoint: String,
     speed: f64,
     started: Instant,
-    ending: Ending,
-}
-
-/// Ctrl-C and SIGTERM. They are kept from the first moment on: one that comes while nobody waits for it is not lost.
-struct Ending {
-    interrupt: Signal,
-    terminate: Signal,
-}
-
-impl Ending {
-    fn new() -> Result<Ending, Failure> {
-        let hear = |kind| signal(kind).map_err(failed("signals cannot be heard"));
-        Ok(Ending { interrupt: hear(SignalKind::interrupt())?, terminate: hear(SignalKind::terminate())? })
-    }
-
-    async fn heard(&mut self) {
-        tokio::select! {
-            _ = self.interrupt.recv() => {}
-            _ = self.terminate.recv() => {}
-        }
-    }
+    signals: Signals,
 }
 
 /// A folder that is removed when it is no longer needed.
@@ -78,51 +59,13 @@ impl Processes {
     /// [`Failure`] says what could not be had or started, or what a node said before it ended.
     pub async fn set(cast: &Cast, program: &Path, first_port: Option<u16>) -> Result<Processes, Failure> {
         let started = Instant::now();
-        let mut ending = Ending::new()?;
+        let mut signals = Signals::open()?;
         let name = format!("consort-demo-{}", std::process::id());
         let folder = Folder(std::env::temp_dir().join(name));
         fs::create_dir_all(&folder.0).map_err(failed(format_args!("{}", folder.0.display())))?;
-        let voters = cast.voters();
-        let ports = ports(voters.len() + 1, first_port)?;
+        let ports = ports(cast.voters().len() + 1, first_port)?;
         let endpoint = |index: usize| format!("tcp/127.0.0.1:{}", ports[index]);
-        // Each node is linked to the world's and to the next two in a ring: no single death parts the fleet.
-        let bus = |index: usize| BusConfig {
-            certs: None,
-            listen: vec![endpoint(index)],
-            connect: match index {
-                0 => vec![],
-                _ => {
-                    let next = |step: usize| endpoint((index - 1 + step) % voters.len() + 1);
-                    let mut connect = vec![endpoint(0), next(1), next(2)];
-                    connect.retain(|other| *other != endpoint(index));
-                    connect.dedup();
-                    connect
-                }
-            },
-        };
-        let mut kinds = BTreeMap::new();
-        let mut write = |node: &NodeId, kind: &'static str, toml: String| {
-            kinds.insert(node.clone(), kind);
-            let path = folder.0.join(format!("{node}.toml"));
-            fs::write(&path, toml).map_err(failed(format_args!("{}", path.display())))
-        };
-        let mut world = cast.world.clone();
-        world.bus = bus(0);
-        write(&world.name, "world", to_toml(&world))?;
-        for (index, node) in (1..).zip(&voters) {
-            if let Some(robot) = cast.robots.iter().find(|robot| robot.name.as_str() == node.as_str()) {
-                let mut robot = robot.clone();
-                robot.bus = bus(index);
-                robot.data_dir = Some(folder.0.join(node.as_str()));
-                write(node, "robot", to_toml(&robot))?;
-            }
-            if let Some(station) = cast.stations.iter().find(|station| station.name == *node) {
-                let mut station = station.clone();
-                station.bus = bus(index);
-                station.data_dir = Some(folder.0.join(node.as_str()));
-                write(node, "station", to_toml(&station))?;
-            }
-        }
+        let kinds = write_files(cast, &folder.0, &endpoint)?;
         let endpoint = endpoint(0);
         let mut children = BTreeMap::new();
         for (node, kind) in &kinds {
@@ -130,7 +73,7 @@ impl Processes {
         }
         let connected = tokio::select! {
             biased;
-            () = ending.heard() => return Err(Failure::Interrupted),
+            _ = signals.heard() => return Err(Failure::Interrupted),
             connected = connect(&endpoint) => connected,
         };
         let bus = match connected {
@@ -143,8 +86,53 @@ impl Processes {
         };
         let speed = cast.world.speed;
         let program = program.to_owned();
-        Ok(Processes { folder, program, kinds, children, bus: Arc::new(bus), endpoint, speed, started, ending })
+        Ok(Processes { folder, program, kinds, children, bus: Arc::new(bus), endpoint, speed, started, signals })
     }
+}
+
+/// Writes a file for each node of the cast into a folder, and says which kind each is of. The world's node has the first
+/// endpoint, those that may vote have the next.
+fn write_files(
+    cast: &Cast,
+    folder: &Path,
+    endpoint: &impl Fn(usize) -> String,
+) -> Result<BTreeMap<NodeId, &'static str>, Failure> {
+    let voters = cast.voters();
+    // Each node is linked to the world's and to the next two in a ring: no single death parts the fleet.
+    let bus = |index: usize| BusConfig {
+        certs: None,
+        listen: vec![endpoint(index)],
+        connect: match index {
+            0 => vec![],
+            _ => {
+                let next = |step: usize| endpoint((index - 1 + step) % voters.len() + 1);
+                let mut connect = vec![endpoint(0), next(1), next(2)];
+                connect.retain(|other| *other != endpoint(index));
+                connect.dedup();
+                connect
+            }
+        },
+    };
+    let mut kinds = BTreeMap::new();
+    let mut write = |node: &NodeId, kind: &'static str, toml: String| {
+        kinds.insert(node.clone(), kind);
+        let path = folder.join(format!("{node}.toml"));
+        fs::write(&path, toml).map_err(failed(format_args!("{}", path.display())))
+    };
+    let world = WorldConfig { bus: bus(0), ..cast.world.clone() };
+    write(&world.name, "world", to_toml(&world))?;
+    for (index, node) in (1..).zip(&voters) {
+        let (bus, data_dir) = (bus(index), Some(folder.join(node.as_str())));
+        if let Some(robot) = cast.robots.iter().find(|robot| robot.name.as_str() == node.as_str()) {
+            let robot = RobotConfig { bus: bus.clone(), data_dir: data_dir.clone(), ..robot.clone() };
+            write(node, "robot", to_toml(&robot))?;
+        }
+        if let Some(station) = cast.stations.iter().find(|station| station.name == *node) {
+            let station = StationConfig { bus, data_dir, ..station.clone() };
+            write(node, "station", to_toml(&station))?;
+        }
+    }
+    Ok(kinds)
 }
 
 impl Processes {
@@ -177,8 +165,8 @@ impl Stage for Processes {
 
     fn introduction(&self) -> String {
         format!(
-            "{} processes on loopback ({} world seconds a second); look in with: consort fleet --fleet demo --connect {}",
-            self.children.len(),
+            "{} on loopback ({} world seconds a second); look in with: consort fleet --fleet demo --connect {}",
+            count(self.children.len(), "process", "processes"),
             self.speed,
             self.endpoint
         )
@@ -208,7 +196,7 @@ impl Stage for Processes {
     }
 
     async fn interrupted(&mut self) {
-        self.ending.heard().await;
+        self.signals.heard().await;
     }
 
     async fn strike(mut self) {

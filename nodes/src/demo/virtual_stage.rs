@@ -9,6 +9,7 @@ use consort_actors::bus::{LinkModel, SharedBus, VirtualNetwork};
 use consort_actors::clock::Clock;
 use consort_actors::node::{NodeHandle, NodeSettings};
 use consort_actors::store::Store;
+use consort_protocol::count::count;
 use consort_protocol::ids::NodeId;
 use consort_sim::world::SharedWorld;
 use std::collections::BTreeMap;
@@ -82,7 +83,8 @@ impl Stage for VirtualStage {
 
     fn introduction(&self) -> String {
         let speed = self.cast.world.speed;
-        format!("{} nodes in this process, on virtual time ({speed} world seconds a second)", self.nodes.len())
+        let nodes = count(self.nodes.len(), "node", "nodes");
+        format!("{nodes} in this process, on virtual time ({speed} world seconds a second)")
     }
 
     async fn kill(&mut self, node: &NodeId) -> Result<(), Failure> {

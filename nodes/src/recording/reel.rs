@@ -3,6 +3,7 @@
 use super::kinds::{AgainSaid, Kind};
 use super::read::{Contents, Input, ReadError, read};
 use crate::picture::{FloorPlan, Heard, Picture};
+use consort_protocol::count::count;
 use consort_protocol::keys::Keys;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
@@ -196,8 +197,8 @@ impl Reel {
 
     /// What is wrong with the file, if it could not be read to its end or holds what makes no sense.
     pub fn problem(&self) -> Option<String> {
-        let senseless =
-            (self.senseless > 0).then(|| format!("{} messages make no sense, and are left out", self.senseless));
+        let (one, many) = ("message makes no sense, and is left out", "messages make no sense, and are left out");
+        let senseless = (self.senseless > 0).then(|| count(self.senseless, one, many));
         let problems: Vec<String> = self.problem.iter().cloned().chain(senseless).collect();
         (!problems.is_empty()).then(|| problems.join("; "))
     }

@@ -4,6 +4,7 @@ use super::gaps::{Gap, Gaps};
 use super::kinds::{self, AGAIN, AgainSaid, BEACON, BODY, EVENT, FLEET, FORMAT, GAP, LINKS, LinksSaid, VIEW, ViewSaid};
 use crate::floor::Floor;
 use crate::picture::{Heard, Picture};
+use consort_protocol::count::count;
 use consort_protocol::event::Event;
 use consort_protocol::ids::{FleetId, PlaceId, RobotId};
 use consort_protocol::keys::{Key, Keys};
@@ -146,7 +147,8 @@ impl Tape {
         self.recorded.gaps += 1;
         self.recorded.lost += gap.lost;
         self.file.write("/gaps", &GAP, Stamp::at(at), gap)?;
-        let message = format!("{} events were not heard, after number {}", gap.lost, gap.after);
+        let lost = count(gap.lost, "event was", "events were");
+        let message = format!("{lost} not heard, after number {}", gap.after);
         let said = Said { name: gap.node.to_string(), message, alarm: true };
         self.scene.log(&mut self.file, said, Stamp::at(at))
     }

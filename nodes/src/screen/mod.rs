@@ -5,6 +5,7 @@
 mod panels;
 
 use crate::picture::{Picture, ReachState};
+use consort_protocol::count::count;
 use ratatui::Frame;
 use ratatui::crossterm::event::{KeyCode, KeyEvent, KeyEventKind, KeyModifiers};
 use ratatui::layout::{Constraint, Layout, Rect};
@@ -164,8 +165,12 @@ impl Screen {
         let success = kpis.success.map_or("-".to_owned(), |share| format!("{:.0} %", share * 100.0));
         let conclude = kpis.conclude_ms.map_or("-".to_owned(), span);
         let second = format!(
-            " {} missions, {} under way, success {success}, median {conclude}   {} of {} robots at work   {} takeovers",
-            kpis.missions, kpis.under_way, kpis.busy, kpis.in_service, kpis.takeovers
+            " {}, {} under way, success {success}, median {conclude}   {} of {} at work   {}",
+            count(kpis.missions, "mission", "missions"),
+            kpis.under_way,
+            kpis.busy,
+            count(kpis.in_service, "robot", "robots"),
+            count(kpis.takeovers, "takeover", "takeovers")
         );
         frame.render_widget(ratatui::widgets::Paragraph::new(vec![first, Line::raw(second)]), area);
     }

@@ -7,9 +7,9 @@ fn the_shipped_examples_missions_and_maps_are_right() {
         ("examples/robot.toml", "a robot: ada"),
         ("examples/arm.toml", "a robot: lab-arm"),
         ("examples/station.toml", "a station: station-1"),
-        ("examples/world.toml", "a world: 2 robots, 1 people"),
+        ("examples/world.toml", "a world: 2 robots, 1 person"),
         ("examples/workers.toml", "workers: 4 of them"),
-        ("examples/follow-path.yaml", "a mission: follow-path, 1 roles, 2 steps"),
+        ("examples/follow-path.yaml", "a mission: follow-path, 1 role, 2 steps"),
         ("examples/calibration.toml", "a calibration: 0 skills, 0 legs"),
         ("../sim_bridge/designs/published.toml", "a design: published, 1296 trials"),
         ("tests/data/ward_map.json", "a map: 5 places, 4 ways"),
@@ -49,7 +49,7 @@ fn check_names_every_problem_with_file_and_place() {
     ] {
         assert!(ran.out.contains(&expected), "{expected:?} is missing in\n{}", ran.out);
     }
-    assert!(ran.err.contains("4 of 4 files have problems"), "{}", ran.err);
+    assert!(ran.err.contains("problems in 4 of 4 files"), "{}", ran.err);
 }
 
 #[test]

@@ -36,7 +36,7 @@ fn check_says_all_that_is_wrong_with_file_and_place() {
     assert_eq!(ran.code, Some(1), "{}", ran.out);
     let expected = format!("{wrong}: level \"L2\", lane 3: there is no vertex 17; allowed are 0 to 7\n");
     assert!(ran.out.starts_with(&expected), "{}", ran.out);
-    assert!(ran.err.contains("1 of 2 maps have problems"), "{}", ran.err);
+    assert!(ran.err.contains("problems in 1 of 2 maps"), "{}", ran.err);
     let missing = run(&["map", "show", "ward.drawio"]);
     assert_eq!(missing.code, Some(2));
     assert!(
@@ -106,7 +106,7 @@ fn who_and_what_is_drawn_becomes_a_world() {
     assert!(ran.err.contains("speed, battery and discharge of robots are not drawn: 0.5 m/s, full"), "{}", ran.err);
     assert!(!ran.err.contains("left out"), "{}", ran.err);
     let checked = run(&["check", &world]);
-    assert_eq!(checked.out, format!("{world}: ok, a world: 1 robots, 1 people\n"), "{}", checked.err);
+    assert_eq!(checked.out, format!("{world}: ok, a world: 1 robot, 1 person\n"), "{}", checked.err);
     let text = std::fs::read_to_string(&world).expect("a world file");
     for line in [
         "map = \"clinic.yaml\"",
@@ -137,7 +137,7 @@ fn a_map_of_any_form_is_taken_wherever_one_is_named() {
     let b = written("built_world.toml", &world(&office, "meeting"));
     let ran = run(&["check", &a, &b, &clinic, &office]);
     let expected = format!(
-        "{a}: ok, a world: 1 robots, 0 people\n{b}: ok, a world: 1 robots, 0 people\n\
+        "{a}: ok, a world: 1 robot, 0 people\n{b}: ok, a world: 1 robot, 0 people\n\
          {clinic}: ok, a map: 11 places, 11 ways\n{office}: ok, a map: 10 places, 10 ways\n"
     );
     assert_eq!((ran.code, ran.out), (Some(0), expected), "{}", ran.err);

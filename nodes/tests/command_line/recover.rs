@@ -139,7 +139,7 @@ fn the_last_of_three_becomes_the_only_voter_and_coordinates_again() {
     for said in [
         "is the store of node cyd of fleet ward.",
         "voters                   ada, bob, cyd",
-        "missions                 2, of which 1 have not ended",
+        "missions                 2, of which 1 has not ended",
         "lab-samples-1  pending",
         "lab-samples-2  canceled",
         "that only the disks of ada, bob held",

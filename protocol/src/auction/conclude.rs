@@ -49,7 +49,38 @@ pub fn conclude_by(
     circumstances: &Circumstances<'_>,
     choice: &dyn Choice,
 ) -> Conclusion {
-    let mut answers: BTreeMap<(&RoleId, &RobotId), &Answer> = BTreeMap::new();
+    let answers = answers_to(call, tenders);
+    let mut entries = judged(call, &answers, circumstances);
+    let hopeless = hopeless(call, &entries, circumstances);
+    let (holders, failure) = match chosen_by(choice, call, &answers, &entries, circumstances.limits) {
+        Ok(holders) => (Some(holders), None),
+        Err(problem) => (None, Some(problem)),
+    };
+    let omitted = entries.len().saturating_sub(AuctionRecord::ENTRIES_MAX);
+    if omitted > 0 {
+        // Those who could do the work are the ones people ask about first.
+        entries.sort_by_key(|entry| matches!(entry.verdict, Verdict::Refused { .. }));
+        entries.truncate(AuctionRecord::ENTRIES_MAX);
+    }
+    let chosen = holders.clone().unwrap_or_default();
+    keep_parts(&mut entries, &chosen, |role, robot| bid_of(&answers, role, robot).map_or(&[], |bid| &bid.parts));
+    let record = AuctionRecord {
+        auction: call.auction.clone(),
+        at_ms: circumstances.at_ms,
+        entries,
+        omitted: u32::try_from(omitted).unwrap_or(u32::MAX),
+        chosen,
+        failure,
+    };
+    Conclusion { holders, record, hopeless }
+}
+
+/// What each robot answered for each role; its first answer counts.
+type Answers<'a> = BTreeMap<(&'a RoleId, &'a RobotId), &'a Answer>;
+
+/// What was answered to this call; nobody answers for another.
+fn answers_to<'a>(call: &CallForBids, tenders: &'a [Tender]) -> Answers<'a> {
+    let mut answers = Answers::new();
     for tender in tenders.iter().filter(|tender| tender.auction == call.auction) {
         for answer in &tender.answers {
             let (role, robot) = match answer {
@@ -61,10 +92,20 @@ pub fn conclude_by(
             }
         }
     }
+    answers
+}
+
+fn bid_of<'a>(answers: &Answers<'a>, role: &RoleId, robot: &RobotId) -> Option<&'a Bid> {
+    match answers.get(&(role, robot)) {
+        Some(Answer::Bid(bid)) => Some(bid),
+        Some(Answer::Refusal(_)) | None => None,
+    }
+}
+
+/// A verdict on every robot for every role: on those that answered, and on those that should have.
+fn judged(call: &CallForBids, answers: &Answers<'_>, circumstances: &Circumstances<'_>) -> Vec<AuctionEntry> {
     let robots: BTreeSet<&RobotId> =
         circumstances.expected.iter().chain(answers.keys().map(|(_, robot)| *robot)).collect();
-
-    let mut viable: Vec<&Bid> = vec![];
     let mut entries = vec![];
     for role in call.roles.keys() {
         for &robot in &robots {
@@ -73,59 +114,50 @@ pub fn conclude_by(
                 _ if let Some(cause) = excluded => {
                     Verdict::Refused { reason: RefusalReason::Excluded { cause: cause.clone() } }
                 }
-                Some(Answer::Bid(bid)) => judge(bid, circumstances, &mut viable),
+                Some(Answer::Bid(bid)) => judge(bid, circumstances),
                 Some(Answer::Refusal(refusal)) => Verdict::Refused { reason: refusal.reason.clone() },
                 None => Verdict::Refused { reason: RefusalReason::Silent { window_ms: circumstances.window_ms } },
             };
             entries.push(AuctionEntry { role: role.clone(), robot: robot.clone(), verdict, parts: vec![] });
         }
     }
+    entries
+}
 
+/// Roles of the call at which somebody has failed, and which all others refuse for good.
+fn hopeless(call: &CallForBids, entries: &[AuctionEntry], circumstances: &Circumstances<'_>) -> BTreeSet<RoleId> {
     let for_good = |entry: &AuctionEntry| match &entry.verdict {
         // Whoever is at work for this very mission will not be free before it ends.
         Verdict::Refused { reason: RefusalReason::Busy { mission, .. } } => *mission == call.auction.mission,
         Verdict::Refused { reason } => reason.is_for_good(),
         Verdict::Viable { .. } | Verdict::Unviable { .. } => false,
     };
-    let hopeless = circumstances.excluded.iter().filter(|(_, excluded)| !excluded.is_empty()).map(|(role, _)| role);
-    let hopeless = hopeless.filter(|role| entries.iter().filter(|entry| entry.role == **role).all(for_good));
-    let hopeless = hopeless.filter(|role| call.roles.contains_key(*role)).cloned().collect();
+    let failed_at = circumstances.excluded.iter().filter(|(_, excluded)| !excluded.is_empty()).map(|(role, _)| role);
+    let called = failed_at.filter(|role| call.roles.contains_key(*role));
+    called.filter(|role| entries.iter().filter(|entry| entry.role == **role).all(for_good)).cloned().collect()
+}
 
+/// Who gets which role by the rule, of those whom the verdicts leave to it; or why nobody does.
+fn chosen_by(
+    choice: &dyn Choice,
+    call: &CallForBids,
+    answers: &Answers<'_>,
+    entries: &[AuctionEntry],
+    limits: &Limits,
+) -> Result<BTreeMap<RoleId, RobotId>, String> {
     let mut open: BTreeMap<RoleId, BTreeSet<RobotId>> =
         call.roles.keys().map(|role| (role.clone(), BTreeSet::new())).collect();
     for entry in entries.iter().filter(|entry| may_be_given(&entry.verdict)) {
         open.entry(entry.role.clone()).or_default().insert(entry.robot.clone());
     }
+    let viable = entries.iter().filter(|entry| matches!(entry.verdict, Verdict::Viable { .. }));
+    let viable: Vec<&Bid> = viable.filter_map(|entry| bid_of(answers, &entry.role, &entry.robot)).collect();
     let bids: Vec<&Bid> = answers
         .iter()
         .filter(|((role, robot), _)| open.get(*role).is_some_and(|robots| robots.contains(*robot)))
         .filter_map(|(_, answer)| if let Answer::Bid(bid) = answer { Some(bid) } else { None })
         .collect();
-    let ballot = Ballot { call, open: &open, bids: &bids, viable: &viable, limits: circumstances.limits };
-    let (holders, failure) = match choice.choose(&ballot) {
-        Ok(holders) => (Some(holders), None),
-        Err(problem) => (None, Some(problem)),
-    };
-    let omitted = entries.len().saturating_sub(AuctionRecord::ENTRIES_MAX);
-    if omitted > 0 {
-        // Those who could do the work are the ones people ask about first.
-        entries.sort_by_key(|entry| matches!(entry.verdict, Verdict::Refused { .. }));
-        entries.truncate(AuctionRecord::ENTRIES_MAX);
-    }
-    let chosen = holders.clone().unwrap_or_default();
-    keep_parts(&mut entries, &chosen, |role, robot| match answers.get(&(role, robot)) {
-        Some(Answer::Bid(bid)) => &bid.parts,
-        Some(Answer::Refusal(_)) | None => &[],
-    });
-    let record = AuctionRecord {
-        auction: call.auction.clone(),
-        at_ms: circumstances.at_ms,
-        entries,
-        omitted: u32::try_from(omitted).unwrap_or(u32::MAX),
-        chosen,
-        failure,
-    };
-    Conclusion { holders, record, hopeless }
+    choice.choose(&Ballot { call, open: &open, bids: &bids, viable: &viable, limits })
 }
 
 /// Writes the parts of bids into a record for as long as there is room: first the winners', then by time, and those that
@@ -164,16 +196,13 @@ fn may_be_given(verdict: &Verdict) -> bool {
     }
 }
 
-fn judge<'t>(bid: &'t Bid, circumstances: &Circumstances<'_>, viable: &mut Vec<&'t Bid>) -> Verdict {
+fn judge(bid: &Bid, circumstances: &Circumstances<'_>) -> Verdict {
     let Bid { time, energy, remaining, .. } = *bid;
     if let Some(reason) = circumstances.taken.get(&bid.robot) {
         return Verdict::Refused { reason: reason.clone() };
     }
     match bid.viable(circumstances.limits) {
-        Ok(()) => {
-            viable.push(bid);
-            Verdict::Viable { time, energy, remaining }
-        }
+        Ok(()) => Verdict::Viable { time, energy, remaining },
         Err(why) => Verdict::Unviable { time, energy, remaining, why },
     }
 }

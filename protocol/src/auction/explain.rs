@@ -2,6 +2,7 @@
 
 use super::bid::{BidPart, RefusalReason};
 use super::record::{AuctionEntry, AuctionRecord, Verdict};
+use crate::count::count;
 use crate::ids::{RobotId, RoleId};
 use crate::units::Seconds;
 use serde::{Deserialize, Serialize};
@@ -183,10 +184,13 @@ fn explain_role(record: &AuctionRecord, role: &RoleId, entries: &[&AuctionEntry]
             let viable = robots.iter().filter(|robot| robot.outcome == Outcome::InVain).count();
             let cause = record.failure.as_deref().unwrap_or("the auction came to nothing");
             match viable {
-                0 => format!("nobody gets {role}: {cause}; none of {} could take it", count(robots.len(), "robot")),
+                0 => format!(
+                    "nobody gets {role}: {cause}; none of {} could take it",
+                    count(robots.len(), "robot", "robots")
+                ),
                 _ => format!(
                     "nobody gets {role}: {cause}; {} could be taken, but a mission is filled whole or not at all",
-                    count(viable, "bid")
+                    count(viable, "bid", "bids")
                 ),
             }
         }
@@ -218,10 +222,14 @@ fn why_won(record: &AuctionRecord, winner: &RobotId, won: Option<Price>, robots:
     match rivals.first().map(|rival| (rival, rival.behind_s.unwrap_or(0.0))) {
         None => format!("{bid}: no other bid could be taken"),
         Some((rival, behind)) if behind < 0.05 => {
-            format!("{bid}: as quick as {}, of {}", rival.robot, count(rivals.len() + 1, "bid"))
+            format!("{bid}: as quick as {}, of {}", rival.robot, count(rivals.len() + 1, "bid", "bids"))
         }
         Some((rival, behind)) => {
-            format!("{bid}: the quickest of {}, {behind:.1} s before {}", count(rivals.len() + 1, "bid"), rival.robot)
+            format!(
+                "{bid}: the quickest of {}, {behind:.1} s before {}",
+                count(rivals.len() + 1, "bid", "bids"),
+                rival.robot
+            )
         }
     }
 }
@@ -305,11 +313,6 @@ fn viable(verdict: &Verdict) -> Option<Price> {
         Verdict::Viable { time, energy, remaining } => Some(Price::of(*time, *energy, *remaining)),
         Verdict::Unviable { .. } | Verdict::Refused { .. } => None,
     }
-}
-
-fn count(number: usize, what: &str) -> String {
-    let s = if number == 1 { "" } else { "s" };
-    format!("{number} {what}{s}")
 }
 
 #[cfg(test)]

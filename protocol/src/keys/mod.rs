@@ -364,11 +364,6 @@ impl Keys {
     pub fn any_alive_node(&self) -> String {
         format!("{}/alive/node/*", self.prefix)
     }
-
-    /// Key expression for the presence tokens of coordinators.
-    pub fn any_alive_coordinator(&self) -> String {
-        format!("{}/alive/coordinator/*/*", self.prefix)
-    }
 }
 
 impl fmt::Display for Key {

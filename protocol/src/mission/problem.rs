@@ -1,5 +1,6 @@
 //! What can be wrong with a mission, said so that its writer can mend it.
 
+use crate::count::count;
 use crate::ids::{ItemId, NameError, RoleId, TaskId};
 use std::fmt;
 
@@ -15,8 +16,7 @@ pub struct MissionErrors {
 impl fmt::Display for MissionErrors {
     /// One line for the mission, then one line a problem.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let count = self.problems.len();
-        write!(f, "mission {} has {count} problem{}:", self.mission, if count == 1 { "" } else { "s" })?;
+        write!(f, "mission {} has {}:", self.mission, count(self.problems.len(), "problem", "problems"))?;
         self.problems.iter().try_for_each(|problem| write!(f, "\n  {problem}"))
     }
 }

@@ -5,6 +5,7 @@
 //! waits for nobody for ever.
 
 use super::local::{Alternative, LocalPlan, Signal, SignalKind, Step, StepAction, StepIndex};
+use crate::count::count;
 use crate::ids::{RoleId, TaskId};
 use crate::mutants::{self, Mutant};
 use serde::{Deserialize, Serialize};
@@ -33,7 +34,7 @@ struct Kept {
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum ProgressError {
     /// Kept for another plan, perhaps.
-    #[error("step {step} is said to have ended, but the plan has {steps} steps")]
+    #[error("step {step} is said to have ended, but the plan has {}", count(*steps, "step", "steps"))]
     NoSuchStep {
         /// The step.
         step: StepIndex,
@@ -260,14 +261,6 @@ impl PlanProgress {
                 StepAction::Wait(_) | StepAction::Send(_) | StepAction::Task { .. } => None,
             })
             .collect()
-    }
-
-    /// Whether this role has sent the signal: the answer to somebody who asks.
-    pub fn has_sent(&self, signal: &Signal) -> bool {
-        self.ended.iter().any(|step| match self.step(*step).map(|step| &step.action) {
-            Some(StepAction::Send(sent)) => sent == signal,
-            Some(StepAction::Wait(_) | StepAction::Task { .. }) | None => false,
-        })
     }
 
     /// The steps that have not ended, of which all `after` have.

@@ -7,6 +7,7 @@
 //! - *empirical*: one of the factors that were measured between these two places. Where none was, one of those measured
 //!   on drives to the same place, else from the same place, else on any drive: scaled by the estimate in each case.
 
+use consort_protocol::count::count;
 use consort_protocol::ids::PlaceId;
 use rand::RngExt;
 use rand::seq::IndexedRandom;
@@ -77,10 +78,12 @@ impl TravelModel {
     pub fn describe(&self) -> String {
         match self {
             TravelModel::Kinematic(travel) => {
-                format!("kinematic, spread {}, {} slow places", travel.spread, travel.slow.len())
+                let slow = count(travel.slow.len(), "slow place", "slow places");
+                format!("kinematic, spread {}, {slow}", travel.spread)
             }
             TravelModel::Empirical(legs) => {
-                format!("empirical, {} drives on {} pairs of places", legs.any.len(), legs.pairs.len())
+                let pairs = count(legs.pairs.len(), "pair of places", "pairs of places");
+                format!("empirical, {} on {pairs}", count(legs.any.len(), "drive", "drives"))
             }
         }
     }

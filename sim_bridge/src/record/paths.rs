@@ -4,6 +4,7 @@ use super::{Moment, RecordError, Tape};
 use crate::map::show::{Trail, svg_with_trails};
 use crate::map::{Drawn, LevelIndex};
 use crate::world::{Stance, World};
+use consort_protocol::count::count;
 use consort_protocol::ids::RobotId;
 use consort_skills::actions::BodyHost;
 use std::collections::{BTreeMap, VecDeque};
@@ -125,7 +126,8 @@ impl Tape for Paths {
         let svg = svg_with_trails(world.map(), &bodies.iter().collect::<Vec<_>>(), &trails, &caption);
         std::fs::write(&self.file, svg).map_err(RecordError::of(&self.file))?;
         let driven_m = trails.iter().fold(0.0, |driven_m, trail| driven_m + trail.length_m);
-        Ok(format!("{}: {driven_m:.0} m driven by {} robots", self.file.display(), trails.len()))
+        let robots = count(trails.len(), "robot", "robots");
+        Ok(format!("{}: {driven_m:.0} m driven by {robots}", self.file.display()))
     }
 }
 

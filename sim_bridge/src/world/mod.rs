@@ -73,6 +73,7 @@ mod system;
 mod systems;
 #[cfg(test)]
 mod tests;
+mod ways;
 mod whereabouts;
 
 pub use fittings::{DoorSetup, Object, Obstacle};

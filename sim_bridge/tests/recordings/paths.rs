@@ -11,7 +11,7 @@ fn the_picture_shows_the_paths_driven() {
     record(&world, &Outputs { mcap: None, svg: Some(file.0.clone()) });
     minute(&mut world);
     let said = world.end_recording();
-    assert!(said[0].as_ref().unwrap().ends_with(": 20 m driven by 1 robots"), "{said:?}");
+    assert!(said[0].as_ref().unwrap().ends_with(": 20 m driven by 1 robot"), "{said:?}");
     let svg = fs::read_to_string(&file.0).unwrap();
     let document = roxmltree::Document::parse(&svg).unwrap();
     let of_class = |class: &str| {

@@ -3,6 +3,7 @@
 use super::many::Trial;
 use super::stage::Stage;
 use super::watcher::{Brief, Seen, Watcher};
+use crate::look::coordinating;
 use consort_actors::bus::{Bus as _, LinkModel, VirtualBus, VirtualNetwork};
 use consort_actors::clock::Clock;
 use consort_actors::coordinator::IntakeLimits;
@@ -252,13 +253,8 @@ impl<'s> Play<'s> {
         self.start(settings).await;
     }
 
-    /// Who coordinates: of several who believe that they do, the latest elected.
     fn coordinator(&self) -> Option<NodeId> {
-        let leads = |node: &NodeHandle| {
-            let leadership = node.replica.as_ref()?.leadership().borrow().clone();
-            leadership.is_me.then(|| (leadership.term, node.node.clone()))
-        };
-        self.nodes.values().filter_map(leads).max().map(|(_, node)| node)
+        coordinating(self.nodes.values())
     }
 
     async fn submit(&self, client: &VirtualBus) {

@@ -73,8 +73,6 @@ pub(super) fn condition(bytes: &[u8]) -> bool {
             );
             let believed = ensemble.judge(&ada, &ada, &base, NodeTime::ZERO);
             assert!(!believed.reason.is_empty());
-            let heard = base.get(&ada).expect("it was heard");
-            let _ = ensemble.may_coordinate(&ada, heard);
             true
         }
         Err(problem) => {

@@ -1,6 +1,8 @@
 //! What a file may say beyond the main job: attempts, items, other methods, recovery.
 
 use super::*;
+use crate::ids::{ItemId, RoleId};
+use crate::mission::{ATTEMPTS, Body, Lost, OnLoss, TaskSpec};
 
 /// A robot fetches a key and hands it to another; if it is lost with it, the other goes there.
 const FILE: &str = r#"

@@ -1,4 +1,5 @@
 use super::*;
+use crate::mission::{Body, Method, Order, TaskSpec};
 
 const FILE: &str = r#"
 mission: inspect-room

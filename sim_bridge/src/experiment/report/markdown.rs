@@ -7,6 +7,7 @@ use super::super::stats::{Interval, Summary, risk_difference};
 use super::analysis::{Comparison, Question, Tally, tallies};
 use super::gain::Gain;
 use super::{Heading, analysis};
+use consort_protocol::count::count;
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::Write;
 
@@ -28,10 +29,10 @@ pub(super) fn text(
     };
     say(&format!("# Evaluation: {design}\n"));
     say(&format!(
-        "{} trials in {} scenarios on the map {map}; seed {seed}; drives: {travel}; {world_speed} world seconds in one \
+        "{} in {} on the map {map}; seed {seed}; drives: {travel}; {world_speed} world seconds in one \
          second of the fleet's time. End states and times to conclude as in thesis 4.1.2; intervals hold with 95 %.\n",
-        rows.len(),
-        scenarios.len()
+        count(rows.len(), "trial", "trials"),
+        count(scenarios.len(), "scenario", "scenarios"),
     ));
     say("## How trials ended\n");
     say(&ends_table(tallies));
@@ -175,9 +176,9 @@ fn fault_table(tallies: &[Tally]) -> String {
 
 fn gain_text(gain: &Gain) -> String {
     let mut text = format!(
-        "Learned from {} trials; the others, below, were run twice: with the estimates as they were, and with mean times and, \
+        "Learned from {}; the others, below, were run twice: with the estimates as they were, and with mean times and, \
          for the battery, the {:.0} % quantile of what was seen.\n\n",
-        gain.trials,
+        count(gain.trials, "trial", "trials"),
         gain.learned.quantile * 100.0
     );
     text.push_str("| estimates | trials | success | battery failures | mean TTC, s | error of a drive, s | drives within their energy |\n|---|---:|---:|---:|---:|---:|---:|\n");

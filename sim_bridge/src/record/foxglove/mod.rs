@@ -27,6 +27,7 @@ pub use schema::Schema;
 
 use super::{Moment, RecordError, Tape};
 use crate::world::{Happening, JournalEntry, PersonReport, Stance, World};
+use consort_protocol::count::count;
 use consort_protocol::ids::{PlaceId, RobotId};
 use consort_skills::actions::BodyHost;
 use message::{FrameTransform, FrameTransforms, Log, PoseInFrame, RobotState};
@@ -162,8 +163,9 @@ impl Tape for Foxglove {
 
     fn end(&mut self, world: &World) -> Result<String, RecordError> {
         self.file.finish()?;
-        let (file, messages, now_s) = (self.file.path().display(), self.file.messages(), world.now().as_secs());
-        Ok(format!("{file}: {messages} messages, {now_s:.0} s of world time"))
+        let (file, now_s) = (self.file.path().display(), world.now().as_secs());
+        let messages = count(self.file.messages(), "message", "messages");
+        Ok(format!("{file}: {messages}, {now_s:.0} s of world time"))
     }
 }
 

@@ -13,8 +13,7 @@
 //!              └─▶ something in the way: blocked                                        └─▶ the next errand
 //! ```
 
-use crate::kinematics::StraightRun;
-use crate::map::{Facing, PlaceIndex, limits};
+use crate::map::PlaceIndex;
 use crate::world::components::{Beside, Body, Departures};
 use crate::world::course::{Course, SAME_M, SIGHT_M, Stop};
 use crate::world::floor::Floor;
@@ -27,16 +26,13 @@ use crate::world::systems::doors::{DoorsByName, Doorway};
 use crate::world::systems::lifts::LiftsByName;
 use crate::world::systems::obstacles::{InTheWay, KnownClosed};
 use crate::world::systems::steering::{Footprint, Steered, Surroundings};
-use crate::world::whereabouts::{Drive, Spot, Stretch, Whereabouts};
-use consort_protocol::ids::{PlaceId, RobotId};
-use consort_protocol::pose::Pose;
+use crate::world::ways::{Errand, Way};
+use crate::world::whereabouts::{Spot, Whereabouts};
+use consort_protocol::ids::RobotId;
 use consort_protocol::units::{Metres, Seconds};
-use consort_skills::actions::{ActionError, ErrorCode, Feedback, Goal, Progress, Waypoint};
+use consort_skills::actions::{ActionError, ErrorCode, Feedback, Goal, Progress};
 use hecs::Entity;
 use std::collections::VecDeque;
-
-/// A pose given for a place must be this close to where the map has it; more is a robot with another map.
-const SAME_SPOT_M: f64 = 0.1;
 
 /// How far a robot's drive has come, beside where it is.
 pub(crate) struct Journey {
@@ -50,19 +46,6 @@ pub(crate) struct Journey {
     inside: Option<Entity>,
 }
 
-/// Where a robot is to go.
-#[derive(Debug, Clone)]
-struct Errand {
-    pose: Pose,
-    place: Option<PlaceId>,
-}
-
-impl From<&Waypoint> for Errand {
-    fn from(waypoint: &Waypoint) -> Errand {
-        Errand { pose: waypoint.pose, place: waypoint.place.clone() }
-    }
-}
-
 enum Stage {
     /// It goes nowhere.
     Idle,
@@ -71,12 +54,6 @@ enum Stage {
     AtLift(PlaceIndex),
     /// Until the lift lets it out, whatever becomes of the goal.
     InLift,
-}
-
-/// How one gets to where one wants to go.
-enum Way {
-    Drive(Drive, f64),
-    Ride { lift: String, from: PlaceIndex, to: PlaceIndex },
 }
 
 /// See the [module](self).
@@ -208,102 +185,6 @@ impl Floor {
                 self.note(Happening::LiftLeft { robot: self.name(robot), lift, at });
             }
             stage @ Stage::InLift => self.get_mut::<Journey>(robot).stage = stage,
-        }
-    }
-
-    /// Finds the way to a pose or place; nothing moves yet.
-    fn find_way(&self, robot: Entity, Errand { pose, place }: &Errand) -> Result<Way, ActionError> {
-        let body = &self.get::<Body>(robot).0;
-        if !body.mobile {
-            return Err(refused(ErrorCode::NoRoute, format!("{} cannot drive", body.id)));
-        }
-        let sane = |value: f64| value.abs() <= limits::EXTENT_M;
-        if ![pose.x, pose.y, pose.yaw].into_iter().all(sane) {
-            let message = format!("({}, {}, {}) is not a pose on a floor", pose.x, pose.y, pose.yaw);
-            return Err(refused(ErrorCode::Unknown, message));
-        }
-        let whereabouts = *self.get::<Whereabouts>(robot);
-        let (start_pose, start_spot) = (whereabouts.pose(self.now), whereabouts.spot(self.now));
-        let (end_spot, end_pose, length_m, lane) = match place {
-            Some(place) => {
-                let (place, end_pose) = self.destination(place, *pose)?;
-                if let Some((from, lift)) = self.lift_from(start_spot, place) {
-                    return Ok(Way::Ride { lift, from, to: place });
-                }
-                let (length_m, lane) = self.leg(start_spot, start_pose, place)?;
-                (Spot::Place(place), end_pose, length_m, lane)
-            }
-            None => {
-                let near = start_spot.last_place();
-                let there = self.map.at(near).pose.distance(*pose).get() <= SAME_SPOT_M;
-                let spot = if there { Spot::Place(near) } else { Spot::Floor { near } };
-                (spot, *pose, start_pose.distance(*pose).get(), None)
-            }
-        };
-        let (limit, backward) = lane.map_or((None, false), |stretch| self.rules(stretch));
-        let speed_mps = limit.map_or(body.speed.get(), |limit| body.speed.get().min(limit));
-        let (began, run) = (self.now, StraightRun::steady(length_m, speed_mps));
-        let drive = Drive { start_spot, start_pose, began, end_spot, end_pose, run, lane, backward };
-        Ok(Way::Drive(drive, speed_mps))
-    }
-
-    /// The lift to take from where a robot stands, if no lane leads there.
-    fn lift_from(&self, start: Spot, to: PlaceIndex) -> Option<(PlaceIndex, String)> {
-        let Spot::Place(from) = start else { return None };
-        let lift = self.lift_between(&self.map.at(from).id, &self.map.at(to).id)?;
-        self.map.drivable(from, to).is_none().then_some((from, lift))
-    }
-
-    /// How fast one may drive on a part of a lane, in metres per second, and whether one drives backward there.
-    fn rules(&self, (from, to, first, last): Stretch) -> (Option<f64>, bool) {
-        let Some(lane) = self.map.drivable(from, to) else { return (None, false) };
-        let along = (lane.from == self.map.at(from).id) == (last >= first);
-        let facing = lane.facing.map(|facing| if along { facing } else { facing.reversed() });
-        (lane.speed_limit.map(|limit| limit.get()), facing == Some(Facing::Backward))
-    }
-
-    fn destination(&self, place: &PlaceId, pose: Pose) -> Result<(PlaceIndex, Pose), ActionError> {
-        let Some(index) = self.map.index(place) else {
-            let message = format!("there is no place {:?} here{}", place.as_str(), self.map.suggest(place));
-            return Err(refused(ErrorCode::Unknown, message));
-        };
-        let known = self.map.at(index).pose;
-        if known.distance(pose).get() > SAME_SPOT_M {
-            let message =
-                format!("{place} is at ({}, {}) on this map, not at ({}, {})", known.x, known.y, pose.x, pose.y);
-            return Err(refused(ErrorCode::Unknown, message));
-        }
-        Ok((index, Pose { yaw: pose.yaw, ..known }))
-    }
-
-    /// How far it is along the map from where a robot stands, and along which part of which lane.
-    fn leg(&self, start: Spot, pose: Pose, to: PlaceIndex) -> Result<(f64, Option<Stretch>), ActionError> {
-        let name = |place| &self.map.at(place).id;
-        let no_lane = |message| Err(refused(ErrorCode::NoRoute, message));
-        match start {
-            Spot::Place(from) if from == to => Ok((0.0, None)),
-            Spot::Place(from) => match self.map.drivable(from, to) {
-                Some(lane) => Ok((lane.length.get(), Some((from, to, 0.0, 1.0)))),
-                None => no_lane(format!("no lane from {} to {}", name(from), name(to))),
-            },
-            Spot::Lane { from, to: end, share } if to == end => {
-                let length_m = self.map.drivable(from, end).map_or(0.0, |lane| lane.length.get());
-                Ok((length_m * (1.0 - share), Some((from, end, share, 1.0))))
-            }
-            Spot::Lane { from, to: end, share } if to == from => match self.map.drivable(end, from) {
-                Some(lane) => Ok((lane.length.get() * share, Some((from, end, share, 0.0)))),
-                None => no_lane(format!("the lane from {} to {} is one-way", name(from), name(end))),
-            },
-            Spot::Lane { .. } | Spot::Lift { .. } => {
-                no_lane(format!("no lane to {} from {}", name(to), start.describe(&self.map)))
-            }
-            Spot::Floor { near } if to == near => Ok((pose.distance(self.map.at(near).pose).get(), None)),
-            Spot::Floor { near } => no_lane(format!(
-                "no lane to {} from {}: the way back is to {}",
-                name(to),
-                start.describe(&self.map),
-                name(near)
-            )),
         }
     }
 

@@ -170,7 +170,7 @@ impl Floor {
 
     fn too_low(&self, robot: Entity) -> ActionError {
         let left = self.get::<Battery>(robot).at(self.now);
-        refused(ErrorCode::BatteryLow, format!("the battery of {} is down to {left:e}", self.name(robot)))
+        refused(ErrorCode::BatteryLow, format!("the battery of {} is down to {}", self.name(robot), left.percent()))
     }
 
     /// The charge has come down to the stopping share. What is left drains on at the idle rate.

@@ -2,6 +2,7 @@
 
 use crate::config::{Problem, Problems};
 use crate::floor;
+use crate::source::text;
 use consort_sim::experiment::calibration::Calibration;
 use consort_sim::experiment::design::{self, Design, Scenario};
 use consort_sim::experiment::reference;
@@ -12,8 +13,8 @@ use std::fmt::Display;
 use std::path::Path;
 use std::sync::Arc;
 
-/// A design with all that it names.
-pub struct Plan {
+/// An evaluation that could be begun: a design with all that it names.
+pub struct Evaluation {
     /// The design.
     pub design: Design,
     /// What is tried.
@@ -35,12 +36,12 @@ pub struct Instead<'a> {
     pub legs: Option<&'a Path>,
 }
 
-impl Plan {
+impl Evaluation {
     /// Reads what a design names.
     ///
     /// # Errors
     /// [`Problems`] of a file that it names.
-    pub fn of(design: Design, instead: &Instead<'_>) -> Result<Plan, Problems> {
+    pub fn of(design: Design, instead: &Instead<'_>) -> Result<Evaluation, Problems> {
         let scenarios = match instead.scenarios {
             Some(file) => reference::scenarios(&text(file)?, &design).map_err(|problem| wrong(file, problem))?,
             None => design::scenarios(&design),
@@ -56,7 +57,7 @@ impl Plan {
             }
             None => TravelModel::Kinematic(design.travel.clone()),
         };
-        Ok(Plan { design, scenarios, map, travel })
+        Ok(Evaluation { design, scenarios, map, travel })
     }
 
     /// The stage on which trials of a design are played that is like this one's, with what was learned.
@@ -78,10 +79,6 @@ fn load_map(name: &str) -> Result<Map, Problems> {
         return reference::floor(&text, name).map_err(|problem| wrong(Path::new(name), problem));
     }
     map::read(&text, name).map_err(|problem| floor::problems(name, problem))
-}
-
-fn text(file: &Path) -> Result<String, Problems> {
-    std::fs::read_to_string(file).map_err(|problem| wrong(file, format!("cannot be read: {problem}")))
 }
 
 fn wrong(file: &Path, problem: impl Display) -> Problems {

@@ -31,7 +31,7 @@ const AGAIN: Duration = Duration::from_secs(1);
 const MISSIONS: usize = 16;
 
 /// Follows the fleet, until the tasks end.
-pub(crate) fn watch(tasks: &mut JoinSet<()>, bus: SharedBus, keys: Keys, ear: Arc<dyn Ear>) {
+pub(crate) fn follow(tasks: &mut JoinSet<()>, bus: SharedBus, keys: Keys, ear: Arc<dyn Ear>) {
     let on = |key: String| (Arc::clone(&bus), key, Arc::clone(&ear));
     let (events, bodies, beacons) = (keys.any_events(), keys.any_body_state(), keys.write(&Key::Beacon));
     tasks.spawn(hear(on(events), |payload| match serde_json::from_slice::<Event>(payload) {
