@@ -466,8 +466,10 @@ fn over_http_a_token_says_who_it_is_and_what_is_let_in() {
     assert!(refused.ends_with("only one that needs rescue can be closed"), "{refused}");
     let withdrawn = with(&submits, "POST /api/missions/lab-samples-1/cancel", "{}");
     assert_eq!(withdrawn.status, 200, "{}", withdrawn.body);
-    let events = with(&reads, "GET /api/events?mission=lab-samples-1", "").body;
-    assert!(events.contains("by submit"), "who withdrew it is known: {events}");
+    until("who withdrew it is known", LIMIT, || {
+        let events = with(&reads, "GET /api/events?mission=lab-samples-1", "").body;
+        events.contains("by submit").then_some(())
+    });
 
     // A session is the token as a cookie that no script reads.
     let begun = http(

@@ -11,7 +11,8 @@
 //! seal stands beside the message, and brings the certificate along.
 //!
 //! What a seal does not do: hide (links do, by TLS), tell when something was said (a node that starts anew may be shown old
-//! messages once; terms, epochs, versions and stamps sort them out), or vouch for what its author says of third ones.
+//! messages once; terms, epochs, versions and stamps sort them out), or vouch for what its author says of third ones: what is handed on
+//! of them bears their own signature (`notary`).
 
 mod bus;
 mod cards;
