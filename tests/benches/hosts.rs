@@ -2,6 +2,8 @@
 //!
 //! ```text
 //! cargo bench -p consort --bench hosts -- idle [SECONDS]   what an idle fleet of seven nodes costs each of them
+//! cargo bench -p consort --bench hosts -- idle-closed [SECONDS]   the same with certificates
+//! cargo bench -p consort --bench hosts -- seals [SECONDS]  both at once, side by side: a ratio that noise has no part in
 //! cargo bench -p consort --bench hosts -- cuts [COUNT]     from the cut of the coordinator's cable to the next one
 //! cargo bench -p consort --bench hosts -- wifi [MINUTES]   takeovers without reason while a tenth of all packets is lost
 //! ```
@@ -22,7 +24,7 @@ use lab::{Lab, Way, inside_again};
 use serde_json::{Value, json};
 use std::io::Write as _;
 use std::time::{Duration, Instant};
-use story::{FLEET, LONG, coordinator, fleet, hospital, succession, with};
+use story::{FLEET, LONG, closed_hospital, coordinator, fleet, hospital, succession, with};
 use support::{Client, example, until};
 
 const STATIONS: [&str; 5] = ["s1", "s2", "s3", "s4", "s5"];
@@ -35,11 +37,20 @@ fn main() {
     let number = |default| words.get(1).and_then(|word| word.parse().ok()).unwrap_or(default);
     let again: Vec<&str> = words.iter().map(String::as_str).collect();
     match words.first().map(String::as_str) {
-        Some("idle") => inside_again(&again, &[], || print(&idle(Duration::from_secs(number(60))))),
+        Some("idle") => inside_again(&again, &[], || print(&idle(Duration::from_secs(number(60)), false))),
+        Some("idle-closed") => inside_again(&again, &[], || print(&idle(Duration::from_secs(number(60)), true))),
+        Some("seals") => std::thread::scope(|both| {
+            for which in ["idle", "idle-closed"] {
+                let seconds = number(60).to_string();
+                both.spawn(move || inside_again(&[which, &seconds], &[], || ()));
+            }
+        }),
         Some("cuts") => inside_again(&again, &[], || print(&cuts(number(20)))),
         Some("wifi") => inside_again(&again, &["nft"], || print(&wifi(Duration::from_secs(60 * number(10))))),
         _ => {
-            print(&json!({ "bench": "hosts", "problem": "say which: idle [SECONDS], cuts [COUNT] or wifi [MINUTES]" }));
+            print(
+                &json!({ "bench": "hosts", "problem": "say which: idle, idle-closed or seals [SECONDS], cuts [COUNT] or wifi [MINUTES]" }),
+            );
         }
     }
 }
@@ -63,8 +74,8 @@ fn usage(process: u32) -> (f64, f64) {
 }
 
 /// Seven nodes: five stations, a carrier and an arm. The world has a host of its own and is not counted.
-fn idle(span: Duration) -> Value {
-    let (lab, client) = hospital(1.0);
+fn idle(span: Duration, closed: bool) -> Value {
+    let (lab, client) = if closed { closed_hospital(1.0) } else { hospital(1.0) };
     std::thread::sleep(SETTLE);
     let leader = coordinator(&client).0;
     drop(client);
@@ -85,7 +96,7 @@ fn idle(span: Duration) -> Value {
             "memory_MB": tenth(memory),
         })
     });
-    json!({ "bench": "idle", "seconds": span.as_secs(), "nodes": rows.collect::<Vec<_>>() })
+    json!({ "bench": "idle", "closed": closed, "seconds": span.as_secs(), "nodes": rows.collect::<Vec<_>>() })
 }
 
 /// Five stations that keep the ledger and one that looks on; the fleet's file is changed before they start.

@@ -10,9 +10,10 @@
 //! The namespaces belong to a user namespace of the test's own, so no rights are needed where unprivileged user namespaces
 //! are allowed. All of it ends with the first process in there.
 
-use crate::support::{Ended, Folder, Program, until};
+use crate::support::{Client, Ended, Folder, Program, until};
 use std::collections::BTreeMap;
 use std::io::Write as _;
+use std::path::PathBuf;
 use std::process::Command;
 use std::time::Duration;
 use toml::Table;
@@ -107,6 +108,8 @@ pub(crate) struct Lab {
     links: usize,
     commands: usize,
     folder: Folder,
+    /// Whether nodes have certificates.
+    closed: bool,
 }
 
 impl Lab {
@@ -121,7 +124,33 @@ impl Lab {
         }
         ip("addr add 10.77.0.254/24 dev br0");
         let fleet = fleet["name"].as_str().expect("a fleet has a name").to_owned();
-        Lab { fleet, hosts: BTreeMap::new(), links: 0, commands: 0, folder }
+        Lab { fleet, hosts: BTreeMap::new(), links: 0, commands: 0, folder, closed: false }
+    }
+
+    /// From now on nodes are started with certificates: these, each with its roles, have one; and somebody who may read.
+    pub(crate) fn close(&mut self, nodes: &[(&str, &str)]) {
+        let dir = self.certs("").display().to_string();
+        let cert = |words: &[&str]| run(env!("CARGO_BIN_EXE_consort"), &[&["cert", "--dir", &dir], words].concat());
+        cert(&["init", "--fleet", &self.fleet]);
+        for (node, roles) in nodes {
+            cert(&["node", node, "--roles", roles]);
+        }
+        cert(&["person", "looker", "--scope", "read"]);
+        self.closed = true;
+    }
+
+    fn certs(&self, of: &str) -> PathBuf {
+        self.folder.path().join("certs").join(of)
+    }
+
+    /// A client of a host's node.
+    pub(crate) fn client(&self, of: &str, fleet: &'static str) -> Client {
+        let certs = self.closed.then(|| self.certs("looker"));
+        Client::open_with(&self.address(of, ""), fleet, certs.as_deref())
+    }
+
+    fn protocol(&self) -> &'static str {
+        if self.closed { "tls" } else { "tcp" }
     }
 
     /// Adds a host without a cable.
@@ -150,7 +179,7 @@ impl Lab {
         for (host, other, last) in [(a, b, 1), (b, a, 2)] {
             ip(&format!("-n {host} addr add 10.78.{number}.{last}/24 dev l{number}"));
             ip(&format!("-n {host} link set l{number} up"));
-            let address = format!("tcp/10.78.{number}.{last}:7447");
+            let address = format!("{}/10.78.{number}.{last}:7447", self.protocol());
             self.hosts.get_mut(host).expect("a host").links.insert(other.to_owned(), address);
         }
     }
@@ -158,7 +187,7 @@ impl Lab {
     /// Where `to` is reached, by `from` if they have a cable of their own.
     pub(crate) fn address(&self, to: &str, from: &str) -> String {
         let host = &self.hosts[to];
-        host.links.get(from).cloned().unwrap_or_else(|| format!("tcp/10.77.0.{}:7447", host.number))
+        host.links.get(from).cloned().unwrap_or_else(|| format!("{}/10.77.0.{}:7447", self.protocol(), host.number))
     }
 
     /// Starts a host's node: `consort KIND --config FILE`, on all its addresses, linked with these others.
@@ -166,7 +195,10 @@ impl Lab {
         let name = node["name"].as_str().expect("a node has a name").to_owned();
         let connect: Vec<String> = neighbours.iter().map(|other| self.address(other, &name)).collect();
         let mut bus = Table::new();
-        bus.insert("listen".to_owned(), vec!["tcp/0.0.0.0:7447"].into());
+        bus.insert("listen".to_owned(), vec![format!("{}/0.0.0.0:7447", self.protocol())].into());
+        if self.closed {
+            bus.insert("certs".to_owned(), self.certs(&name).display().to_string().into());
+        }
         bus.insert("connect".to_owned(), connect.into());
         node.insert("bus".to_owned(), bus.into());
         let file = self.folder.write(&format!("{name}.toml"), &node.to_string()).display().to_string();

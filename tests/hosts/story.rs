@@ -40,7 +40,18 @@ pub(crate) fn robot(kind: &str) -> Table {
 /// Five stations that keep the ledger, a world, a carrier and an arm, a host each; and a client beside the switch, linked
 /// with the world's host.
 pub(crate) fn hospital(speed: f64) -> (Lab, Client) {
+    hospital_in(Lab::new(&fleet(5)), speed)
+}
+
+/// The same with certificates.
+pub(crate) fn closed_hospital(speed: f64) -> (Lab, Client) {
     let mut lab = Lab::new(&fleet(5));
+    let stations = ["s1", "s2", "s3", "s4", "s5"].map(|station| (station, "voter"));
+    lab.close(&[&stations[..], &[("world", "host"), ("ada", "robot"), ("lab-arm", "robot")]].concat());
+    hospital_in(lab, speed)
+}
+
+fn hospital_in(mut lab: Lab, speed: f64) -> (Lab, Client) {
     let stations = ["s1", "s2", "s3", "s4", "s5"];
     for host in stations.into_iter().chain(["world", "ada", "lab-arm"]) {
         lab.add(host);
@@ -52,7 +63,7 @@ pub(crate) fn hospital(speed: f64) -> (Lab, Client) {
     lab.start("robot", robot("robot"), &["world", "s1", "s2", "s3"]);
     lab.start("robot", robot("arm"), &["world", "s1", "s2", "s3"]);
     lab.await_open();
-    let client = Client::open(&lab.address("world", ""), FLEET);
+    let client = lab.client("world", FLEET);
     until("the carrier and the arm are members, and five keep the ledger", LONG, || {
         let members = client.all("view/fleet", "").into_iter().next()?.1["ensembles"][0]["nodes"].clone();
         let members = members.as_array()?.iter().filter(|entry| entry["member"] == true).count();

@@ -4,7 +4,7 @@
 //! these stories are skipped, and say so.
 
 use crate::crashes::{STATIONS, reign, submit, with, world};
-use crate::support::{Client, Fleet, example, until};
+use crate::support::{Client, Closed, Ended, Fleet, example, until};
 use serde_json::Value;
 use std::fs;
 use std::os::unix::fs::PermissionsExt;
@@ -35,6 +35,12 @@ fn former(folder: &Path) -> Option<PathBuf> {
     let runs = Command::new(&program).arg("--version").output().expect("it can be run");
     assert_eq!(String::from_utf8_lossy(&runs.stdout), "consort 0.1.0\n");
     Some(program)
+}
+
+/// How the release before is started where this one would be: `consort` is what the shell is told to run, and it runs the other
+/// in its place.
+fn by(former: &str) -> [&str; 4] {
+    ["sh", "-c", "shift; exec \"$0\" \"$@\"", former]
 }
 
 /// A hospital whose nodes run either program.
@@ -70,9 +76,8 @@ impl Hospital {
         let others: Vec<String> = self.fleet.names().into_iter().map(str::to_owned).collect();
         let others: Vec<&str> = others.iter().map(String::as_str).collect();
         let (kind, file) = self.file(node);
-        // `consort` is what this shell is told to run; it runs the other in its place.
-        let former = ["sh", "-c", "shift; exec \"$0\" \"$@\"", &self.former.clone()];
-        self.fleet.start_by(if by_former { &former } else { &[] }, kind, file, &others);
+        let former = self.former.clone();
+        self.fleet.start_by(if by_former { &by(&former) } else { &[] }, kind, file, &others);
     }
 
     /// Ends a node well and starts it by the one program or the other, once the others have seen it go; then it is back.
@@ -97,7 +102,7 @@ impl Hospital {
         });
     }
 
-    fn upgrade(&mut self, more: &[&str], by: &str) -> crate::support::Ended {
+    fn upgrade(&mut self, more: &[&str], by: &str) -> Ended {
         self.fleet.run(&[&["upgrade"][..], more].concat(), by)
     }
 }
@@ -209,4 +214,45 @@ fn a_fleet_is_upgraded_node_by_node_while_missions_go_on() {
     hospital.start("lab-arm", false);
     hospital.back("lab-arm", &client);
     hospital.fleet.stop();
+}
+
+#[test]
+fn nodes_of_two_releases_believe_one_another_in_a_closed_fleet() {
+    let mut closed = Closed::new();
+    let Some(former) = former(&closed.fleet.path(".")) else { return };
+    let former = former.display().to_string();
+    let former = by(&former);
+    let operator = closed.of("operate").display().to_string();
+    let data = closed.fleet.path("station-1-data").display().to_string();
+    let station = with(example("station"), "data_dir", data);
+    let not_voting = |kind: &str| with(example(kind), "may_vote", false);
+    closed.start_by(&former, "station", station.clone(), &[]);
+    closed.start("world", with(example("world"), "speed", 20.0), &["station-1"]);
+    closed.start("robot", not_voting("robot"), &["station-1", "world"]);
+    closed.start_by(&former, "robot", not_voting("arm"), &["station-1", "world"]);
+    let submit = ["submit", "lab-samples", "--set", "room=IC Room 6", "--wait", "--certs", &operator];
+    // What a station of 0.1.0 answers bears no signature: its own commands believe it.
+    let ended = closed.fleet.begin_by(&former, &submit, "world").end(LONG).expect(0);
+    assert!(ended.stdout.ends_with("completed\n"), "{}", ended.stdout);
+    for name in ["station-1", "world", "ada", "lab-arm"] {
+        assert_eq!(closed.refused(name), "", "{name} takes friends for foes");
+    }
+
+    for (name, kind, file) in [("station-1", "station", station), ("lab-arm", "robot", not_voting("arm"))] {
+        closed.fleet.node(name).signal("TERM");
+        closed.fleet.ends(name);
+        let others: Vec<String> = closed.fleet.names().into_iter().map(str::to_owned).collect();
+        closed.start(kind, file, &others.iter().map(String::as_str).collect::<Vec<_>>());
+    }
+    until("everybody reads version 2", LONG, || {
+        let ran = closed.fleet.run(&["upgrade", "--finish", "--certs", &operator], "world");
+        (ran.code() == 0 && ran.stdout.starts_with("the fleet writes version 2 of the wire;")).then_some(())
+    });
+    let again = ["submit", "lab-samples", "--set", "room=IC Room 5", "--wait", "--certs", &operator];
+    let ended = closed.fleet.run(&again, "world").expect(0);
+    assert!(ended.stdout.ends_with("completed\n"), "{}", ended.stdout);
+    for name in ["station-1", "world", "ada", "lab-arm"] {
+        assert_eq!(closed.refused(name), "", "{name} takes friends for foes");
+    }
+    closed.fleet.stop();
 }

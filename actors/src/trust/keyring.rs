@@ -56,7 +56,7 @@ impl Card {
     }
 
     /// Whether its bearer signed this.
-    pub(super) fn signed(&self, message: &[u8], signature: &[u8]) -> bool {
+    pub fn signed(&self, message: &[u8], signature: &[u8]) -> bool {
         let certificate = EndEntityCert::try_from(&self.certificate);
         certificate.is_ok_and(|certificate| certificate.verify_signature(ED25519, message, signature).is_ok())
     }
@@ -212,12 +212,12 @@ impl Keyring {
     }
 
     /// The number of the next message.
-    pub(super) fn number(&self) -> u64 {
+    pub fn number(&self) -> u64 {
         self.numbers.fetch_add(1, Ordering::Relaxed) + 1
     }
 
     /// A message sealed by the bearer.
-    pub(super) fn seal(&self, kind: Kind, number: u64, key: &str, payload: &[u8]) -> Vec<u8> {
+    pub fn seal(&self, kind: Kind, number: u64, key: &str, payload: &[u8]) -> Vec<u8> {
         let by = self.fingerprint();
         let signature = self.key.sign(&signed_part(kind, by, number, key, payload));
         write(kind, Sealed { by, number, signature: signature.as_ref(), payload })

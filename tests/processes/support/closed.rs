@@ -36,11 +36,16 @@ impl Closed {
         self.certs.join(who)
     }
 
-    pub(crate) fn start(&mut self, kind: &str, mut node: Table, neighbours: &[&str]) {
+    pub(crate) fn start(&mut self, kind: &str, node: Table, neighbours: &[&str]) {
+        self.start_by(&[], kind, node, neighbours);
+    }
+
+    /// The same by way of another program, which puts `consort` in its own place.
+    pub(crate) fn start_by(&mut self, by: &[&str], kind: &str, mut node: Table, neighbours: &[&str]) {
         let name = node["name"].as_str().expect("a name").to_owned();
         let certs = self.of(&name).display().to_string();
         node["bus"].as_table_mut().expect("the examples say where nodes are").insert("certs".to_owned(), certs.into());
-        self.fleet.start(kind, node, neighbours);
+        self.fleet.start_by(by, kind, node, neighbours);
     }
 
     pub(crate) fn start_all(&mut self) {

@@ -149,11 +149,16 @@ impl Fleet {
 
     /// Starts a command that asks the fleet.
     pub(crate) fn begin(&mut self, arguments: &[&str], by: &str) -> Program {
+        self.begin_by(&[], arguments, by)
+    }
+
+    /// The same by way of another program, which puts `consort` in its own place.
+    pub(crate) fn begin_by(&mut self, program: &[&str], arguments: &[&str], by: &str) -> Program {
         self.commands += 1;
         let (address, fleet) = (self.address(by), self.name.clone());
         let mut all = arguments.to_vec();
         all.extend(["--connect", &address, "--fleet", &fleet, "--timeout", "30"]);
-        Program::start(&self.folder, &format!("command-{}", self.commands), &all)
+        Program::start_by(program, &self.folder, &format!("command-{}", self.commands), &all)
     }
 
     /// Runs a command that asks nobody, to its end.

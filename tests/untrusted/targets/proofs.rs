@@ -7,7 +7,7 @@ use consort_nodes::certs::{Certs, Holder, now};
 use consort_nodes::config::trust_files;
 use consort_protocol::ids::{FleetId, MissionId, NodeId, PlaceId, RobotId, RoleId, TaskType};
 use consort_protocol::keys::Keys;
-use consort_protocol::trust::{Act, Fingerprint, Identity, Kind, check, open, write};
+use consort_protocol::trust::{Act, Fingerprint, Identity, Kind, check, open, read_asker, write, write_asker};
 use std::fmt::{Debug, Display};
 use std::str::FromStr;
 use std::sync::OnceLock;
@@ -47,6 +47,10 @@ pub(super) fn seal(bytes: &[u8]) -> bool {
             assert_eq!(write(kind, sealed), bytes, "sealed anew it is another message");
             read = true;
         }
+    }
+    if let Some(Kind::Answer(by, number)) = read_asker(bytes) {
+        assert_eq!(write_asker(by, number), bytes, "whose question it is, written anew, is another's");
+        read = true;
     }
     let pieces: Vec<(u8, &[u8])> = frames(bytes).take(3).collect();
     let [(act, who), (_, key), (_, payload)] = pieces[..] else { return read };

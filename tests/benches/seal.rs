@@ -1,0 +1,130 @@
+//! What seals cost: messages of usual sizes sealed and opened, beside what it takes to write and read them.
+//!
+//! ```text
+//! cargo bench -p consort-tests --bench seal
+//! ```
+//!
+//! A seal is an Ed25519 signature, which takes as long for a small message as for a large one but for the hash of it. Opening is what
+//! `SealedBus` does with what it hears: signature, right to say it, and whether it was heard before. Each figure is the least of many
+//! rounds, and a ratio to writing and reading the same message in the same round is beside it: what else the machine does matters less so.
+
+#[path = "support/figures.rs"]
+#[expect(dead_code, reason = "others measure spans between instants")]
+mod support;
+
+use consort_protocol::codec;
+use consort_protocol::ids::NodeId;
+use consort_protocol::keys::{Key, Keys, RaftCall};
+use consort_protocol::knowledge::{Availability, Knowledge, Record, Stamp, Worker};
+use consort_protocol::ledger::Command;
+use consort_protocol::message::{Beacon, Statement, Within};
+use consort_protocol::trust::{Act, Kind, NodeRole, OVERHEAD, Window, check, open, signed_part};
+use consort_protocol::units::{BatteryShare, MetresPerSecond, SharePerSecond};
+use consort_tests::Papers;
+use serde::Serialize;
+use serde::de::DeserializeOwned;
+use serde_json::{Value, json};
+use std::process::ExitCode;
+use std::time::{Duration, Instant};
+
+const ROUNDS: usize = 200;
+const OF_EACH: u32 = 50;
+
+fn main() -> ExitCode {
+    support::main("seal", async { Ok(measure()) })
+}
+
+fn name<T: std::str::FromStr<Err: std::fmt::Debug>>(text: &str) -> T {
+    text.parse().expect("a name")
+}
+
+fn measure() -> Value {
+    let node: NodeId = name("ada");
+    let voters = ["ada", "aster", "basil", "clove", "fern"].map(name).into();
+    let beacon = Beacon { node: node.clone(), term: 7, voters, since_ms: 100_000, cluster: None };
+    let beacon = Within { cluster: None, said: codec::encode(&beacon).expect("a message") };
+    let worker = Worker {
+        skills: ["navigation", "approach_person", "authenticate_person", "operate_drawer"].map(name).into(),
+        pose: Default::default(),
+        place: name("IC Room 6"),
+        battery: BatteryShare::new(0.8).expect("a share"),
+        discharge: SharePerSecond::new(0.0004).expect("a rate"),
+        useful_charge: BatteryShare::new(0.08).expect("a share"),
+        speed: MetresPerSecond::new(0.6).ok(),
+        availability: Availability::Free,
+        estimator: "1".to_owned(),
+    };
+    let knowledge = Knowledge {
+        may_vote: true,
+        stationary: false,
+        mains_powered: false,
+        replica: Some(1),
+        cluster: None,
+        leaving: false,
+        worker: Some(worker),
+    };
+    let stamp = Stamp { incarnation: 1_800_000_000_000, version: 9 };
+    let statement = Statement::Record(Record { owner: node.clone(), stamp, knowledge });
+    // Entries as an append has them: each with its place in the log.
+    let entries = |count: u64| -> Vec<(u64, u64, Command)> {
+        let progress = || Command::Progress {
+            mission: name("lab-samples-1"),
+            role: name("r1"),
+            epoch: Default::default(),
+            branch: Default::default(),
+            ended: (0..4).collect(),
+        };
+        (0..count).map(|index| (7, index, progress())).collect()
+    };
+    let append = Key::Raft(1, RaftCall::Append);
+    json!({
+        "beacon": costs(&Key::Beacon, Act::Publish, &beacon),
+        "statement": costs(&Key::Knowledge(node), Act::Publish, &statement),
+        "append_of_1": costs(&append, Act::Ask, &entries(1)),
+        "append_of_64": costs(&append, Act::Ask, &entries(64)),
+    })
+}
+
+/// The least time that each of many takes, in microseconds.
+fn least_us(mut work: impl FnMut()) -> f64 {
+    let round = |work: &mut dyn FnMut()| {
+        let began = Instant::now();
+        (0..OF_EACH).for_each(|_| work());
+        began.elapsed() / OF_EACH
+    };
+    let least = (0..ROUNDS).map(|_| round(&mut work)).min().unwrap_or(Duration::ZERO);
+    (least.as_nanos() as f64 / 10.0).round() / 100.0
+}
+
+fn costs<T: Serialize + DeserializeOwned>(key: &Key, act: Act, message: &T) -> Value {
+    let papers = Papers::new(name("ward"), 1);
+    let ada = papers.of(&name("ada"), [NodeRole::Robot, NodeRole::Voter].into(), 1);
+    let keys = Keys::new(&name("ward"));
+    let key = keys.write(key);
+    let below = keys.below(&key).expect("a key of the fleet's").to_owned();
+    let kind = if act == Act::Publish { Kind::Publication } else { Kind::Question };
+    let payload = codec::encode(message).expect("a message");
+    let card = ada.card(ada.fingerprint()).expect("its own");
+    let seal = || ada.seal(kind, ada.number(), &key, &payload);
+    let sealing = least_us(|| {
+        std::hint::black_box(seal());
+    });
+    let sealed = seal();
+    let opening = least_us(|| {
+        let heard = open(kind, &sealed).expect("a seal");
+        let signed = signed_part(kind, heard.by, heard.number, &key, heard.payload);
+        assert!(card.signed(&signed, heard.signature));
+        check(&card.identity, act, &below, heard.payload).expect("ada may");
+        std::hint::black_box(Window::default().hear(heard.number));
+    });
+    let plain = least_us(|| {
+        let bytes = codec::encode(message).expect("a message");
+        std::hint::black_box(codec::decode::<T>(&bytes).expect("a message"));
+    });
+    let ratio = |part: f64| (part / plain * 10.0).round() / 10.0;
+    json!({
+        "bytes": payload.len(), "sealed": payload.len() + OVERHEAD,
+        "write_and_read_us": plain, "seal_us": sealing, "open_us": opening,
+        "seal_ratio": ratio(sealing), "open_ratio": ratio(opening),
+    })
+}
