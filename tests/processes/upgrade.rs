@@ -77,7 +77,8 @@ impl Hospital {
         let others: Vec<&str> = others.iter().map(String::as_str).collect();
         let (kind, file) = self.file(node);
         let former = self.former.clone();
-        self.fleet.start_by(if by_former { &by(&former) } else { &[] }, kind, file, &others);
+        let former = by(&former);
+        self.fleet.start_by(if by_former { &former } else { &[] }, kind, file, &others);
     }
 
     /// Ends a node well and starts it by the one program or the other, once the others have seen it go; then it is back.
@@ -223,13 +224,13 @@ fn nodes_of_two_releases_believe_one_another_in_a_closed_fleet() {
     let former = former.display().to_string();
     let former = by(&former);
     let operator = closed.of("operate").display().to_string();
-    let data = closed.fleet.path("station-1-data").display().to_string();
-    let station = with(example("station"), "data_dir", data);
-    let not_voting = |kind: &str| with(example(kind), "may_vote", false);
-    closed.start_by(&former, "station", station.clone(), &[]);
-    closed.start("world", with(example("world"), "speed", 20.0), &["station-1"]);
-    closed.start("robot", not_voting("robot"), &["station-1", "world"]);
-    closed.start_by(&former, "robot", not_voting("arm"), &["station-1", "world"]);
+    // All three keep the ledger, two of them by 0.1.0.
+    let folder = closed.fleet.path(".");
+    let file = |kind: &str| with(example(kind), "data_dir", folder.join(format!("{kind}-data")).display().to_string());
+    closed.start_by(&former, "station", file("station"), &[]);
+    closed.start("world", world(20.0), &["station-1"]);
+    closed.start("robot", file("robot"), &["station-1", "world"]);
+    closed.start_by(&former, "robot", file("arm"), &["station-1", "world"]);
     let submit = ["submit", "lab-samples", "--set", "room=IC Room 6", "--wait", "--certs", &operator];
     // What a station of 0.1.0 answers bears no signature: its own commands believe it.
     let ended = closed.fleet.begin_by(&former, &submit, "world").end(LONG).expect(0);
@@ -238,7 +239,7 @@ fn nodes_of_two_releases_believe_one_another_in_a_closed_fleet() {
         assert_eq!(closed.refused(name), "", "{name} takes friends for foes");
     }
 
-    for (name, kind, file) in [("station-1", "station", station), ("lab-arm", "robot", not_voting("arm"))] {
+    for (name, kind, file) in [("station-1", "station", file("station")), ("lab-arm", "robot", file("arm"))] {
         closed.fleet.node(name).signal("TERM");
         closed.fleet.ends(name);
         let others: Vec<String> = closed.fleet.names().into_iter().map(str::to_owned).collect();
@@ -248,7 +249,7 @@ fn nodes_of_two_releases_believe_one_another_in_a_closed_fleet() {
         let ran = closed.fleet.run(&["upgrade", "--finish", "--certs", &operator], "world");
         (ran.code() == 0 && ran.stdout.starts_with("the fleet writes version 2 of the wire;")).then_some(())
     });
-    let again = ["submit", "lab-samples", "--set", "room=IC Room 5", "--wait", "--certs", &operator];
+    let again = ["submit", "lab-samples", "--set", "room=IC Room 6", "--wait", "--certs", &operator];
     let ended = closed.fleet.run(&again, "world").expect(0);
     assert!(ended.stdout.ends_with("completed\n"), "{}", ended.stdout);
     for name in ["station-1", "world", "ada", "lab-arm"] {
