@@ -24,7 +24,7 @@ use lab::{Lab, Way, inside_again};
 use serde_json::{Value, json};
 use std::io::Write as _;
 use std::time::{Duration, Instant};
-use story::{FLEET, LONG, closed_hospital, coordinator, fleet, hospital, succession, with};
+use story::{FLEET, LONG, coordinator, fleet, hospital, succession, with};
 use support::{Client, example, until};
 
 const STATIONS: [&str; 5] = ["s1", "s2", "s3", "s4", "s5"];
@@ -75,7 +75,7 @@ fn usage(process: u32) -> (f64, f64) {
 
 /// Seven nodes: five stations, a carrier and an arm. The world has a host of its own and is not counted.
 fn idle(span: Duration, closed: bool) -> Value {
-    let (lab, client) = if closed { closed_hospital(1.0) } else { hospital(1.0) };
+    let (lab, client) = hospital(1.0, closed);
     std::thread::sleep(SETTLE);
     let leader = coordinator(&client).0;
     drop(client);

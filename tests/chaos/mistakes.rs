@@ -19,7 +19,7 @@ fn every_mutant_is_found_within_its_number_of_seeds() {
 
 #[test]
 fn a_violation_is_cut_down_to_the_steps_that_it_takes() {
-    let order = Order { seed: 3, nodes: 5, minutes: 1.0 };
+    let order = Order { seed: 3, nodes: 5, minutes: 1.0, closed: false };
     let schedule = generate(order.seed, &Cast::of(5), order.minutes, &Kind::FAULTS);
     let fails = |schedule: &_| {
         let violation = once(&order, schedule, Some(Mutant::WaitSkipped)).violation;

@@ -13,7 +13,7 @@ use toml::Table;
 #[test]
 fn the_coordinator_loses_its_cable_and_another_sees_the_mission_through() {
     inside("cables::the_coordinator_loses_its_cable_and_another_sees_the_mission_through", &[], || {
-        let (mut lab, mut client) = hospital(5.0);
+        let (mut lab, mut client) = hospital(5.0, false);
         let mission = submit(&client, "cable-1");
         begins(&mut client, &mission);
         let (first, term) = coordinator(&client);

@@ -8,7 +8,7 @@ const HOSTS: [&str; 8] = ["s1", "s2", "s3", "s4", "s5", "world", "ada", "lab-arm
 #[test]
 fn a_tenth_of_all_packets_is_lost_and_missions_and_takeovers_go_on() {
     inside("loss::a_tenth_of_all_packets_is_lost_and_missions_and_takeovers_go_on", &["nft"], || {
-        let (mut lab, mut client) = hospital(5.0);
+        let (mut lab, mut client) = hospital(5.0, false);
         for host in HOSTS {
             lab.lose(host, Way::In, 10);
         }
@@ -22,7 +22,7 @@ fn a_tenth_of_all_packets_is_lost_and_missions_and_takeovers_go_on() {
 }
 
 fn the_coordinator_loses_all(way: Way, request: &str) {
-    let (mut lab, mut client) = hospital(5.0);
+    let (mut lab, mut client) = hospital(5.0, false);
     let mission = submit(&client, request);
     begins(&mut client, &mission);
     let (first, term) = coordinator(&client);

@@ -23,7 +23,7 @@ fn heal(lab: &mut Lab) -> String {
 #[test]
 fn three_go_on_without_the_two_among_whom_the_coordinator_was() {
     inside("partition::three_go_on_without_the_two_among_whom_the_coordinator_was", &[], || {
-        let (mut lab, mut client) = hospital(5.0);
+        let (mut lab, mut client) = hospital(5.0, false);
         let mission = submit(&client, "three-two");
         begins(&mut client, &mission);
         let (first, _) = coordinator(&client);
@@ -44,7 +44,7 @@ fn three_go_on_without_the_two_among_whom_the_coordinator_was() {
 #[test]
 fn where_no_part_has_a_majority_nobody_is_served_and_what_is_under_way_goes_on() {
     inside("partition::where_no_part_has_a_majority_nobody_is_served_and_what_is_under_way_goes_on", &[], || {
-        let (mut lab, mut client) = hospital(5.0);
+        let (mut lab, mut client) = hospital(5.0, false);
         let mission = submit(&client, "two-two-one");
         begins(&mut client, &mission);
         let (first, _) = coordinator(&client);

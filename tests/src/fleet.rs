@@ -113,7 +113,8 @@ impl Fleet {
         Fleet::any_hospital(seed, members, stations, rooms, Box::new(|_| ()), true).await
     }
 
-    async fn any_hospital(
+    /// The hospital, open or closed.
+    pub(crate) async fn any_hospital(
         seed: u64,
         mut members: Vec<Member>,
         stations: &[&str],

@@ -5,7 +5,7 @@ use consort_tests::chaos::{Order, Schedule, run};
 /// Everything holds under this schedule.
 fn holds(seed: u64, minutes: f64, schedule: &str) {
     let schedule: Schedule = serde_json::from_str(schedule).expect("a schedule");
-    let outcome = run(&Order { seed, nodes: 7, minutes }, &schedule);
+    let outcome = run(&Order { seed, nodes: 7, minutes, closed: false }, &schedule);
     if let Some(violation) = outcome.violation {
         let tale = violation.tale.join("\n");
         panic!("seed {seed}: {}: {}\n{tale}\n{schedule}", violation.invariant, violation.why);

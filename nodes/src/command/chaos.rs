@@ -140,7 +140,7 @@ pub fn run(args: &Args) -> Result<(), Failure> {
 
 impl Args {
     fn order(&self, seed: u64) -> Order {
-        Order { seed, nodes: self.nodes, minutes: self.minutes }
+        Order { seed, nodes: self.nodes, minutes: self.minutes, closed: false }
     }
 
     fn generated(&self, seed: u64) -> Schedule {

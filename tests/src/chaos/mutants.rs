@@ -65,7 +65,9 @@ pub fn hunt(hunt: Hunt, jobs: usize, mut each: impl FnMut()) -> Result<Hunted, N
     mutants::choose(Some(hunt.mutant))?;
     mutants::choose(None)?;
     let cast = Cast::of(NODES);
-    let order = |seed| (Order { seed, nodes: NODES, minutes: MINUTES }, generate(seed, &cast, MINUTES, &Kind::FAULTS));
+    let order = |seed| {
+        (Order { seed, nodes: NODES, minutes: MINUTES, closed: false }, generate(seed, &cast, MINUTES, &Kind::FAULTS))
+    };
     let choose = |mutant| mutants::choose(mutant).expect("it could be chosen a moment ago");
     let mut first = 1;
     let found = loop {

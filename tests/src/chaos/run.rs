@@ -44,6 +44,8 @@ pub struct Order {
     pub nodes: usize,
     /// Simulated minutes.
     pub minutes: f64,
+    /// Whether nodes have certificates, and seal what they say.
+    pub closed: bool,
 }
 
 /// What came of a run.
@@ -94,7 +96,7 @@ async fn play(order: &Order, schedule: &Schedule) -> Outcome {
     let cast = Cast::of(order.nodes);
     let gear = Gear::new(order.seed, &cast, schedule);
     let adjust = gear.adjust();
-    let fleet = Fleet::adjusted_hospital(order.seed, cast.members(), &cast.stations, &ROOMS, adjust).await;
+    let fleet = Fleet::any_hospital(order.seed, cast.members(), &cast.stations, &ROOMS, adjust, order.closed).await;
     let mut run = Run { fleet, hand: Hand::new(cast.clone(), gear), judge: Judge::new() };
     for node in cast.nodes() {
         run.fleet.follow_beliefs(node);

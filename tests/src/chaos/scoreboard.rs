@@ -52,7 +52,7 @@ pub fn kinds() -> Vec<(&'static str, Vec<Kind>)> {
 pub fn row(name: &'static str, kinds: &[Kind], runs: u64, minutes: f64, jobs: usize, mut each: impl FnMut()) -> Row {
     const NODES: usize = 7;
     let cast = Cast::of(NODES);
-    let order = |seed| (Order { seed, nodes: NODES, minutes }, generate(seed, &cast, minutes, kinds));
+    let order = |seed| (Order { seed, nodes: NODES, minutes, closed: false }, generate(seed, &cast, minutes, kinds));
     let mut outcomes: Vec<Outcome> = vec![];
     let mut next = 1;
     while next <= runs {
