@@ -20,6 +20,7 @@ use consort_protocol::ledger::Command;
 use consort_protocol::message::{Beacon, Statement, Within};
 use consort_protocol::trust::{Act, Kind, NodeRole, OVERHEAD, Window, check, open, signed_part};
 use consort_protocol::units::{BatteryShare, MetresPerSecond, SharePerSecond};
+use consort_protocol::versions::Versions;
 use consort_tests::Papers;
 use serde::Serialize;
 use serde::de::DeserializeOwned;
@@ -41,7 +42,7 @@ fn name<T: std::str::FromStr<Err: std::fmt::Debug>>(text: &str) -> T {
 fn measure() -> Value {
     let node: NodeId = name("ada");
     let voters = ["ada", "aster", "basil", "clove", "fern"].map(name).into();
-    let beacon = Beacon { node: node.clone(), term: 7, voters, since_ms: 100_000, cluster: None };
+    let beacon = Beacon { node: node.clone(), term: 7, voters, since_ms: 100_000, cluster: None, wire: Some(2) };
     let beacon = Within { cluster: None, said: codec::encode(&beacon).expect("a message") };
     let worker = Worker {
         skills: ["navigation", "approach_person", "authenticate_person", "operate_drawer"].map(name).into(),
@@ -61,10 +62,11 @@ fn measure() -> Value {
         replica: Some(1),
         cluster: None,
         leaving: false,
+        speaks: Versions::OWN,
         worker: Some(worker),
     };
     let stamp = Stamp { incarnation: 1_800_000_000_000, version: 9 };
-    let statement = Statement::Record(Record { owner: node.clone(), stamp, knowledge });
+    let statement = Statement::Record(Record { owner: node.clone(), stamp, knowledge, proof: None });
     // Entries as an append has them: each with its place in the log.
     let entries = |count: u64| -> Vec<(u64, u64, Command)> {
         let progress = || Command::Progress {
@@ -78,10 +80,10 @@ fn measure() -> Value {
     };
     let append = Key::Raft(1, RaftCall::Append);
     json!({
-        "beacon": costs(&Key::Beacon, Act::Publish, &beacon),
-        "statement": costs(&Key::Knowledge(node), Act::Publish, &statement),
-        "append_of_1": costs(&append, Act::Ask, &entries(1)),
-        "append_of_64": costs(&append, Act::Ask, &entries(64)),
+        "beacon": costs(&Key::Beacon, Act::Publish, &beacon, written, read::<Within>),
+        "statement": costs(&Key::Knowledge(node), Act::Publish, &statement, stated, understood),
+        "append_of_1": costs(&append, Act::Ask, &entries(1), written, read::<Vec<(u64, u64, Command)>>),
+        "append_of_64": costs(&append, Act::Ask, &entries(64), written, read::<Vec<(u64, u64, Command)>>),
     })
 }
 
@@ -96,14 +98,30 @@ fn least_us(mut work: impl FnMut()) -> f64 {
     (least.as_nanos() as f64 / 10.0).round() / 100.0
 }
 
-fn costs<T: Serialize + DeserializeOwned>(key: &Key, act: Act, message: &T) -> Value {
+fn written<T: Serialize>(message: &T) -> Vec<u8> {
+    codec::encode(message).expect("a message")
+}
+
+fn read<T: DeserializeOwned>(bytes: &[u8]) {
+    std::hint::black_box(codec::decode::<T>(bytes).expect("a message"));
+}
+
+fn stated(statement: &Statement) -> Vec<u8> {
+    codec::encode_for(Versions::OWN.newest, statement.clone()).expect("a message")
+}
+
+fn understood(bytes: &[u8]) {
+    std::hint::black_box(codec::decode_any::<Statement>(bytes).expect("a message"));
+}
+
+fn costs<T>(key: &Key, act: Act, message: &T, write: impl Fn(&T) -> Vec<u8>, read: impl Fn(&[u8])) -> Value {
     let papers = Papers::new(name("ward"), 1);
     let ada = papers.of(&name("ada"), [NodeRole::Robot, NodeRole::Voter].into(), 1);
     let keys = Keys::new(&name("ward"));
     let key = keys.write(key);
     let below = keys.below(&key).expect("a key of the fleet's").to_owned();
     let kind = if act == Act::Publish { Kind::Publication } else { Kind::Question };
-    let payload = codec::encode(message).expect("a message");
+    let payload = write(message);
     let card = ada.card(ada.fingerprint()).expect("its own");
     let seal = || ada.seal(kind, ada.number(), &key, &payload);
     let sealing = least_us(|| {
@@ -118,8 +136,7 @@ fn costs<T: Serialize + DeserializeOwned>(key: &Key, act: Act, message: &T) -> V
         std::hint::black_box(Window::default().hear(heard.number));
     });
     let plain = least_us(|| {
-        let bytes = codec::encode(message).expect("a message");
-        std::hint::black_box(codec::decode::<T>(&bytes).expect("a message"));
+        read(&write(message));
     });
     let ratio = |part: f64| (part / plain * 10.0).round() / 10.0;
     json!({

@@ -117,7 +117,10 @@ impl Browser {
     #[track_caller]
     pub(crate) fn until_within(&self, limit: Duration, what: &str, expression: &str) {
         let seen = std::cell::Cell::new(false);
-        let script = format!("Boolean({expression})");
+        // What is asked of an element that is not drawn yet is not true yet.
+        let script = format!(
+            "(() => {{ try {{ return Boolean({expression}); }} catch (problem) {{ if (problem instanceof TypeError) return false; throw problem; }} }})()"
+        );
         let outcome = std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| {
             until(what, limit, || (self.value(&script) == true).then(|| seen.set(true)));
         }));

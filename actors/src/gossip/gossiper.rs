@@ -20,6 +20,7 @@ use std::time::Duration;
 pub(super) type Change = Box<dyn FnOnce(&mut Knowledge) + Send>;
 
 /// Something that happened.
+#[expect(clippy::large_enum_variant, reason = "one is handled at a time")]
 pub(super) enum Event {
     /// The node's own knowledge changes.
     Changed(Change),
@@ -40,6 +41,7 @@ pub(super) enum Event {
 }
 
 /// Something to carry out, in the order given.
+#[expect(clippy::large_enum_variant, reason = "there are few at a time")]
 #[derive(Debug, PartialEq)]
 pub(super) enum Action {
     /// Say something of the own node.
