@@ -296,7 +296,7 @@ fn every_call_says_what_it_takes() {
         let help = fleet.answer(ApiCall::Help, &Value::Null).await;
         let calls: Vec<&str> =
             help["calls"].as_array().expect("calls").iter().filter_map(|call| call["call"].as_str()).collect();
-        assert_eq!(calls, ["submit", "cancel", "rescued", "backup", "get", "list", "explain", "help"]);
+        assert_eq!(calls, ["submit", "cancel", "rescued", "backup", "upgrade", "get", "list", "explain", "help"]);
         let (each, _) = look(&fleet.client, "consort/ward/api/*/help").await;
         assert_eq!(each.len(), calls.len());
         let submit = &each["api/submit/help"];
