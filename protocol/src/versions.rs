@@ -64,7 +64,7 @@ pub enum Upgrade {
 
 impl Upgrade {
     /// Whether a fleet that writes version `now` may go on to the next, as far as a coordinator whose program reads `own` knows.
-    /// Everybody counts of whom it has heard, be he down: he may come back. So does whoever is `needed`, heard of or not.
+    /// Everybody counts of whom something is known, be he down: he may come back. So does whoever is `needed`, known or not.
     pub fn of(now: u8, own: Versions, needed: impl IntoIterator<Item = NodeId>, base: &KnowledgeBase) -> Upgrade {
         let next = now.saturating_add(1);
         if !own.hold(next) {

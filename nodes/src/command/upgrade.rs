@@ -11,7 +11,8 @@ use serde_json::{Value, json};
 /// Nodes of neighbouring releases work together: upgrade them one at a time, in any order, while missions go on. Until every
 /// node reads the later version of the wire all write the earlier one, and each node can go back to its former release. --finish
 /// has the fleet write the later version from then on; it is refused, and nothing is changed, as long as a node is known that does
-/// not read it, be it down. After it no node can go back, and one of the former release that comes is told so and ends.
+/// not read it. Who has been down for half a minute is known no more, unless it keeps the ledger or holds a role: see to those that
+/// are switched off. After it no node can go back, and one of the former release that comes is told so and ends.
 #[derive(Debug, clap::Args)]
 #[command(after_long_help = "\
 Examples:
