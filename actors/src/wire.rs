@@ -3,6 +3,7 @@
 use crate::bus::{BusError, SharedBus};
 use crate::tasks::Tasks;
 use consort_protocol::codec;
+use consort_protocol::ids::ClusterId;
 use consort_protocol::keys::{Key, Keys};
 use consort_protocol::message::Beacon;
 use consort_protocol::versions::Versions;
@@ -12,29 +13,42 @@ use tracing::{debug, info};
 
 /// The version of the wire that a node writes: the oldest that it reads, until it has heard what the fleet writes. Clones are one.
 #[derive(Debug, Clone)]
-pub struct Wire(Arc<watch::Sender<u8>>);
+pub struct Wire(Arc<watch::Sender<Written>>);
+
+/// What is written.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+struct Written {
+    /// In which cluster that was heard.
+    cluster: Option<ClusterId>,
+    version: u8,
+}
 
 impl Default for Wire {
     fn default() -> Self {
-        Wire(Arc::new(watch::Sender::new(Versions::OWN.oldest)))
+        Wire(Arc::new(watch::Sender::new(Written { cluster: None, version: Versions::OWN.oldest })))
     }
 }
 
 impl Wire {
     /// The version.
     pub fn version(&self) -> u8 {
-        *self.0.borrow()
+        self.0.borrow().version
     }
 
     /// Hears whenever it changes.
-    pub(crate) fn changes(&self) -> watch::Receiver<u8> {
+    pub(crate) fn changes(&self) -> watch::Receiver<Written> {
         self.0.subscribe()
     }
 
-    /// Takes in what the fleet writes, as the ledger or whoever coordinates says; of a fleet that is being founded nothing is said.
-    pub(crate) fn hear(&self, version: Option<u8>) {
+    /// Takes in what a cluster writes, as its ledger or whoever coordinates says; of one that is being founded nothing is said.
+    /// Within a cluster nothing lowers it: whoever says less has not heard of the last step, or was cut off before it.
+    pub(crate) fn hear(&self, cluster: Option<ClusterId>, version: Option<u8>) {
         let Some(version) = version else { return };
-        let news = self.0.send_if_modified(|own| std::mem::replace(own, version) != version);
+        let news = self.0.send_if_modified(|own| {
+            let version = if own.cluster == cluster { version.max(own.version) } else { version };
+            let before = std::mem::replace(own, Written { cluster, version });
+            before.version != version
+        });
         if news {
             info!(version, "the fleet writes a version of the wire");
         }
@@ -46,7 +60,7 @@ impl Wire {
         tasks.spawn(async move {
             while let Some(sample) = beacons.recv().await {
                 match codec::decode::<Beacon>(&sample.payload) {
-                    Ok(beacon) => self.hear(beacon.wire),
+                    Ok(beacon) => self.hear(beacon.cluster, beacon.wire),
                     Err(problem) => debug!(%problem, "a beacon that cannot be read"),
                 }
             }
@@ -57,7 +71,7 @@ impl Wire {
     /// Waits until the fleet writes what this program does not read, and says what is to be done.
     pub(crate) async fn left_behind(&self) -> String {
         let mut heard = self.0.subscribe();
-        let version = heard.wait_for(|version| !Versions::OWN.hold(*version)).await.map(|version| *version);
+        let version = heard.wait_for(|own| !Versions::OWN.hold(own.version)).await.map(|own| own.version);
         left_behind(version.expect("this is the sender"))
     }
 }
@@ -80,11 +94,18 @@ mod tests {
     async fn whoever_does_not_read_what_the_fleet_writes_is_told_what_to_do() {
         let wire = Wire::default();
         assert_eq!(wire.version(), Versions::OWN.oldest);
-        wire.hear(Some(Versions::OWN.newest));
+        let (one, other) = (Some(ClusterId(1)), Some(ClusterId(2)));
+        wire.hear(one, Some(Versions::OWN.newest));
         assert_eq!(wire.version(), Versions::OWN.newest);
+        for late in [None, Some(Versions::OWN.oldest)] {
+            wire.hear(one, late);
+            assert_eq!(wire.version(), Versions::OWN.newest, "within a cluster it never goes down");
+        }
+        wire.hear(other, Some(Versions::OWN.oldest));
+        assert_eq!(wire.version(), Versions::OWN.oldest, "of another cluster it is another's");
         let waiting = wire.clone();
         let told = tokio::spawn(async move { waiting.left_behind().await });
-        wire.hear(Some(Versions::OWN.newest + 1));
+        wire.hear(other, Some(Versions::OWN.newest + 1));
         let told = told.await.unwrap();
         assert!(told.ends_with(": install the release that the others run"), "{told}");
         assert!(left_behind(0).contains("bring the others to a release between"), "{}", left_behind(0));

@@ -320,6 +320,11 @@ impl KnowledgeBase {
         self.heard.iter()
     }
 
+    /// Forgets all records but those of which this is true.
+    pub fn retain(&mut self, mut keep: impl FnMut(&Record) -> bool) {
+        self.heard.retain(|_, heard| keep(&heard.record));
+    }
+
     /// Forgets a node that has left; a later incarnation of it is welcome.
     pub fn forget(&mut self, node: &NodeId) -> Option<Heard> {
         self.heard.remove(node)

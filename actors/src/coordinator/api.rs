@@ -179,8 +179,7 @@ impl Desk {
                     None => format!("{node} (nothing is known of it)"),
                 };
                 Err(format!(
-                    "not yet: version {next} of the wire is not read by {}; upgrade them, or have those leave that will not come back \
-                     (`consort leave`)",
+                    "not yet: version {next} of the wire is not read by {}; upgrade them first",
                     behind.iter().map(who).collect::<Vec<_>>().join(", ")
                 )
                 .into())

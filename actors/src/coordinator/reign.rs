@@ -106,11 +106,13 @@ impl Reign {
                     Ok(_) => info!(%cluster, "founded the ledger"),
                     Err(problem) => debug!(%cluster, %problem, "did not found the ledger"),
                 }
-                // Should only this fail, the fleet writes the oldest version until somebody finishes the upgrade.
                 if let Err(problem) = replica.propose(Command::Raise { wire }, FOUND_LIMIT).await {
                     debug!(%problem, "did not say which version of the wire the fleet writes");
                 }
             });
+        } else if settings.replica.read(Ledger::wire).is_none() {
+            // Whoever founded it died before it said this; then nobody has written more than what everybody reads.
+            propose(settings, &mut tasks, Command::Raise { wire: codec::FIRST });
         }
         // What stood in the ledger before this reign is not news.
         let seen = settings
@@ -145,7 +147,8 @@ impl Reign {
 
     /// Says that this node coordinates, and looks after everything.
     pub(super) async fn beat(&mut self, settings: &CoordinatorSettings, myself: &ActorRef<CoordinatorMessage>) {
-        settings.wire.hear(settings.replica.read(Ledger::wire));
+        let (cluster, wire) = settings.replica.read(|ledger| (ledger.cluster(), ledger.wire()));
+        settings.wire.hear(cluster, wire);
         self.say_so(settings).await;
         self.follow_members(settings);
         self.look_abroad(settings);

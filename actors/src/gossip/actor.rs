@@ -231,7 +231,7 @@ impl Actor for Gossip {
                 state.alarm.send_if_modified(|set| set.take().is_none());
                 Ok(Event::Woke)
             }
-            Message::Raised => Ok(Event::Raised),
+            Message::Raised => Ok(Event::Raised { with_proofs: state.wire.version() >= Exchange::SINCE }),
             Message::Closed(what) => return Err(format!("the bus brings no more {what}").into()),
         };
         let now = state.clock.now();
@@ -317,12 +317,19 @@ impl State {
         let Some(notary) = self.notary.clone() else { return Ok(exchange) };
         // As long as the fleet writes a version without proofs, none can be asked for.
         let with_proofs = self.wire.version() >= Exchange::SINCE;
-        exchange.records.retain(|record| match notary.judge(record) {
-            Verdict::Genuine => true,
-            Verdict::Unproven => !with_proofs,
-            Verdict::Forged(problem) => {
-                self.complain(&problem);
-                false
+        let known = self.shared.clone();
+        exchange.records.retain(|record| {
+            // What is not later changes nothing: it need not be judged.
+            if known.read(|base| base.get(&record.owner).is_some_and(|heard| heard.record.stamp >= record.stamp)) {
+                return false;
+            }
+            match notary.judge(record) {
+                Verdict::Genuine => true,
+                Verdict::Unproven => !with_proofs,
+                Verdict::Forged(problem) => {
+                    self.complain(&problem);
+                    false
+                }
             }
         });
         Ok(exchange)

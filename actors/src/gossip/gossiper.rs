@@ -36,8 +36,11 @@ pub(super) enum Event {
     Answered(u64, Option<Exchange>),
     /// The time last given by [`Gossiper::next_due`] has come.
     Woke,
-    /// The fleet writes another version of the wire: what the own record says there is said anew, in full.
-    Raised,
+    /// The fleet writes another version of the wire, and with it proofs or not: what the own record says is said anew, in full.
+    Raised {
+        /// Whether records that are handed on have proofs in it.
+        with_proofs: bool,
+    },
 }
 
 /// Something to carry out, in the order given.
@@ -194,7 +197,10 @@ impl Gossiper {
                 }
             }
             Event::Woke => self.woke(known, now, &mut actions)?,
-            Event::Raised => {
+            Event::Raised { with_proofs } => {
+                if with_proofs {
+                    self.changed |= self.memory.forget_unproven(known);
+                }
                 self.memory.restate(known, now);
                 actions.push(self.publish(known, now));
             }

@@ -125,6 +125,16 @@ impl Memory {
         known.base.merge(self.own.clone(), now);
     }
 
+    /// Forgets what was heard without a proof, where there are proofs: their owners say it anew, and others may have made it up. True
+    /// if there was anything.
+    pub(super) fn forget_unproven(&mut self, known: &mut Known) -> bool {
+        let before = known.base.iter().count();
+        if self.notary.is_some() {
+            known.base.retain(|record| record.proof.is_some() || record.owner == self.own.owner);
+        }
+        known.base.iter().count() < before
+    }
+
     /// The owner says the same anew, in full.
     pub(super) fn restate(&mut self, known: &mut Known, now: NodeTime) {
         self.renew(known, now);
