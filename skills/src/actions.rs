@@ -15,9 +15,9 @@ use consort_protocol::pose::Pose;
 use consort_protocol::units::{BatteryShare, Metres, Seconds, WorldTime};
 use serde::{Deserialize, Serialize};
 
-/// How long a person who has left is waited for, in seconds of world time, unless the task says otherwise (parameter `patience`). Raised: a
-/// nurse who is called away for longer costs no mission, and one who does not come back is known for gone later. A guess: two
-/// minutes see to a call bell.
+/// How long a person who has left is waited for, in seconds of world time, unless the task says otherwise (parameter
+/// `patience`). Raised: a nurse who is called away for longer costs no mission, and one who does not come back is known for
+/// gone later. A guess: two minutes see to a call bell.
 pub const AWAY_S: f64 = 120.0;
 
 /// The parameter of a task that says how long a person is waited for, in seconds.

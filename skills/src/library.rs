@@ -112,11 +112,8 @@ impl SkillLibrary {
         for skill in &SHIPPED {
             (skill.leaves)(&mut library.registry).expect(own);
         }
-        for skill in &SHIPPED {
-            let task_type = TaskType::new(skill.task_type).expect("the names of our own skills are slugs");
-            library
-                .register_xml(task_type, &format!("{}.xml", skill.task_type), skill.xml)
-                .expect("our own trees load");
+        for (task_type, tree) in SkillLibrary::shipped() {
+            library.register(task_type, &tree).expect("our own trees load");
         }
         library
     }

@@ -259,7 +259,8 @@ pub trait Bus: Send + Sync + 'static {
     /// Publishes on a key.
     ///
     /// # Errors
-    /// [`BusError`] if `key` is no key, the payload is larger than [`MESSAGE_MAX`], or the bus is closed. That nobody hears it is none.
+    /// [`BusError`] if `key` is no key, the payload is larger than [`MESSAGE_MAX`], or the bus is closed. That nobody hears
+    /// it is none.
     async fn publish(&self, key: &str, payload: Bytes, encoding: Encoding, delivery: Delivery) -> Result<(), BusError> {
         self.publish_with(key, payload, Bytes::new(), encoding, delivery).await
     }
@@ -286,15 +287,16 @@ pub trait Bus: Send + Sync + 'static {
     /// Asks all services that match; the stream ends when all have answered, or at the limit.
     ///
     /// # Errors
-    /// [`BusError`] if `key_expr` is none, the payload is larger than [`MESSAGE_MAX`], or the bus is closed. That nobody answers is none.
+    /// [`BusError`] if `key_expr` is none, the payload is larger than [`MESSAGE_MAX`], or the bus is closed. That nobody
+    /// answers is none.
     async fn query(&self, key_expr: &str, payload: Bytes, limit: Duration) -> Result<Stream<Reply>, BusError> {
         self.ask(key_expr, payload, Bytes::new(), limit, Whom::All).await
     }
 
     /// Asks for one answer on each key. If services that match are [complete](Self::serve_complete) for all that is asked,
     /// the nearest is asked instead of all (on Zenoh the nearest here and the nearest elsewhere). Of several answers on one key
-    /// one is given, and of two services that answer on the same keys those of one. All that was answered is given when the query ends, or at the limit. That is how Zenoh asks unless it is
-    /// told otherwise.
+    /// one is given, and of two services that answer on the same keys those of one. All that was answered is given when the
+    /// query ends, or at the limit. That is how Zenoh asks unless it is told otherwise.
     ///
     /// # Errors
     /// As [`query`](Self::query).

@@ -424,13 +424,16 @@ impl<S: StateMachine> Replica<S> {
         Ok(())
     }
 
+    /// Whether another node has answered something that was sent within the last two heartbeats.
+    pub(super) fn has_answered_lately(&self, id: RaftId) -> bool {
+        let heard = self.inner.board.heard.last(id);
+        heard.is_some_and(|at| at.elapsed() <= self.inner.settings.heartbeat * 2)
+    }
+
     fn no_quorum(&self) -> ProposeError {
         let leadership = self.inner.leadership.borrow();
-        let near = |id: &&RaftId| {
-            let heard = self.inner.board.heard.last(**id);
-            **id == self.inner.id || heard.is_some_and(|at| at.elapsed() <= self.inner.settings.heartbeat * 2)
-        };
-        let reachable = leadership.voters.keys().filter(near).count();
+        let near = |id: RaftId| id == self.inner.id || self.has_answered_lately(id);
+        let reachable = leadership.voters.keys().filter(|id| near(**id)).count();
         ProposeError::NoQuorum { reachable, voters: leadership.voters.len() }
     }
 }

@@ -25,6 +25,7 @@ fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
 }
 
 /// Is told of each entry that a copy of the state machine takes in, with its commands; none for those that are Raft's own.
+/// It must not ask the replica for its state, which is locked meanwhile.
 pub type Applied<S> = Arc<dyn Fn(Epoch, &[<S as StateMachine>::Command]) + Send + Sync>;
 
 /// Opens what `journal` holds: the log, and the state machine as of the last snapshot. openraft applies the rest.

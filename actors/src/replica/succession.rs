@@ -196,12 +196,8 @@ impl<S: StateMachine> Replica<S> {
 
     /// The other voters that have answered of late.
     fn near(&self) -> BTreeMap<RaftId, NodeId> {
-        let near = |id: &RaftId| {
-            let heard = self.inner.board.heard.last(*id);
-            *id != self.inner.id && heard.is_some_and(|at| at.elapsed() <= self.inner.settings.heartbeat * 2)
-        };
         let mut voters = self.inner.leadership.borrow().voters.clone();
-        voters.retain(|id, _| near(id));
+        voters.retain(|id, _| *id != self.inner.id && self.has_answered_lately(*id));
         voters
     }
 

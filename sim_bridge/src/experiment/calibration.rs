@@ -18,7 +18,7 @@ use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-/// Fewer observations than this say nothing by themselves: with five, the upper quantile is the largest seen.
+/// Fewer observations than this say nothing by themselves: with five, the upper quantile lies between the two largest.
 pub const COUNT_MIN: usize = 5;
 
 /// The share of cases in which the battery is to last. Default of `consort experiment calibrate`.

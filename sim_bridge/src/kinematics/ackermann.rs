@@ -1,4 +1,4 @@
-//! A car: it drives ahead, never turns tighter than its wheels allow, and follows the shortest such way.
+//! A car: it drives ahead or backs, never turns tighter than its wheels allow, and follows the shortest such way.
 
 use super::dubins::DubinsPath;
 use super::servo::{arc, stopping_speed, toward_one};
@@ -46,7 +46,7 @@ impl Ackermann {
         &self.pose
     }
 
-    /// How fast it drives ahead, in metres per second.
+    /// How fast it drives, be it ahead or back, in metres per second; never negative.
     pub fn speed_mps(&self) -> f64 {
         self.speed_mps
     }

@@ -88,9 +88,11 @@ impl Aerial {
         self.arrived && self.hold.is_some()
     }
 
-    /// Something pushes it: its velocity changes at once.
+    /// Something pushes it: its velocity changes at once. On the ground, where nothing would bring it back, it stays.
     pub fn push(&mut self, by: Vector3<f64>) {
-        self.velocity += by;
+        if self.hold.is_some() {
+            self.velocity += by;
+        }
     }
 
     /// How far around itself, from middle to middle, it has to look for others of a size of at most `radius_m`: as far as

@@ -4,7 +4,7 @@
 //! |---|---|---|
 //! | [`Differential`] | forward and turning, by PID control of heading and speed (thesis Figure 5.2) | speed, acceleration, turn rate, turn acceleration |
 //! | [`Omnidirectional`] | in every direction, turning as it goes | the same |
-//! | [`Ackermann`] | forward along arcs and straights, as a car does | speed, acceleration, turning radius |
+//! | [`Ackermann`] | ahead or back along arcs and straights, as a car does | speed, acceleration, turning radius |
 //! | [`Aerial`] | in space, climbing and sinking at its own rate | speed, acceleration, climb rate, climb acceleration, turn rate |
 //!
 //! A [`Mover`] is any of them with a clock. A model *decides* at the instants of its own control loop, as the computer on a

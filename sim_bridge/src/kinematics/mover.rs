@@ -158,7 +158,7 @@ impl Mover {
         }
     }
 
-    /// A gust: a hovering body is pushed, one on the floor is not.
+    /// A gust: a body in the air is pushed, one on the floor is not.
     pub fn push(&mut self, by: Vector3<f64>) {
         if let Chassis::Aerial(model) = &mut self.chassis {
             model.push(by);

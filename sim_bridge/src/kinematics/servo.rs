@@ -55,7 +55,7 @@ pub fn arc(pose: &Isometry2<f64>, speed: f64, turn: f64, dt_s: f64) -> Isometry2
     pose * Isometry2::from_parts(moved, UnitComplex::new(angle))
 }
 
-/// A rotation as its angle.
+/// The direction of a way, as its angle from the x axis.
 pub(crate) fn bearing(to: Vector2<f64>) -> f64 {
     to.y.atan2(to.x)
 }

@@ -81,6 +81,14 @@ fn doors_are_met_in_the_order_of_the_way() {
 }
 
 #[test]
+fn a_door_on_a_lane_that_is_named_from_both_ends_is_met_once() {
+    let text = CLINIC.replace("on: [[Hall, Ward]]", "on: [[Hall, Ward], [Ward, Hall]]");
+    let map = read(&text, "clinic.yaml").unwrap();
+    assert_eq!(map.door("Middle").unwrap().lanes, [(place("Hall"), place("Ward"))]);
+    assert_eq!(map.doors_on(&place("Hall"), &place("Ward")).len(), 2);
+}
+
+#[test]
 fn a_ride_takes_the_doors_twice_and_the_height_at_the_lifts_speed() {
     let map = clinic();
     let (low, high) = (place("Lift 0"), place("Lift 1"));

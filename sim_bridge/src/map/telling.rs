@@ -54,9 +54,7 @@ impl Map {
         let doors = doors.into_iter().map(door).collect();
         MapFile { name, levels, walls: vec![], places, lanes, doors, lifts }.check(from)
     }
-}
 
-impl Map {
     /// All that is on it: levels, places, lanes, doors (with the posts between which they stand), lifts and walls, under the
     /// names that a map file has for them; metres, x to the east and y to the north.
     pub fn show(&self) -> Value {

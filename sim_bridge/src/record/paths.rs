@@ -86,7 +86,7 @@ impl DrivenPath {
             corners.push_back(last);
             self.corners += 1;
         }
-        if self.corners > CORNERS_MAX
+        while self.corners > CORNERS_MAX
             && let Some((_, oldest)) = self.stretches.front_mut()
         {
             oldest.pop_front();

@@ -1,7 +1,7 @@
 //! Where things are, for whoever asks what is near: bodies and walls in grids, rays between them.
 //!
-//! Both indexes are uniform grids, laid out anew whenever bodies have moved. Each question looks only at the cells that it
-//! touches, so that the work for all bodies together grows with their number and not with its square.
+//! Both indexes are uniform grids; that of bodies is laid out anew whenever they have moved. Each question looks only at
+//! the cells that it touches, so that the work for all bodies together grows with their number and not with its square.
 
 mod bodies;
 mod rays;

@@ -71,7 +71,9 @@ impl Sensor {
         let mut first = walls.first_hit(&ray, reach_m);
         let half_way = ray.at(reach_m / 2.0);
         let around = Vector3::new(half_way.x, half_way.y, own_disc.at.z);
-        bodies.near(&around, own_disc.level, reach_m / 2.0 + bodies.largest_m(), |name, disc| {
+        // Beyond either end by a radius, and above or below by as much.
+        let around_m = (reach_m / 2.0 + bodies.largest_m()).hypot(bodies.largest_m());
+        bodies.near(&around, own_disc.level, around_m, |name, disc| {
             let level_with = (disc.at.z - own_disc.at.z).abs() <= disc.radius_m;
             let hit = ray.enters(disc.at.xy(), disc.radius_m).filter(|hit| *hit <= reach_m);
             if name != own && level_with {

@@ -108,17 +108,14 @@ impl Flight {
     /// What is to be told of it: from how long each whole second took outside, and the rest.
     fn row(&self, seconds: &[f64], rest: f64) -> Row {
         let simulated_s = self.now();
-        let (sum, average_s) = {
-            let sum = seconds.iter().sum::<f64>() + rest;
-            (sum, sum / simulated_s)
-        };
+        let sum = seconds.iter().sum::<f64>() + rest;
         let whole = || seconds.iter().copied();
         Row {
             drones: self.targets.len(),
             simulated_s,
             min_s: whole().min_by(f64::total_cmp).unwrap_or(sum),
             max_s: whole().max_by(f64::total_cmp).unwrap_or(sum),
-            average_s,
+            average_s: sum / simulated_s,
             arrived: self.arrived,
             crashed: self.crashed.len(),
         }

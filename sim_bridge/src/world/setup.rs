@@ -299,10 +299,10 @@ impl Default for WorldLimits {
 /// One thing that is wrong with a setup.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum SetupError {
-    /// A robot or person at a place that is not on the map.
+    /// A robot, a person or a thing at a place that is not on the map.
     #[error("{who}: there is no place {place:?} on map {map}{hint}", place = place.as_str())]
     UnknownPlace {
-        /// `robot r1`, `person Nia`.
+        /// `robot r1`, `person Nia`, `object tray`, `obstacle trolley`.
         who: String,
         /// The place as given.
         place: PlaceId,
@@ -317,10 +317,10 @@ pub enum SetupError {
         /// `robot r1`, `person Nia`, `sample s1`.
         who: String,
     },
-    /// A person or sample whose name is not one.
+    /// A person, object or sample whose name is not one.
     #[error("{what} {name:?}: a name has 1 to 64 characters, none of them a control character")]
     Name {
-        /// `person` or `sample`.
+        /// `person`, `object` or `sample`.
         what: &'static str,
         /// The name as given.
         name: String,

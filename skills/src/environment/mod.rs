@@ -76,7 +76,7 @@ impl Environment {
         self.descriptors.keys().copied()
     }
 
-    pub(crate) fn missing(&self, kind: &'static str) -> MissingDescriptor {
+    fn missing(&self, kind: &'static str) -> MissingDescriptor {
         MissingDescriptor { kind, known: crate::bt::listed(self.kinds()) }
     }
 }

@@ -1,4 +1,4 @@
-//! The one leaf that sends a goal, watches it, and cancels it when it is halted.
+//! The leaf that sends a goal, watches it, and cancels it when it is halted.
 
 use crate::actions::{Goal, GoalId, GoalStatus};
 use crate::bt::{Cause, Leaf, LeafContext, Manifest, NodeKind, PortSpec, Registry, RegistryError, Status};
@@ -7,8 +7,8 @@ use std::sync::Arc;
 type MakeGoal = dyn Fn(&mut LeafContext<'_, '_>) -> Result<Goal, Cause> + Send + Sync;
 
 /// Sends a goal made from its ports; runs until the goal ends. One that must not be done twice, and which an earlier attempt
-/// at the task has done, counts as done. Before it sends, it waits until the body has let go of
-/// whatever the same tree canceled before, since a body at work refuses a second goal as busy.
+/// at the task has done, counts as done. Before it sends, it waits until the body has let go of whatever the same tree
+/// canceled before, since a body at work refuses a second goal as busy.
 pub struct GoalLeaf {
     make: Arc<MakeGoal>,
     goal: Option<GoalId>,

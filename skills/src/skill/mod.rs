@@ -1,7 +1,8 @@
 //! The skills that come with the library: trees in `trees/`, and here the leaves that they are made of, a skill a file.
 //!
 //! Each leaf that asks the body for something is a [`GoalLeaf`]: it differs from the others only in how its goal is
-//! made. Those that take a person to be there have the patience of a `PatientLeaf` beside it.
+//! made. Those that take a person to be there have the patience of a `PatientLeaf` beside it. Drives alone (`navigation`)
+//! see to their goals themselves, since they look for another way where one is blocked.
 
 mod approach_person;
 mod approach_robot;

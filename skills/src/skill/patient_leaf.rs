@@ -36,11 +36,33 @@ impl PatientLeaf {
         if self.waited_s + PAUSE_S <= patience_s {
             self.waited_s += PAUSE_S;
             let time = Seconds::new(PAUSE_S).expect("a duration");
-            return self.pause.insert(GoalLeaf::new(move |_| Ok(Goal::Wait { time }))).tick(context);
+            let mut pause = GoalLeaf::new(move |_| Ok(Goal::Wait { time }));
+            if pause.tick(context)? == Status::Running {
+                self.pause = Some(pause);
+            } else {
+                let now = context.now();
+                context.wake_at(now); // the pause is over already: the next tick tries again
+            }
+            return Ok(Status::Running);
         }
-        let waited_s = std::mem::take(&mut self.waited_s);
+        let waited_s = self.waited_s;
         let waited = if waited_s > 0.0 { format!("; waited for {waited_s} s") } else { String::new() };
         Err(Cause { text: format!("{}{waited}", cause.text), error: cause.error })
+    }
+
+    fn go_on(&mut self, context: &mut LeafContext<'_, '_>) -> Result<Status, Cause> {
+        if let Some(pause) = &mut self.pause {
+            if pause.tick(context)? == Status::Running {
+                return Ok(Status::Running);
+            }
+            self.pause = None;
+        }
+        match self.goal.tick(context) {
+            Err(cause) if cause.error.as_ref().is_some_and(|error| error.code == ErrorCode::OutOfReach) => {
+                self.wait_or_fail(context, cause)
+            }
+            answer => answer,
+        }
     }
 }
 
@@ -50,22 +72,11 @@ fn asking(make: fn(RoleId) -> Goal) -> GoalLeaf {
 
 impl Leaf for PatientLeaf {
     fn tick(&mut self, context: &mut LeafContext<'_, '_>) -> Result<Status, Cause> {
-        if let Some(pause) = &mut self.pause {
-            if pause.tick(context)? == Status::Running {
-                return Ok(Status::Running);
-            }
-            self.pause = None;
+        let answer = self.go_on(context);
+        if !matches!(answer, Ok(Status::Running)) {
+            (self.pause, self.waited_s) = (None, 0.0);
         }
-        match self.goal.tick(context) {
-            Ok(Status::Running) => Ok(Status::Running),
-            Err(cause) if cause.error.as_ref().is_some_and(|error| error.code == ErrorCode::OutOfReach) => {
-                self.wait_or_fail(context, cause)
-            }
-            ended => {
-                self.waited_s = 0.0;
-                ended
-            }
-        }
+        answer
     }
 
     fn halt(&mut self, context: &mut LeafContext<'_, '_>) {

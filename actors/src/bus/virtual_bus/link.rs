@@ -72,9 +72,9 @@ pub struct Counters {
     pub dropped: u64,
 }
 
-/// What one node has put on the wire and taken from it, in bytes of keys and payloads: publications (once for each other
-/// node that receives them, as if all were linked with all), questions and answers. What a transport adds to each message is
-/// not counted, but the messages are.
+/// What one node has put on the wire and taken from it, in bytes of keys, payloads and what is said beside them:
+/// publications (once for each other node that receives them, as if all were linked with all), questions and answers. What a
+/// transport adds to each message is not counted, but the messages are.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Traffic {
     /// Bytes sent, also what got lost on the way.

@@ -55,6 +55,7 @@ pub(super) async fn attend(current: &Arc<Current>, settings: &ZenohSettings) -> 
         spawner.spawn(async move {
             let heard = match (query.parameters().get("back"), weak.upgrade()) {
                 (None, _) => true,
+                (Some(back), _) if !is_id(back) => return,
                 (Some(back), Some(current)) => ask(&current.session(), &format!("{HEARING}/{back}")).await.is_some(),
                 (Some(_), None) => return,
             };
@@ -74,6 +75,11 @@ pub(super) async fn attend(current: &Arc<Current>, settings: &ZenohSettings) -> 
     };
     let listener = session.info().link_events_listener().history(true).callback(linked).background().await;
     listener.map_err(|problem| failed("notice links", problem))
+}
+
+/// Whether a text is one node's id on the bus. Anything else would have the question passed on to whoever matches it.
+fn is_id(text: &str) -> bool {
+    text.bytes().all(|byte| byte.is_ascii_hexdigit())
 }
 
 /// The port of an address as `tcp/127.0.0.1:7447`.

@@ -1,7 +1,8 @@
 //! The real bus: one Zenoh session.
 //!
 //! Zenoh calls back inside its own receiving and sending, so every callback here only pushes into a mailbox without
-//! limit. Queries go to all matching services, replies are not consolidated, and every query has its own limit.
+//! limit. A query goes to all matching services, and its replies are not consolidated, unless the nearest is asked; every
+//! query has its own limit.
 
 mod current;
 mod hearing;

@@ -195,6 +195,9 @@ impl Life {
         let _declaring = self.declaring.lock().await;
         let declared = declaration.declare(&self.session(), self.settings.message_max).await?;
         let mut entries = self.entries();
+        if entries.closed {
+            return Err(failed("declare", "the bus has been closed"));
+        }
         let id = entries.next;
         entries.next += 1;
         entries.all.insert(id, Entry { declaration, declared: Some(declared) });

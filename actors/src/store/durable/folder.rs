@@ -56,11 +56,12 @@ pub(super) fn beside(path: &Path, ending: &str) -> PathBuf {
     PathBuf::from(name)
 }
 
-/// Copies a file to one that must not be there yet, for good, and names it.
+/// Copies a file to one that must not be there yet, for good, and says which that is.
 pub(super) fn copy(from: &Path, to: &Path) -> io::Result<PathBuf> {
     let mut copy = File::options().write(true).create_new(true).open(to)?;
     io::copy(&mut File::open(from)?, &mut copy)?;
     copy.sync_all()?;
+    sync_folder_of(to)?;
     Ok(to.to_owned())
 }
 
@@ -73,6 +74,11 @@ pub(super) fn backend(path: &Path, create: bool) -> io::Result<FileBackend> {
 /// Gives a complete file its name, for good.
 fn name(from: &Path, to: &Path) -> io::Result<()> {
     fs::rename(from, to)?;
-    let folder = to.parent().unwrap_or(Path::new("."));
+    sync_folder_of(to)
+}
+
+/// Brings the name of a file to disk.
+fn sync_folder_of(file: &Path) -> io::Result<()> {
+    let folder = file.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
     File::open(folder)?.sync_all()
 }

@@ -227,11 +227,13 @@ impl Shared {
     /// Writes all that waits, in one go.
     fn write_queued(&self) {
         let mut files = lock(&self.files);
-        let Queue { changes, committed } = std::mem::take(&mut *lock(&self.queue));
-        if changes.is_empty() {
-            lock(&self.queue).committed = committed;
-            return;
-        }
+        let Queue { changes, committed } = {
+            let mut queue = lock(&self.queue);
+            if queue.changes.is_empty() {
+                return; // whoever came before has written it
+            }
+            std::mem::take(&mut *queue)
+        };
         let (mut changes, done): (Vec<_>, Vec<_>) = changes.into_iter().unzip();
         changes.extend(committed.map(Change::Committed));
         let outcome = files.write(&changes);

@@ -16,7 +16,8 @@ pub const ADVICE: &str = "as long as a majority of the other voters lives, move 
     directory of a node whose store is whole; a copy of this one may be put back only if it was made after the node had \
     run for the last time";
 
-/// Why a store cannot be opened. Its files are as they were, save that `redb` may have mended what a crash left.
+/// Why a store cannot be opened. What its files hold is as it was, save that `redb` may have mended what a crash left; space
+/// that was no longer used may have been given back.
 #[derive(Debug, thiserror::Error)]
 pub enum OpenError {
     /// Ordinary when a node is started twice, or recovered while it runs.

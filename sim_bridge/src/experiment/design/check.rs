@@ -71,7 +71,7 @@ impl Design {
 
     fn factor_problems(&self) -> Vec<String> {
         let (mut problems, factors) = (vec![], &self.factors);
-        let robots: usize = self.robots.iter().map(|part| part.count).sum();
+        let robots = self.robots.iter().map(|part| part.count).fold(0, usize::saturating_add);
         if robots == 0 || robots > ROBOTS_MAX || self.robots.iter().any(|part| part.count == 0) {
             problems
                 .push(format!("robots: are {robots}, allowed are 1 to {ROBOTS_MAX}, and each part has one or more"));

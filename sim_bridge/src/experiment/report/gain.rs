@@ -6,7 +6,7 @@ use super::super::results::TrialRow;
 /// What calibration gains.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Gain {
-    /// What was learned, and from how many trials.
+    /// What was learned.
     pub learned: Calibration,
     /// Trials from which it was learned.
     pub trials: usize,

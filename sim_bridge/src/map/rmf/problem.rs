@@ -88,7 +88,7 @@ pub enum Wrong {
     /// A reference level from which no scale can be had.
     #[error("it has no measurements, so a pixel has no length: measure something on it, or give a scale")]
     NoScale,
-    /// A measurement or two fiducials at one point.
+    /// A measurement that begins and ends at one point.
     #[error("both ends are one point, which measures nothing")]
     NoExtent,
     /// A level that cannot be laid over the reference level.

@@ -33,7 +33,7 @@ impl Time {
 
     /// A nanosecond later.
     pub(super) fn next(self) -> Time {
-        Time::of_ns(self.nanoseconds() + 1)
+        Time::of_ns(self.nanoseconds().saturating_add(1))
     }
 }
 

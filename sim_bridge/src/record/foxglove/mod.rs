@@ -9,7 +9,6 @@
 //! | `/robots/NAME/pose` | `foxglove.PoseInFrame` | likewise |
 //! | `/robots/NAME/state` | `consort.RobotState` | at first, once a second while it moves, and when something happens to it |
 //! | `/log` | `foxglove.Log` | whatever happens, in words |
-
 //!
 //! [`McapFile`] is the file; [`FleetScene`] draws a fleet of which somebody hears instead of a world, on the same topics.
 

@@ -264,9 +264,11 @@ impl Floor {
 
     /// A robot that is steered is at the end of the part of its way that was under way.
     pub(crate) fn steered_there(&mut self, robot: Entity) {
-        match self.take_stage(robot) {
-            Stage::Rolling(course) => self.part_ends(robot, course),
-            _ => unreachable!("what is steered is under way"),
+        if !matches!(self.get::<Journey>(robot).stage, Stage::Rolling(_)) {
+            return; // it was beside the end before, looked ahead again there, and waits at a door already
+        }
+        if let Stage::Rolling(course) = self.take_stage(robot) {
+            self.part_ends(robot, course);
         }
     }
 

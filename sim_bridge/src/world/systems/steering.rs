@@ -61,14 +61,12 @@ impl System for Steering {
     }
 
     fn reads(&self) -> Vec<Kind> {
-        let mut kinds = Driving.reads();
-        kinds.extend(kinds![Body]);
-        kinds
+        Driving.reads()
     }
 
     fn writes(&self) -> Vec<Kind> {
         let mut kinds = Driving.writes();
-        kinds.extend(kinds![Steered, Footprint, Surroundings, Whereabouts]);
+        kinds.extend(kinds![Footprint]);
         kinds
     }
 

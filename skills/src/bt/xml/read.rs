@@ -131,8 +131,8 @@ impl Reader<'_> {
                 }
             }
         }
-        let text = element.children().filter(Node::is_text).find_map(|text| text.text().map(str::trim));
-        if let Some(text) = text.filter(|text| !text.is_empty()) {
+        let mut texts = element.children().filter(Node::is_text).filter_map(|node| node.text().map(str::trim));
+        if let Some(text) = texts.find(|text| !text.is_empty()) {
             return Err(self.refuse(element, format!("<{tag}> holds the text {text:?}; allowed are nodes only")));
         }
         for child in element.children().filter(Node::is_element) {

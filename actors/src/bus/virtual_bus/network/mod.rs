@@ -295,7 +295,8 @@ impl Network {
         self.places.get(id).map(|place| self.nodes[*place].traffic.clone()).unwrap_or_default()
     }
 
-    fn take(&mut self, from: Place, to: Place, kind: KeyKind, bytes: usize) {
+    /// Counts what a node takes from the wire.
+    fn note_received(&mut self, from: Place, to: Place, kind: KeyKind, bytes: usize) {
         if from != to {
             self.nodes[to].traffic.received(kind, bytes);
         }

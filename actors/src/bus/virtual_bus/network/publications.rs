@@ -119,7 +119,7 @@ impl Network {
             }
         }
         if heard {
-            self.take(from, to.place, publication.route.kind, publication.bytes());
+            self.note_received(from, to.place, publication.route.kind, publication.bytes());
             self.trace.note(self.now, from, to.place, publication.route.hash, &publication.sample.payload);
         }
         self.count(heard);

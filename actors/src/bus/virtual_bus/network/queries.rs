@@ -186,7 +186,7 @@ impl Network {
             replier: Box::new(Responder::new(self.home.clone(), leg, to, Arc::clone(&question))),
         };
         let heard = service.mailbox.send(query).is_ok();
-        self.take(from, to.place, kind, question.bytes());
+        self.note_received(from, to.place, kind, question.bytes());
         self.trace.note(self.now, from, to.place, leg.service, &question.payload);
         self.count(heard);
     }
@@ -206,7 +206,7 @@ impl Network {
             }
             _ => query.replies.send(reply).is_ok(),
         };
-        self.take(from, to, kind, bytes);
+        self.note_received(from, to, kind, bytes);
         self.trace.note(self.now, from, to, leg.service, &content);
         self.count(heard);
     }
