@@ -17,7 +17,7 @@ pub struct Wire(Arc<watch::Sender<Written>>);
 
 /// What is written.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-struct Written {
+pub(crate) struct Written {
     /// In which cluster that was heard.
     cluster: Option<ClusterId>,
     version: u8,

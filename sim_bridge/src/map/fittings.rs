@@ -230,7 +230,7 @@ fn door(entry: &DoorEntry, map: &mut Map, written: &MapFile, problems: &mut Prob
     for ends in &entry.on {
         match lane_of(map, ends) {
             Some(lane) if seen.insert(lane) => met.push((lane, ends)),
-            Some(_) => {} // named once more, perhaps from its other end
+            Some(_) => {}                       // named once more, perhaps from its other end
             None if stands(written, ends) => {} // said of the lane already
             None => {
                 let (door, lane) = (entry.name.clone(), LaneName(ends.0.clone(), ends.1.clone()));

@@ -172,16 +172,12 @@ impl Drive {
     /// Has Nav2 drive there; returns what the body was told at last.
     async fn run(self, mut told: UnboundedReceiver<Progress>, stop: watch::Receiver<bool>) -> Heard {
         let goal = Goal { pose: mapping::to_ros(self.to, mapping::now()), behavior_tree: String::new() };
-        let answer = self.client.send(self.id, goal).await;
-        let last = match answer {
+        let last = match self.client.send(self.id, goal).await {
             Answer::Accepted => Heard::Ended(self.number, self.until_over(&mut told, stop).await),
             Answer::Rejected => Heard::Refused(self.number, "Nav2 has rejected the goal".to_owned()),
             Answer::Nobody => Heard::Refused(self.number, "no server of Nav2 has answered".to_owned()),
         };
         self.say(last.clone());
-        if answer == Answer::Nobody {
-            let _ = self.client.cancel(self.id).await; // should it have been taken on all the same
-        }
         last
     }
 

@@ -120,20 +120,21 @@ impl Bridge {
         let mut beat = tokio::time::interval(BEAT);
         beat.set_missed_tick_behavior(MissedTickBehavior::Delay);
         loop {
+            let now = self.since.elapsed();
             let actions = tokio::select! {
                 state = heard.recv() => match state {
-                    Some(state) => self.pursuit.hear(state, self.since.elapsed()),
+                    Some(state) => self.pursuit.hear(state, now),
                     None => return,
                 },
                 wish = self.server.wish() => match wish {
                     Some(Wish::Pursue(goal, wanted)) => {
                         info!(robot = %self.robot, "a goal from ROS 2");
-                        self.pursuit.want(goal, mapping::from_ros(&wanted.pose), self.since.elapsed())
+                        self.pursuit.want(goal, mapping::from_ros(&wanted.pose), now)
                     }
                     Some(Wish::Cancel(goal)) => self.pursuit.cancel(goal),
                     None => return,
                 },
-                _ = beat.tick(), if self.pursuit.is_busy() => self.pursuit.tick(self.since.elapsed()),
+                _ = beat.tick(), if self.pursuit.is_busy() => self.pursuit.tick(now),
             };
             self.perform(actions).await;
         }
