@@ -15,6 +15,7 @@ use std::collections::BTreeMap;
 use std::io::Write as _;
 use std::path::PathBuf;
 use std::process::Command;
+use std::sync::atomic::{AtomicU32, Ordering};
 use std::time::Duration;
 use toml::Table;
 
@@ -49,7 +50,10 @@ pub(crate) fn inside_again(arguments: &[&str], tools: &[&str], story: impl FnOnc
     let program = std::env::current_exe().expect("a test has a path");
     let mut again = Command::new("unshare");
     again.args(UNSHARE).arg(program).args(arguments);
-    let status = again.env(INSIDE, std::process::id().to_string()).status().expect("unshare was there a moment ago");
+    // Inside all are process 1 or 2: by this they know their folders apart.
+    static STORIES: AtomicU32 = AtomicU32::new(0);
+    let own = format!("{}-{}", std::process::id(), STORIES.fetch_add(1, Ordering::Relaxed));
+    let status = again.env(INSIDE, own).status().expect("unshare was there a moment ago");
     assert!(status.success(), "inside its namespaces, {what} failed");
 }
 
