@@ -4,7 +4,7 @@ use crate::bus::{Delivery, Encoding, SharedBus};
 use crate::clock::Clock;
 use crate::observe::SharedObserver;
 use bytes::Bytes;
-use consort_protocol::event::{Event, Happening};
+use consort_protocol::event::{Event, EventKind};
 use consort_protocol::ids::NodeId;
 use consort_protocol::keys::{Key, Keys};
 use std::sync::{Arc, Mutex, PoisonError};
@@ -13,7 +13,7 @@ use tracing::debug;
 
 /// Publishes what happens on this node, in order. Clones share one sequence; telling never waits.
 #[derive(Clone)]
-pub struct Events(Arc<Shared>);
+pub struct EventPublisher(Arc<Shared>);
 
 struct Shared {
     node: NodeId,
@@ -28,9 +28,15 @@ struct Told {
     to: UnboundedSender<Event>,
 }
 
-impl Events {
+impl EventPublisher {
     /// Opens the stream. An observer is told first, at the instant of telling.
-    pub fn open(node: NodeId, keys: &Keys, bus: SharedBus, clock: Clock, observer: Option<SharedObserver>) -> Events {
+    pub fn open(
+        node: NodeId,
+        keys: &Keys,
+        bus: SharedBus,
+        clock: Clock,
+        observer: Option<SharedObserver>,
+    ) -> EventPublisher {
         let (to, mut happened) = unbounded_channel::<Event>();
         let key = keys.write(&Key::Events(node.clone()));
         let mut task = tokio::task::JoinSet::new();
@@ -42,18 +48,18 @@ impl Events {
                 }
             }
         });
-        Events(Arc::new(Shared { node, clock, observer, told: Mutex::new(Told { count: 0, to }), _task: task }))
+        EventPublisher(Arc::new(Shared { node, clock, observer, told: Mutex::new(Told { count: 0, to }), _task: task }))
     }
 
     /// Tells of something that has just happened here.
-    pub fn tell(&self, what: Happening) {
+    pub fn publish(&self, what: EventKind) {
         let Shared { node, clock, observer, told, .. } = &*self.0;
         // Counted and sent as one, so that numbers stand in the order of the stream.
         let mut told = told.lock().unwrap_or_else(PoisonError::into_inner);
         told.count += 1;
-        let event = Event { node: node.clone(), sequence: told.count, at_ms: clock.wall_ms(), what };
+        let event = Event { node: node.clone(), sequence: told.count, at_ms: clock.wall_ms(), kind: what };
         if let Some(observer) = observer {
-            observer.told(&event);
+            observer.on_event(&event);
         }
         // The task behind the channel lives as long as any clone.
         let _ = told.to.send(event);

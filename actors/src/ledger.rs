@@ -1,15 +1,15 @@
 //! The mission ledger as the state machine that is replicated.
 
-use crate::replica::StateMachine;
+use crate::raft::StateMachine;
 use consort_protocol::ids::ClusterId;
 use consort_protocol::lease::Epoch;
-use consort_protocol::ledger::{Command, Ledger, Outcome};
+use consort_protocol::ledger::{Command, CommandOutcome, Ledger};
 
 impl StateMachine for Ledger {
     type Command = Command;
-    type Outcome = Outcome;
+    type Outcome = CommandOutcome;
 
-    fn apply(&mut self, at: Epoch, command: Command) -> Outcome {
+    fn apply(&mut self, at: Epoch, command: Command) -> CommandOutcome {
         Ledger::apply(self, at, command)
     }
 
@@ -23,9 +23,9 @@ impl StateMachine for Ledger {
             | Command::Release { .. }
             | Command::Fail { .. }
             | Command::Cancel { .. }
-            | Command::Rescued { .. }
-            | Command::Raise { .. }
-            | Command::Found { .. } => false,
+            | Command::Resolve { .. }
+            | Command::RaiseWireVersion { .. }
+            | Command::Bootstrap { .. } => false,
         }
     }
 

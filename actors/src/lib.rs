@@ -5,28 +5,28 @@
 //! handed in, and whatever is iterated to choose or to send is an ordered map, so that a whole fleet repeats exactly on
 //! paused time.
 
-pub mod allegiance;
-mod answer;
-pub mod attendant;
+mod api_types;
 pub mod autopilot;
-pub mod body;
 pub mod bus;
-mod calls;
 pub mod clock;
+pub mod cluster_membership;
 pub mod coordinator;
 pub mod events;
+pub mod fuzz_api;
 pub mod gossip;
+pub mod human_task_proxy;
 mod ledger;
 pub mod node;
 pub mod observe;
-pub mod replica;
+pub mod raft;
+mod reply;
 pub mod robot;
+pub mod robot_driver;
 pub mod store;
 mod tasks;
 pub mod timing;
 pub mod trust;
-pub mod untrusted;
 pub mod views;
-pub mod wire;
+pub mod wire_version;
 
-pub use calls::help as api_help;
+pub use api_types::help as api_help;

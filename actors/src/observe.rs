@@ -12,11 +12,11 @@ use std::sync::Arc;
 /// Is told what happens on a node. It is called from within the node's tasks, so it neither waits nor panics.
 pub trait Observer: Send + Sync + 'static {
     /// The node tells of something on its event stream.
-    fn told(&self, event: &Event);
+    fn on_event(&self, event: &Event);
 
     /// The node's copy of the ledger has taken in the entry at `at`: commands in their order, or none for one of Raft's own.
     /// After a restart the entries behind the last snapshot are taken in anew.
-    fn applied(&self, node: &NodeId, at: Epoch, commands: &[Command]);
+    fn on_applied(&self, node: &NodeId, at: Epoch, commands: &[Command]);
 }
 
 /// An observer that several nodes share.
@@ -24,11 +24,11 @@ pub type SharedObserver = Arc<dyn Observer>;
 
 /// Each in turn.
 impl Observer for Vec<SharedObserver> {
-    fn told(&self, event: &Event) {
-        self.iter().for_each(|observer| observer.told(event));
+    fn on_event(&self, event: &Event) {
+        self.iter().for_each(|observer| observer.on_event(event));
     }
 
-    fn applied(&self, node: &NodeId, at: Epoch, commands: &[Command]) {
-        self.iter().for_each(|observer| observer.applied(node, at, commands));
+    fn on_applied(&self, node: &NodeId, at: Epoch, commands: &[Command]) {
+        self.iter().for_each(|observer| observer.on_applied(node, at, commands));
     }
 }

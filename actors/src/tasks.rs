@@ -39,7 +39,7 @@ impl Tasks {
     }
 
     /// Sends an actor a message again and again, the first after one period.
-    pub(crate) fn beat<M: Message>(
+    pub(crate) fn send_every<M: Message>(
         &mut self,
         period: Duration,
         to: &ActorRef<M>,
@@ -71,7 +71,7 @@ impl Tasks {
     }
 
     /// Sends an actor one message later.
-    pub(crate) fn after<M: Message>(&mut self, delay: Duration, to: &ActorRef<M>, message: M) {
+    pub(crate) fn send_after<M: Message>(&mut self, delay: Duration, to: &ActorRef<M>, message: M) {
         let to = to.clone();
         self.spawn(async move {
             tokio::time::sleep(delay).await;

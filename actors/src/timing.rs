@@ -38,7 +38,7 @@ pub enum Timing {
 
 /// The times of a [`Timing`]; the module's table gives them with their reasons.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Times {
+pub struct TimingParameters {
     /// How often a leader speaks.
     pub heartbeat: Duration,
     /// The shortest silence after which a node stands for election.
@@ -46,19 +46,19 @@ pub struct Times {
     /// The longest.
     pub election_max: Duration,
     /// How often the coordinator publishes its beacon.
-    pub beacon: Duration,
+    pub beacon_interval: Duration,
     /// How long an auction waits for a member that does not answer.
-    pub window: Duration,
+    pub auction_window: Duration,
     /// How often a node repeats its record.
-    pub gossip_beat: Duration,
+    pub gossip_refresh: Duration,
     /// How often two nodes compare what they know.
-    pub gossip_round: Duration,
+    pub anti_entropy_interval: Duration,
     /// How often a random member is probed.
     pub probe_period: Duration,
     /// How long a probed member may take to answer.
-    pub probe_rtt: Duration,
+    pub probe_timeout: Duration,
     /// How long a suspect has to say that it is alive.
-    pub suspicion: Duration,
+    pub suspicion_timeout: Duration,
     /// How long a voter must be gone until it is replaced.
     pub dead_after: Duration,
     /// How long a silent neighbour counts as linked.
@@ -67,34 +67,34 @@ pub struct Times {
 
 impl Timing {
     /// Its times.
-    pub fn times(self) -> Times {
+    pub fn parameters(self) -> TimingParameters {
         let ms = Duration::from_millis;
         match self {
-            Timing::Lan => Times {
+            Timing::Lan => TimingParameters {
                 heartbeat: ms(100),
                 election_min: ms(300),
                 election_max: ms(600),
-                beacon: ms(250),
-                window: ms(200),
-                gossip_beat: ms(2000),
-                gossip_round: ms(1000),
+                beacon_interval: ms(250),
+                auction_window: ms(200),
+                gossip_refresh: ms(2000),
+                anti_entropy_interval: ms(1000),
                 probe_period: ms(500),
-                probe_rtt: ms(150),
-                suspicion: ms(2000),
+                probe_timeout: ms(150),
+                suspicion_timeout: ms(2000),
                 dead_after: ms(10_000),
                 link_lease: ms(2000),
             },
-            Timing::Wifi => Times {
+            Timing::Wifi => TimingParameters {
                 heartbeat: ms(250),
                 election_min: ms(1500),
                 election_max: ms(3000),
-                beacon: ms(500),
-                window: ms(800),
-                gossip_beat: ms(2000),
-                gossip_round: ms(1000),
+                beacon_interval: ms(500),
+                auction_window: ms(800),
+                gossip_refresh: ms(2000),
+                anti_entropy_interval: ms(1000),
                 probe_period: ms(1000),
-                probe_rtt: ms(400),
-                suspicion: ms(4000),
+                probe_timeout: ms(400),
+                suspicion_timeout: ms(4000),
                 dead_after: ms(20_000),
                 link_lease: ms(5000),
             },

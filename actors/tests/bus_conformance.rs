@@ -5,8 +5,8 @@
 use bytes::Bytes;
 use consort_actors::bus::zenoh_bus::Mode;
 use consort_actors::bus::{
-    Bus, BusError, Delivery, Encoding, LinkModel, MESSAGE_MAX, Presence, Query, Reply, Sample, Stream, VirtualNetwork,
-    Whom, ZenohBus, ZenohSettings,
+    Bus, BusError, Delivery, Encoding, LinkModel, MESSAGE_MAX, Presence, Query, Reply, Sample, ServiceSelection,
+    Stream, VirtualNetwork, ZenohBus, ZenohSettings,
 };
 use consort_protocol::ids::NodeId;
 use std::time::Duration;
@@ -161,7 +161,10 @@ async fn encodings_arrive_as_they_were_sent([a, _, c]: Nodes<'_>) {
     for encoding in [Encoding::Json, Encoding::Wire] {
         a.publish("encoded", bytes("{}"), encoding, Delivery::Block).await.unwrap();
         let sample = next(&mut stream, "sample").await;
-        assert_eq!(sample, Sample { key: "encoded".to_owned(), payload: bytes("{}"), encoding, beside: Bytes::new() });
+        assert_eq!(
+            sample,
+            Sample { key: "encoded".to_owned(), payload: bytes("{}"), encoding, attachment: Bytes::new() }
+        );
     }
 }
 
@@ -169,18 +172,24 @@ async fn what_is_said_beside_a_payload_arrives_beside_it([a, _, c]: Nodes<'_>) {
     let mut stream = c.subscribe("beside/news").await.unwrap();
     linked(a, "beside/news", &mut [&mut stream]).await;
     let answering = answer_all(c.serve("beside/cyd").await.unwrap(), |question| async move {
-        let heard = question.beside.clone();
-        question.replier.reply_with("beside/cyd", question.payload.clone(), heard, Encoding::Json).await.unwrap();
+        let heard = question.attachment.clone();
+        question
+            .replier
+            .reply_with_attachment("beside/cyd", question.payload.clone(), heard, Encoding::Json)
+            .await
+            .unwrap();
     });
     served(a, "beside/cyd", 1).await;
     for said in ["", "a word"] {
-        a.publish_with("beside/news", bytes("{}"), bytes(said), Encoding::Json, Delivery::Block).await.unwrap();
+        a.publish_with_attachment("beside/news", bytes("{}"), bytes(said), Encoding::Json, Delivery::Block)
+            .await
+            .unwrap();
         let sample = next(&mut stream, "sample").await;
-        assert_eq!((sample.payload, sample.beside), (bytes("{}"), bytes(said)));
-        for whom in [Whom::All, Whom::Nearest] {
-            let mut replies = a.ask("beside/*", bytes("?"), bytes(said), NEVER, whom).await.unwrap();
+        assert_eq!((sample.payload, sample.attachment), (bytes("{}"), bytes(said)));
+        for whom in [ServiceSelection::All, ServiceSelection::Nearest] {
+            let mut replies = a.query_with("beside/*", bytes("?"), bytes(said), NEVER, whom).await.unwrap();
             let reply = next(&mut replies, "reply").await;
-            assert_eq!((reply.payload, reply.beside), (Ok(bytes("?")), bytes(said)));
+            assert_eq!((reply.payload, reply.attachment), (Ok(bytes("?")), bytes(said)));
         }
     }
     answering.abort();
@@ -537,8 +546,8 @@ async fn router(connect: Vec<String>) -> ZenohBus {
 /// Three routers over TCP on loopback, each linked with the next only.
 async fn row_of_routers() -> [ZenohBus; 3] {
     let first = router(vec![]).await;
-    let second = router(first.listening().await).await;
-    let third = router(second.listening().await).await;
+    let second = router(first.listen_addresses().await).await;
+    let third = router(second.listen_addresses().await).await;
     for bus in [&first, &second, &third] {
         assert!(!bus.wait_connected(PATIENCE).await.is_empty(), "a router found no neighbour");
     }
@@ -584,7 +593,7 @@ async fn a_client_needs_a_router_and_then_hears_the_fleet() {
     assert!(error.starts_with(&format!("the bus failed to reach a router at tcp/{free}: ")), "{error}");
 
     let row = row_of_routers().await;
-    let bus = ZenohBus::open(client(row[0].listening().await)).await.unwrap();
+    let bus = ZenohBus::open(client(row[0].listen_addresses().await)).await.unwrap();
     let service = echo_service(&row[2], "client/echo").await;
     served(&bus, "client/*", 1).await;
     assert_eq!(bus.links().await.len(), 1);

@@ -3,14 +3,16 @@
 use bytes::Bytes;
 use consort_actors::bus::{Bus, Delivery, Encoding, LinkModel, VirtualNetwork};
 use consort_actors::clock::Clock;
-use consort_actors::gossip::{Counters, Gossip, GossipHandle, Settings, SharedKnowledge, Start, Status};
-use consort_actors::wire::Wire;
+use consort_actors::gossip::{
+    Gossip, GossipCounters, GossipHandle, GossipStart, MemberStatus, Settings, SharedKnowledge,
+};
+use consort_actors::wire_version::WireVersion;
 use consort_protocol::codec;
 use consort_protocol::ids::{FleetId, NodeId};
 use consort_protocol::keys::{Key, Keys};
-use consort_protocol::knowledge::{Knowledge, Stamp};
-use consort_protocol::message::Statement;
-use consort_protocol::versions::Versions;
+use consort_protocol::knowledge::{Knowledge, RecordStamp};
+use consort_protocol::message::RecordUpdate;
+use consort_protocol::versions::VersionRange;
 use ractor::{Actor, ActorProcessingErr, ActorRef, SupervisionEvent};
 use rand::SeedableRng;
 use rand_chacha::ChaCha8Rng;
@@ -50,8 +52,8 @@ fn knowledge(replica: u64) -> Knowledge {
         replica: Some(replica),
         cluster: None,
         leaving: false,
-        speaks: Versions::OWN,
-        worker: None,
+        supported_versions: VersionRange::OWN,
+        robot: None,
     }
 }
 
@@ -62,7 +64,7 @@ struct Node {
 }
 
 impl Node {
-    fn stamp_of(&self, other: &NodeId) -> Option<Stamp> {
+    fn stamp_of(&self, other: &NodeId) -> Option<RecordStamp> {
         self.shared.read(|base| base.get(other).map(|heard| heard.record.stamp))
     }
 
@@ -76,7 +78,7 @@ impl Node {
     }
 
     fn down(&self, other: &NodeId) -> bool {
-        matches!(self.shared.status(other), Status::Down { .. })
+        matches!(self.shared.status(other), MemberStatus::Down { .. })
     }
 }
 
@@ -103,15 +105,15 @@ impl Fleet {
     async fn start_linked(&mut self, number: usize, incarnation: u64, supervisor: Option<ractor::ActorCell>) {
         let (node, shared) = (name(number), SharedKnowledge::default());
         let clock = Clock::virtual_at(0);
-        let start = Start {
+        let start = GossipStart {
             settings: Settings::new(fleet_id(), node.clone(), incarnation),
             knowledge: knowledge(0),
             shared: shared.clone(),
             bus: Arc::new(self.network.bus(node.clone())),
             clock,
             rng: ChaCha8Rng::seed_from_u64(self.seed * 1000 + number as u64 * 10 + incarnation),
-            wire: Wire::default(),
-            notary: None,
+            wire_version: WireVersion::default(),
+            signer: None,
         };
         let (gossip, _) = Gossip::start(start, supervisor).await.expect("a bus that takes declarations");
         self.nodes.insert(node, Node { gossip, shared, clock });
@@ -132,7 +134,7 @@ impl Fleet {
 
     fn everybody_knows_everybody(&self) -> bool {
         let names: Vec<&NodeId> = self.nodes.keys().collect();
-        self.all(|node| names.iter().all(|other| node.stamp_of(other).is_some() && node.shared.alive(other)))
+        self.all(|node| names.iter().all(|other| node.stamp_of(other).is_some() && node.shared.is_alive(other)))
     }
 
     /// How long it takes until this holds, which it must within `limit`.
@@ -177,7 +179,7 @@ fn a_change_is_heard_at_once_and_repaired_where_it_was_lost() {
             let everybody_has =
                 |replica| move |fleet: &Fleet| fleet.all(|node| node.replica_of(&name(3)) == Some(replica));
 
-            let mut changed = fleet.node(7).shared.changed();
+            let mut changed = fleet.node(7).shared.changes();
             changed.borrow_and_update();
             fleet.node(3).gossip.update(knowledge(1)).unwrap();
             fleet.until("a change is heard", millis(20), everybody_has(1)).await;
@@ -214,7 +216,7 @@ fn nobody_is_judged_down_for_nothing_and_hardly_anybody_when_a_fifth_is_lost() {
             virtually(async {
                 let fleet = Fleet::of(size, seed, loss).await;
                 sleep(secs(60)).await;
-                let returned: u64 = fleet.nodes.values().map(|node| node.shared.counters().returned).sum();
+                let returned: u64 = fleet.nodes.values().map(|node| node.shared.counters().refutations).sum();
                 let allowed = if loss > 0.0 { 1 } else { 0 };
                 assert!(returned <= allowed, "{size} nodes, loss {loss}, seed {seed}: {returned}");
                 fleet.until("all know all", secs(5), Fleet::everybody_knows_everybody).await;
@@ -244,7 +246,7 @@ fn knowledge_crosses_a_chain_whose_ends_never_meet() {
             // They stay alive to each other, and their knowledge fresh, by way of the node between them.
             for _ in 0..60 {
                 sleep(secs(1)).await;
-                assert!(fleet.node(0).shared.alive(&right) && fleet.node(2).shared.alive(&left), "seed {seed}");
+                assert!(fleet.node(0).shared.is_alive(&right) && fleet.node(2).shared.is_alive(&left), "seed {seed}");
                 let age = fleet.node(0).age_of(&right).max(fleet.node(2).age_of(&left)).unwrap();
                 assert!(age < secs(10), "seed {seed}: {age:?}");
             }
@@ -264,7 +266,7 @@ fn a_one_way_cut_between_two_harms_neither_while_a_third_reaches_both() {
             fleet.network.cut(name(0), name(1));
             for _ in 0..60 {
                 sleep(secs(1)).await;
-                assert!(fleet.all(|node| (0..4).all(|other| node.shared.alive(&name(other)))), "seed {seed}");
+                assert!(fleet.all(|node| (0..4).all(|other| node.shared.is_alive(&name(other)))), "seed {seed}");
                 let age = fleet.node(1).age_of(&name(0)).unwrap();
                 assert!(age < secs(10), "seed {seed}: {age:?}");
             }
@@ -281,9 +283,9 @@ fn one_that_nobody_hears_or_that_hears_nobody_is_judged_down_and_comes_back_when
                 fleet.until("all meet", secs(1), Fleet::everybody_knows_everybody).await;
                 let odd = name(2);
                 if mute {
-                    fleet.network.mute(odd.clone());
+                    fleet.network.block_outgoing(odd.clone());
                 } else {
-                    fleet.network.deafen(odd.clone());
+                    fleet.network.block_incoming(odd.clone());
                 }
                 let others_think_it_down =
                     |fleet: &Fleet| fleet.nodes.iter().all(|(node, at)| *node == odd || at.down(&odd));
@@ -305,12 +307,12 @@ fn a_token_that_vanishes_from_a_node_that_lives_evicts_nobody() {
                 fleet.network.set_lease(millis(20));
                 for _ in 0..10 {
                     // Everybody sees its token vanish, and come back much later than an answer takes.
-                    fleet.network.mute(name(1));
+                    fleet.network.block_outgoing(name(1));
                     sleep(millis(30)).await;
                     fleet.network.heal();
                     sleep(secs(3)).await;
                 }
-                let downs: u64 = fleet.nodes.values().map(|node| node.shared.counters().downs).sum();
+                let downs: u64 = fleet.nodes.values().map(|node| node.shared.counters().down_verdicts).sum();
                 assert_eq!(downs, 0, "{size} nodes, loss {loss}, seed {seed}");
             });
         }
@@ -325,16 +327,16 @@ fn who_does_not_answer_is_seen_to_be_suspected_before_it_is_down_and_cleared_whe
             fleet.until("all meet", secs(1), Fleet::everybody_knows_everybody).await;
             fleet.network.set_lease(secs(3_600));
             let odd = name(2);
-            let suspected = |node: &Node| matches!(node.shared.status(&odd), Status::Suspect { .. });
+            let suspected = |node: &Node| matches!(node.shared.status(&odd), MemberStatus::Suspect { .. });
             let others = |fleet: &Fleet, holds: &dyn Fn(&Node) -> bool| {
                 fleet.nodes.iter().all(|(node, at)| *node == odd || holds(at))
             };
             fleet.network.isolate(odd.clone());
             let some = |fleet: &Fleet| fleet.nodes.iter().any(|(node, at)| *node != odd && suspected(at));
             fleet.until("it is suspected", secs(5), some).await;
-            assert!(others(&fleet, &|node| node.shared.alive(&odd)), "seed {seed}: a suspect counts as alive");
+            assert!(others(&fleet, &|node| node.shared.is_alive(&odd)), "seed {seed}: a suspect counts as alive");
             fleet.network.heal();
-            let cleared = |node: &Node| matches!(node.shared.status(&odd), Status::Alive { .. });
+            let cleared = |node: &Node| matches!(node.shared.status(&odd), MemberStatus::Alive { .. });
             fleet.until("it answers", millis(1_900), |fleet| others(fleet, &cleared)).await;
 
             fleet.network.isolate(odd.clone());
@@ -371,13 +373,14 @@ async fn under_one_way_cuts(size: usize, seed: u64, cut: impl Fn(&VirtualNetwork
     let fleet = Fleet::of(size, seed, 0.0).await;
     fleet.until("all meet", secs(1), Fleet::everybody_knows_everybody).await;
     cut(&fleet.network);
-    let sum = |count: fn(Counters) -> u64| fleet.nodes.values().map(|node| count(node.shared.counters())).sum::<u64>();
-    let counts = || (sum(|counters| counters.downs), sum(|counters| counters.returned));
+    let sum =
+        |count: fn(GossipCounters) -> u64| fleet.nodes.values().map(|node| count(node.shared.counters())).sum::<u64>();
+    let counts = || (sum(|counters| counters.down_verdicts), sum(|counters| counters.refutations));
     sleep(secs(60)).await;
     let first = counts();
     sleep(secs(60)).await;
     let both = counts();
-    let alive = |node: &Node| (0..size).filter(|other| node.shared.alive(&name(*other))).count();
+    let alive = |node: &Node| (0..size).filter(|other| node.shared.is_alive(&name(*other))).count();
     (fleet.nodes.values().map(alive).collect(), [first.0, both.0 - first.0], [first.1, both.1 - first.1])
 }
 
@@ -386,12 +389,12 @@ fn one_way_cuts_settle_as_specified() {
     const SIZE: usize = 8;
     for seed in 0..3 {
         // Heard by nobody: down to all, and no more is said about it. It hears all speak, and doubts itself.
-        let (alive, downs, returns) = virtually(under_one_way_cuts(SIZE, seed, |net| net.mute(name(0))));
+        let (alive, downs, returns) = virtually(under_one_way_cuts(SIZE, seed, |net| net.block_outgoing(name(0))));
         assert_eq!(alive[1..], [SIZE - 1; SIZE - 1], "seed {seed}");
         assert_eq!((alive[0], downs, returns), (SIZE, [SIZE as u64 - 1, 0], [1, 0]), "seed {seed}");
 
         // Hears nobody: down to all, and all are down to it.
-        let (alive, downs, _) = virtually(under_one_way_cuts(SIZE, seed, |net| net.deafen(name(0))));
+        let (alive, downs, _) = virtually(under_one_way_cuts(SIZE, seed, |net| net.block_incoming(name(0))));
         assert_eq!(alive[1..], [SIZE - 1; SIZE - 1], "seed {seed}");
         assert_eq!((alive[0], downs[1]), (1, 0), "seed {seed}");
 
@@ -431,8 +434,8 @@ fn both_halves_of_a_parted_fleet_carry_on_and_join_again() {
                 fleet.network.partition([(0..3).map(name), (3..6).map(name)]);
                 sleep(apart).await;
                 for (here, other) in [(0, 4), (4, 0)] {
-                    assert!(!fleet.node(here).shared.alive(&name(other)), "seed {seed}");
-                    assert!(fleet.node(here).shared.alive(&name(here + 1)), "seed {seed}");
+                    assert!(!fleet.node(here).shared.is_alive(&name(other)), "seed {seed}");
+                    assert!(fleet.node(here).shared.is_alive(&name(here + 1)), "seed {seed}");
                 }
                 fleet.network.heal();
                 fleet.until("they join", secs(15), Fleet::everybody_knows_everybody).await;
@@ -488,7 +491,7 @@ fn the_dead_are_forgotten_and_a_later_incarnation_is_welcome() {
                 assert!(forgotten(&fleet), "seed {seed}");
                 assert!(fleet.node(9).stamp_of(&name(2)).is_none(), "seed {seed}");
             }
-            assert_eq!(fleet.node(0).shared.status(&name(2)), Status::Unknown);
+            assert_eq!(fleet.node(0).shared.status(&name(2)), MemberStatus::Unknown);
 
             fleet.start(2, 2).await;
             fleet.until("welcome", secs(3), Fleet::everybody_knows_everybody).await;
@@ -557,7 +560,7 @@ fn nonsense_is_counted_and_changes_nothing() {
         let before = fleet.node(0).stamp_of(&name(1)).unwrap();
         let mut forged = fleet.node(0).shared.read(|base| base.get(&name(1)).unwrap().record.clone());
         forged.stamp.version += 1000;
-        let forged = Bytes::from(codec::encode_for(2, Statement::Record(forged)).unwrap());
+        let forged = Bytes::from(codec::encode_for_version(2, RecordUpdate::Record(forged)).unwrap());
         for (key, payload) in [
             (Key::Knowledge(name(50)), Bytes::from_static(b"\x01nonsense")),
             (Key::Knowledge(name(50)), Bytes::new()),

@@ -49,7 +49,7 @@ struct Cable {
 
 impl Cable {
     async fn to(bus: &ZenohBus) -> Cable {
-        let end = bus.listening().await[0].trim_start_matches("tcp/").to_owned();
+        let end = bus.listen_addresses().await[0].trim_start_matches("tcp/").to_owned();
         let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
         let address = format!("tcp/{}", listener.local_addr().unwrap());
         let (pull, _) = broadcast::channel(4);
@@ -73,7 +73,7 @@ impl Cable {
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_link_that_is_cut_and_back_at_once_leaves_nobody_deaf() {
     let far = router(&[]).await;
-    let middle = router(&far.listening().await).await;
+    let middle = router(&far.listen_addresses().await).await;
     let cable = Cable::to(&middle).await;
     let near = router(std::slice::from_ref(&cable.address)).await;
     let services =
@@ -96,9 +96,9 @@ async fn a_link_that_is_cut_and_back_at_once_leaves_nobody_deaf() {
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_node_that_is_replaced_at_once_hears_everybody_and_is_heard() {
     let far = router(&[]).await;
-    let middle = router(&far.listening().await).await;
+    let middle = router(&far.listen_addresses().await).await;
     let _services = [serve(&far, "replaced/far").await, serve(&middle, "replaced/middle").await];
-    let connect = middle.listening().await;
+    let connect = middle.listen_addresses().await;
     for life in 0..4 {
         let near = router(&connect).await;
         let service = serve(&near, "replaced/near").await;

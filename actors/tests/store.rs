@@ -1,7 +1,7 @@
 //! A store on disk: what is read back is what was written, or an error; never something else, never nothing.
 
-use consort_actors::replica::{Journal, Recorded, StoreIdentity};
-use consort_actors::store::{DurableStore, LEDGER, Notebook, OpenError, Owner, SEAL};
+use consort_actors::raft::{LogStore, PersistentState, StoreIdentity};
+use consort_actors::store::{COMMIT_MARKER_FILE, CheckpointStore, DurableStore, LEDGER_FILE, OpenError, StoreOwner};
 use consort_protocol::ids::{FleetId, NodeId};
 use rand::{Rng as _, RngExt as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;
@@ -45,8 +45,8 @@ impl Drop for Folder {
     }
 }
 
-fn owner(node: &str) -> Owner {
-    Owner { fleet: FleetId::new("ward").expect("a slug"), node: NodeId::new(node).expect("a slug") }
+fn owner(node: &str) -> StoreOwner {
+    StoreOwner { fleet: FleetId::new("ward").expect("a slug"), node: NodeId::new(node).expect("a slug") }
 }
 
 fn open(folder: &Path) -> Result<DurableStore, OpenError> {
@@ -67,7 +67,7 @@ fn bytes(rng: &mut ChaCha8Rng, most: usize) -> Vec<u8> {
 }
 
 /// What a store holds, its notebook included.
-type Held = (StoreIdentity, Recorded, Option<Vec<u8>>);
+type Held = (StoreIdentity, PersistentState, Option<Vec<u8>>);
 
 async fn held(store: &DurableStore) -> Held {
     (store.identity(), store.load().await.expect("a journal"), store.read().await.expect("a page"))
@@ -77,8 +77,8 @@ async fn held(store: &DurableStore) -> Held {
 async fn write_some(store: &DurableStore, seed: u64) -> Held {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     let rng = &mut rng;
-    let mut expected = Recorded::default();
-    let journal: &dyn Journal = store;
+    let mut expected = PersistentState::default();
+    let journal: &dyn LogStore = store;
     for index in 0..60 {
         let entry = bytes(rng, 3000);
         journal.append(vec![(index, entry.clone())]).await.expect("a write");
@@ -88,9 +88,9 @@ async fn write_some(store: &DurableStore, seed: u64) -> Held {
     expected.entries.split_off(&50);
     let (vote, committed, purged, snapshot) = (bytes(rng, 40), bytes(rng, 40), bytes(rng, 40), bytes(rng, 20_000));
     let page = bytes(rng, 500);
-    journal.record_vote(vote.clone()).await.expect("a write");
-    journal.record_committed(Some(committed.clone())).await.expect("a write");
-    journal.keep_snapshot(snapshot.clone()).await.expect("a write");
+    journal.save_vote(vote.clone()).await.expect("a write");
+    journal.save_committed(Some(committed.clone())).await.expect("a write");
+    journal.save_snapshot(snapshot.clone()).await.expect("a write");
     journal.purge(20, purged.clone()).await.expect("a write");
     expected.entries = expected.entries.split_off(&21);
     store.write(Some(page.clone())).await.expect("a write");
@@ -105,7 +105,7 @@ async fn write_some(store: &DurableStore, seed: u64) -> Held {
 fn what_was_written_is_read_back_in_the_next_life() {
     let folder = Folder::new();
     let store = open(&folder).expect("a new store");
-    assert_eq!(block_on(held(&store)), (store.identity(), Recorded::default(), None));
+    assert_eq!(block_on(held(&store)), (store.identity(), PersistentState::default(), None));
     let expected = block_on(write_some(&store, 1));
     assert_eq!(block_on(held(&store)).1.entries, expected.1.entries);
     drop(store);
@@ -133,7 +133,7 @@ fn each_new_store_has_the_name_that_it_is_given_and_keeps_it() {
 #[test]
 fn each_life_is_larger_than_the_last_even_if_the_clock_went_back() {
     let folder = Folder::new();
-    let begin = |wall_ms| open(&folder).expect("a store").begin_life(wall_ms).expect("a write");
+    let begin = |wall_ms| open(&folder).expect("a store").begin_incarnation(wall_ms).expect("a write");
     assert_eq!([begin(1000), begin(2000), begin(500), begin(600), begin(3000)], [1000, 2000, 2001, 2002, 3000]);
 }
 
@@ -150,7 +150,7 @@ fn a_directory_serves_one_process_and_one_node() {
     assert_eq!(
         message,
         format!(
-            "{place}/{LEDGER}: this is the store of node ada of fleet ward, not of node bob of fleet ward; each node \
+            "{place}/{LEDGER_FILE}: this is the store of node ada of fleet ward, not of node bob of fleet ward; each node \
              needs a data directory of its own"
         )
     );
@@ -161,46 +161,52 @@ fn a_directory_serves_one_process_and_one_node() {
 fn a_file_that_is_gone_is_not_begun_anew() {
     let folder = Folder::new();
     drop(open(&folder).expect("a store"));
-    fs::rename(folder.join(LEDGER), folder.join("elsewhere")).expect("a file");
+    fs::rename(folder.join(LEDGER_FILE), folder.join("elsewhere")).expect("a file");
     let message = open(&folder).expect_err("a file that is gone").to_string();
     let place = folder.display();
-    assert!(message.starts_with(&format!("{place}/{LEDGER}: it is gone, though {SEAL} beside it says")), "{message}");
+    assert!(
+        message.starts_with(&format!("{place}/{LEDGER_FILE}: it is gone, though {COMMIT_MARKER_FILE} beside it says")),
+        "{message}"
+    );
     assert!(message.contains("as long as a majority of the other voters lives"), "{message}");
     assert!(message.contains("consort recover --from"), "{message}");
-    assert!(!folder.join(LEDGER).exists());
+    assert!(!folder.join(LEDGER_FILE).exists());
 
-    fs::rename(folder.join("elsewhere"), folder.join(LEDGER)).expect("a file");
-    block_on(open(&folder).expect("a store").record_vote(vec![1])).expect("a write");
-    fs::remove_file(folder.join(SEAL)).expect("a file");
+    fs::rename(folder.join("elsewhere"), folder.join(LEDGER_FILE)).expect("a file");
+    block_on(open(&folder).expect("a store").save_vote(vec![1])).expect("a write");
+    fs::remove_file(folder.join(COMMIT_MARKER_FILE)).expect("a file");
     let message = open(&folder).expect_err("a seal that is gone").to_string();
-    assert!(message.starts_with(&format!("{place}/{SEAL}: it is gone, though the ledger beside it")), "{message}");
+    assert!(
+        message.starts_with(&format!("{place}/{COMMIT_MARKER_FILE}: it is gone, though the ledger beside it")),
+        "{message}"
+    );
 }
 
 #[test]
 fn a_creation_that_was_interrupted_is_made_good() {
     let folder = Folder::new();
-    fs::write(folder.join(format!("{LEDGER}.new")), b"half a file").expect("a file");
+    fs::write(folder.join(format!("{LEDGER_FILE}.new")), b"half a file").expect("a file");
     let identity = open(&folder).expect("a store").identity();
     // Cut between the naming of the ledger and that of its seal.
-    fs::remove_file(folder.join(SEAL)).expect("a file");
+    fs::remove_file(folder.join(COMMIT_MARKER_FILE)).expect("a file");
     assert_eq!(open(&folder).expect("the same store").identity(), identity);
-    assert!(folder.join(SEAL).exists());
-    assert!(matches!(DurableStore::open_existing(&Folder::new()), Err(OpenError::Absent { .. })));
+    assert!(folder.join(COMMIT_MARKER_FILE).exists());
+    assert!(matches!(DurableStore::open_existing(&Folder::new()), Err(OpenError::NotFound { .. })));
 }
 
 #[test]
 fn an_older_copy_or_the_file_of_another_store_is_told_from_the_last() {
     let folder = Folder::new();
     drop(open(&folder).expect("a store"));
-    fs::copy(folder.join(LEDGER), folder.join("older")).expect("a copy");
-    block_on(open(&folder).expect("a store").record_vote(vec![1])).expect("a write");
-    fs::copy(folder.join("older"), folder.join(LEDGER)).expect("a copy");
+    fs::copy(folder.join(LEDGER_FILE), folder.join("older")).expect("a copy");
+    block_on(open(&folder).expect("a store").save_vote(vec![1])).expect("a write");
+    fs::copy(folder.join("older"), folder.join(LEDGER_FILE)).expect("a copy");
     let message = open(&folder).expect_err("an older copy").to_string();
     assert!(message.contains("it ends with write 1, though ledger.seal beside it says that write 2"), "{message}");
 
     let other = Folder::new();
     drop(open(&other).expect("a store"));
-    fs::copy(other.join(LEDGER), folder.join(LEDGER)).expect("a copy");
+    fs::copy(other.join(LEDGER_FILE), folder.join(LEDGER_FILE)).expect("a copy");
     let message = open(&folder).expect_err("another's file").to_string();
     assert!(message.contains("it is of another store than ledger.seal beside it"), "{message}");
 }
@@ -212,7 +218,7 @@ fn check_damaged(whole: &Held, folder: &Folder, what: &str) -> bool {
             assert_eq!(block_on(held(&store)), *whole, "{what}");
             true
         }
-        Err(OpenError::Damaged { .. } | OpenError::NotOurs { .. } | OpenError::Format { .. }) => false,
+        Err(OpenError::Damaged { .. } | OpenError::WrongOwner { .. } | OpenError::Format { .. }) => false,
         Err(other) => panic!("{what}: {other}"),
     }
 }
@@ -221,10 +227,13 @@ fn check_damaged(whole: &Held, folder: &Folder, what: &str) -> bool {
 fn a_damaged_file_gives_what_was_there_or_an_error() {
     let folder = Folder::new();
     let whole = block_on(write_some(&open(&folder).expect("a store"), 7));
-    let (ledger, seal) = (fs::read(folder.join(LEDGER)).expect("a file"), fs::read(folder.join(SEAL)).expect("a file"));
+    let (ledger, seal) = (
+        fs::read(folder.join(LEDGER_FILE)).expect("a file"),
+        fs::read(folder.join(COMMIT_MARKER_FILE)).expect("a file"),
+    );
     let put = |ledger: &[u8], seal: &[u8]| {
-        fs::write(folder.join(LEDGER), ledger).expect("a file");
-        fs::write(folder.join(SEAL), seal).expect("a file");
+        fs::write(folder.join(LEDGER_FILE), ledger).expect("a file");
+        fs::write(folder.join(COMMIT_MARKER_FILE), seal).expect("a file");
     };
     let mut rng = ChaCha8Rng::seed_from_u64(11);
     let mut refused = 0;
@@ -238,8 +247,8 @@ fn a_damaged_file_gives_what_was_there_or_an_error() {
         assert!(!check_damaged(&whole, &folder, what), "{what} was taken for a seal");
     }
     let other = Folder::new();
-    drop(redb::Database::create(other.join(LEDGER)).expect("a database"));
-    put(&fs::read(other.join(LEDGER)).expect("a file"), &seal);
+    drop(redb::Database::create(other.join(LEDGER_FILE)).expect("a database"));
+    put(&fs::read(other.join(LEDGER_FILE)).expect("a file"), &seal);
     assert!(!check_damaged(&whole, &folder, "a database without tables"));
     for _ in 0..40 {
         let length = rng.random_range(0..ledger.len());

@@ -3,16 +3,20 @@
 
 use bytes::Bytes;
 use consort_actors::bus::{
-    Bus, Delivery, Encoding, LinkModel, Query, Reply, Sample, SharedBus, Stream, VirtualNetwork, Whom,
+    Bus, Delivery, Encoding, LinkModel, Query, Reply, Sample, ServiceSelection, SharedBus, Stream, VirtualNetwork,
 };
 use consort_actors::clock::Clock;
-use consort_actors::trust::issue::{Authorising, Issued, Revoked, Validity, found};
-use consort_actors::trust::{Keyring, ProbeError, SealedBus, TOKEN_MAX, TokenError, TrustFiles};
+use consort_actors::trust::issue::{
+    CertificateAuthority, IssuedCertificate, RevokedCertificate, Validity, create_authority,
+};
+use consort_actors::trust::{Keyring, ProbeError, SigningBus, TOKEN_MAX, TokenError, TrustFiles};
 use consort_protocol::codec;
 use consort_protocol::ids::{FleetId, NodeId};
 use consort_protocol::keys::{ApiCall, BodyCall, Key, Keys};
-use consort_protocol::message::{Beacon, Founder, Within};
-use consort_protocol::trust::{Fingerprint, Identity, Kind, OVERHEAD, SIGNATURE, Scope, Sealed, write};
+use consort_protocol::message::{Beacon, BootstrapRequest, ClusterEnvelope};
+use consort_protocol::trust::{
+    AccessScope, ENVELOPE_BYTES, Fingerprint, Identity, MessageKind, SIGNATURE_BYTES, SignedEnvelope, encode_envelope,
+};
 use pki_types::pem::PemObject as _;
 use pki_types::{CertificateDer, PrivatePkcs8KeyDer};
 use rcgen::{CertificateParams, ExtendedKeyUsagePurpose, Issuer, KeyPair, PKCS_ED25519, SanType};
@@ -61,21 +65,21 @@ impl Drop for Folder {
 /// An authority, and a network whose nodes have certificates of it.
 struct Stage {
     folder: Folder,
-    ca: Issued,
+    ca: IssuedCertificate,
     network: VirtualNetwork,
 }
 
 impl Stage {
     fn new() -> Stage {
-        let ca = found(&ward(), LONG).unwrap();
+        let ca = create_authority(&ward(), LONG).unwrap();
         Stage { folder: Folder::new(), ca, network: VirtualNetwork::new(1, LinkModel::LAN) }
     }
 
-    fn authority(&self) -> Authorising {
-        Authorising::read(&self.ca.certificate, &self.ca.key).unwrap()
+    fn authority(&self) -> CertificateAuthority {
+        CertificateAuthority::from_pem(&self.ca.certificate, &self.ca.key).unwrap()
     }
 
-    fn files(&self, who: &str, issued: &Issued) -> TrustFiles {
+    fn files(&self, who: &str, issued: &IssuedCertificate) -> TrustFiles {
         TrustFiles {
             authority: self.folder.write("ca.pem", &self.ca.certificate),
             certificate: self.folder.write(&format!("{who}.pem"), &issued.certificate),
@@ -89,19 +93,19 @@ impl Stage {
     }
 
     /// A node with a certificate for what `identity` says.
-    async fn node(&self, who: &str, identity: &str) -> SealedBus {
+    async fn node(&self, who: &str, identity: &str) -> SigningBus {
         self.life(who, identity, 1).await
     }
 
-    async fn life(&self, who: &str, identity: &str, life: u64) -> SealedBus {
+    async fn life(&self, who: &str, identity: &str, life: u64) -> SigningBus {
         let issued = self.authority().issue(&identity.parse().unwrap(), &[], LONG).unwrap();
         self.with(self.plain(who), self.files(who, &issued), life).await
     }
 
-    async fn with(&self, bus: SharedBus, files: TrustFiles, life: u64) -> SealedBus {
+    async fn with(&self, bus: SharedBus, files: TrustFiles, life: u64) -> SigningBus {
         let keyring = Arc::new(files.open(&ward(), NOW, life).unwrap());
         let clock = Clock::virtual_at(NOW.as_millis() as u64);
-        SealedBus::open(bus, keys(), keyring, files.revoked, clock).await.unwrap()
+        SigningBus::open(bus, keys(), keyring, files.revoked, clock).await.unwrap()
     }
 }
 
@@ -125,7 +129,7 @@ fn node(name: &str) -> NodeId {
 
 fn beacon(of: &str) -> Vec<u8> {
     let beacon = Beacon { node: node(of), term: 3, voters: BTreeSet::new(), since_ms: 0, cluster: None, wire: None };
-    codec::encode(&Within { cluster: None, said: codec::encode(&beacon).unwrap() }).unwrap()
+    codec::encode(&ClusterEnvelope { cluster: None, payload: codec::encode(&beacon).unwrap() }).unwrap()
 }
 
 /// Says something until it is heard: what is said before the certificate is known is lost.
@@ -222,7 +226,7 @@ async fn a_question_is_answered_by_who_may_and_to_who_may_ask() {
     let ada = stage.node("ada", "consort://ward/node/ada?roles=voter").await;
     let bob = stage.node("bob", "consort://ward/node/bob?roles=voter").await;
     let eve = stage.node("eve", "consort://ward/node/eve?roles=robot").await;
-    let key = keys().write(&Key::Found(node("bob")));
+    let key = keys().write(&Key::Bootstrap(node("bob")));
     for bus in [&bob, &eve] {
         // Eve answers in the place of bob.
         let mut asked = bus.serve(&key).await.unwrap();
@@ -232,7 +236,8 @@ async fn a_question_is_answered_by_who_may_and_to_who_may_ask() {
             }
         });
     }
-    let founder = |name: &str| codec::encode(&Founder { mobile: false, on_battery: false, node: node(name) }).unwrap();
+    let founder =
+        |name: &str| codec::encode(&BootstrapRequest { mobile: false, on_battery: false, node: node(name) }).unwrap();
     assert_eq!(ask(&ada, &key, &founder("ada")).await, [Ok(Bytes::from(founder("ada")))], "one answer: eve's is none");
     for (asker, question) in [(&eve, founder("eve")), (&ada, founder("bob"))] {
         let answers = ask(asker, &key, &question).await;
@@ -252,7 +257,7 @@ fn event(of: &str, number: u64) -> Vec<u8> {
 async fn tell(bus: &dyn Bus, key: &Key, what: &[u8], beside: &Bytes) {
     let payload = Bytes::copy_from_slice(what);
     let key = keys().write(key);
-    bus.publish_with(&key, payload, beside.clone(), Encoding::Json, Delivery::Block).await.unwrap();
+    bus.publish_with_attachment(&key, payload, beside.clone(), Encoding::Json, Delivery::Block).await.unwrap();
 }
 
 #[tokio::test(flavor = "current_thread", start_paused = true)]
@@ -265,13 +270,13 @@ async fn what_anybodys_clients_read_is_plain_and_bears_its_seal_beside_it() {
     say(&ada, &events, &event("ada", 1)).await;
     let sample = at_client.recv().await.unwrap();
     assert_eq!(sample.payload, event("ada", 1));
-    assert!(!sample.beside.is_empty());
+    assert!(!sample.attachment.is_empty());
     // Who asks as everybody does gets the bare answer.
     let view = keys().write(&Key::ViewFleet);
     answering(ada.serve_complete(&view).await.unwrap(), |_| Some("{}".into()));
     let replies = all(client.query_nearest(&view, Bytes::new(), Duration::from_secs(1)).await.unwrap()).await;
     assert_eq!(
-        replies.iter().map(|reply| (reply.payload.clone(), reply.beside.len())).collect::<Vec<_>>(),
+        replies.iter().map(|reply| (reply.payload.clone(), reply.attachment.len())).collect::<Vec<_>>(),
         [(Ok("{}".into()), 0)]
     );
 }
@@ -290,13 +295,17 @@ async fn an_event_is_heard_the_first_time_and_a_forged_one_never() {
     assert_eq!(heard(&mut at_kim).await, [event("ada", 1)], "nobody need know ada");
     let seen = passing.recv().await.unwrap();
     let nothing = [] as [Bytes; 0];
-    tell(&*relay, &of_ada, &seen.payload, &seen.beside).await;
+    tell(&*relay, &of_ada, &seen.payload, &seen.attachment).await;
     assert_eq!(heard(&mut at_kim).await, nothing, "repeated");
-    tell(&*relay, &of_eve, &seen.payload, &seen.beside).await;
+    tell(&*relay, &of_eve, &seen.payload, &seen.attachment).await;
     assert_eq!(heard(&mut at_kim).await, nothing, "moved");
     tell(&*relay, &of_ada, &seen.payload, &Bytes::new()).await;
     assert_eq!(heard(&mut at_kim).await, nothing, "without a seal");
-    assert!(kim.refused().contains(&"somebody on events/ada: it bears no seal".to_owned()), "{:?}", kim.refused());
+    assert!(
+        kim.rejections().contains(&"somebody on events/ada: it bears no seal".to_owned()),
+        "{:?}",
+        kim.rejections()
+    );
     say(&eve, &of_ada, &event("ada", 2)).await;
     say(&eve, &of_eve, &event("ada", 2)).await;
     assert_eq!(heard(&mut at_kim).await, nothing, "in another's name");
@@ -304,7 +313,7 @@ async fn an_event_is_heard_the_first_time_and_a_forged_one_never() {
         "node eve (robot, voter, host) may not publish on events/ada",
         "node eve (robot, voter, host) speaks on events/eve in the name of ada",
     ] {
-        assert!(kim.refused().contains(&told.to_owned()), "{:?}", kim.refused());
+        assert!(kim.rejections().contains(&told.to_owned()), "{:?}", kim.rejections());
     }
     say(&ada, &of_ada, &event("ada", 3)).await;
     assert_eq!(heard(&mut at_kim).await, [event("ada", 3)]);
@@ -318,18 +327,18 @@ async fn an_event_is_heard_the_first_time_and_a_forged_one_never() {
     let lee = stage.node("lee", "consort://ward/person/lee?scope=read").await;
     let mut at_lee = lee.subscribe(&keys().any_events()).await.unwrap();
     // The certificate first: who knows it already does not look at it.
-    for place in (0..held.beside.len()).rev() {
-        let mut changed = held.beside.to_vec();
+    for place in (0..held.attachment.len()).rev() {
+        let mut changed = held.attachment.to_vec();
         changed[place] ^= 1;
         tell(&*relay, &of_ada, &held.payload, &changed.into()).await;
     }
     for place in 0..held.payload.len() {
         let mut changed = held.payload.to_vec();
         changed[place] ^= 1;
-        tell(&*relay, &of_ada, &changed, &held.beside).await;
+        tell(&*relay, &of_ada, &changed, &held.attachment).await;
     }
     assert_eq!(heard(&mut at_lee).await, nothing, "changed");
-    tell(&*relay, &of_ada, &held.payload, &held.beside).await;
+    tell(&*relay, &of_ada, &held.payload, &held.attachment).await;
     assert_eq!(heard(&mut at_lee).await, [event("ada", 3)], "and as it was");
 }
 
@@ -377,7 +386,7 @@ async fn who_answers_in_the_coordinators_stead_is_not_believed_and_is_told_about
         }
     });
     assert_eq!(requested(&kim, "one").await, [Ok("acknowledged".into())], "at once: the certificate comes along");
-    let told = kim.refused();
+    let told = kim.rejections();
     for reason in ["node eve (robot, host) may not answer on api/submit", "somebody on api/submit: it bears no seal"] {
         assert!(told.contains(&reason.to_owned()), "{told:?}");
     }
@@ -401,11 +410,17 @@ async fn an_answer_to_another_question_is_none() {
             let Ok(instead) = swaps.try_recv() else { continue };
             let reply = match instead {
                 Some(payload) => {
-                    let own = relay.ask(&at_ada, payload, query.beside.clone(), Duration::from_secs(1), Whom::All);
+                    let own = relay.query_with(
+                        &at_ada,
+                        payload,
+                        query.attachment.clone(),
+                        Duration::from_secs(1),
+                        ServiceSelection::All,
+                    );
                     let mut own = own.await.unwrap();
                     loop {
                         let reply = own.recv().await.unwrap();
-                        if !reply.beside.is_empty() {
+                        if !reply.attachment.is_empty() {
                             break reply;
                         }
                     }
@@ -413,7 +428,11 @@ async fn an_answer_to_another_question_is_none() {
                 None => kept.take().unwrap(),
             };
             let payload = reply.payload.clone().unwrap();
-            query.replier.reply_with(&query.key, payload, reply.beside.clone(), Encoding::Json).await.unwrap();
+            query
+                .replier
+                .reply_with_attachment(&query.key, payload, reply.attachment.clone(), Encoding::Json)
+                .await
+                .unwrap();
             kept = Some(reply);
         }
     });
@@ -426,7 +445,7 @@ async fn an_answer_to_another_question_is_none() {
     assert_eq!(ask("one").await, [], "the answer to the question before");
     swap.send(Some("two".into())).unwrap();
     assert_eq!(ask("one").await, [], "the answer to a question that was changed");
-    let told = kim.refused();
+    let told = kim.rejections();
     let reason = "somebody on api/submit says to be node ada (voter), whose signature it is not";
     assert!(told.contains(&reason.to_owned()), "{told:?}");
 }
@@ -442,8 +461,8 @@ async fn who_shows_a_certificate_that_is_revoked_or_anothers_is_not_believed() {
     let eve = foreign.node("eve", "consort://ward/node/eve?roles=voter").await;
     let of_kim = authority.issue(&"consort://ward/person/kim?scope=read".parse().unwrap(), &[], LONG).unwrap();
     let mut files = stage.files("kim", &of_kim);
-    let revoked = [Revoked { serial: serial(&of_ada.certificate), since: NOW }];
-    files.revoked = Some(stage.folder.write("revoked.pem", &authority.revoke(&revoked, 1, LONG).unwrap()));
+    let revoked = [RevokedCertificate { serial: serial(&of_ada.certificate), since: NOW }];
+    files.revoked = Some(stage.folder.write("revoked.pem", &authority.revocation_list(&revoked, 1, LONG).unwrap()));
     let kim = stage.with(stage.plain("kim"), files, 1).await;
     let mut at_kim = kim.subscribe(&keys().any_events()).await.unwrap();
     let relay = stage.plain("relay");
@@ -452,7 +471,7 @@ async fn who_shows_a_certificate_that_is_revoked_or_anothers_is_not_believed() {
         say(bus, &Key::Events(node(name)), &event(name, 1)).await;
     }
     assert_eq!(heard(&mut at_kim).await, [event("bob", 1)]);
-    let told = kim.refused();
+    let told = kim.rejections();
     for reason in [
         "somebody on events/ada whose certificate is not believed: it has been revoked",
         "somebody on events/eve whose certificate is not believed: it was not signed by this fleet's authority",
@@ -464,18 +483,18 @@ async fn who_shows_a_certificate_that_is_revoked_or_anothers_is_not_believed() {
     let mut at_lee = lee.subscribe(&keys().any_events()).await.unwrap();
     let seen: Vec<Sample> = std::iter::from_fn(|| passing.try_recv()).collect();
     let of = |name: &str| seen.iter().find(|sample| sample.key.ends_with(name)).unwrap();
-    let mixed = [&of("ada").beside[..OVERHEAD], &of("bob").beside[OVERHEAD..]].concat();
+    let mixed = [&of("ada").attachment[..ENVELOPE_BYTES], &of("bob").attachment[ENVELOPE_BYTES..]].concat();
     tell(&*relay, &Key::Events(node("ada")), &of("ada").payload, &mixed.into()).await;
     assert_eq!(heard(&mut at_lee).await, [] as [Bytes; 0]);
     let reason = "somebody on events/ada shows the certificate of node bob (voter) for another";
-    assert!(lee.refused().contains(&reason.to_owned()), "{:?}", lee.refused());
+    assert!(lee.rejections().contains(&reason.to_owned()), "{:?}", lee.rejections());
 }
 
 #[tokio::test(flavor = "current_thread", start_paused = true)]
 async fn a_revoked_bearer_is_no_longer_heard_though_it_was_believed() {
     let stage = Stage::new();
     let authority = stage.authority();
-    let list = |revoked: &[Revoked], number| authority.revoke(revoked, number, LONG).unwrap();
+    let list = |revoked: &[RevokedCertificate], number| authority.revocation_list(revoked, number, LONG).unwrap();
     let mut files = {
         let issued = authority.issue(&"consort://ward/node/bob?roles=robot".parse().unwrap(), &[], LONG).unwrap();
         stage.files("bob", &issued)
@@ -489,7 +508,7 @@ async fn a_revoked_bearer_is_no_longer_heard_though_it_was_believed() {
     introduce(&mut at_bob, &ada, &Key::Beacon, &beacon("ada")).await;
     let cyd = stage.node("cyd", "consort://ward/node/cyd?roles=voter").await;
     introduce(&mut at_bob, &cyd, &Key::Beacon, &beacon("cyd")).await;
-    let revoked = list(&[Revoked { serial, since: NOW }], 2);
+    let revoked = list(&[RevokedCertificate { serial, since: NOW }], 2);
     // What was revoked stays so, though the list cannot be read any more; and nobody else comes to harm.
     for then in [Some(revoked.as_str()), Some("no list"), None] {
         match then {
@@ -538,19 +557,24 @@ async fn what_is_far_behind_is_not_heard_though_nobody_remembers_it() {
     assert_eq!(heard(&mut at_bob).await.len(), 1101);
     say(&*relay, &key, &seen).await;
     assert_eq!(heard(&mut at_bob).await, [] as [Bytes; 0]);
-    let told = bob.refused();
+    let told = bob.rejections();
     assert!(told.iter().any(|told| told.contains("is older than what it said before")), "{told:?}");
 }
 
 /// Which certificates are asked for, by whoever.
 async fn asked_for(bus: &dyn Bus) -> Stream<Query> {
-    bus.serve(&keys().any_card()).await.unwrap()
+    bus.serve(&keys().any_certificate()).await.unwrap()
 }
 
 /// Bytes that look like a message of somebody nobody knows.
 fn of_nobody(number: u8) -> Vec<u8> {
-    let sealed = Sealed { by: Fingerprint([number; 16]), number: 1, signature: &[0; SIGNATURE], payload: b"?" };
-    write(Kind::Publication, sealed)
+    let sealed = SignedEnvelope {
+        signer: Fingerprint([number; 16]),
+        number: 1,
+        signature: &[0; SIGNATURE_BYTES],
+        payload: b"?",
+    };
+    encode_envelope(MessageKind::Publication, sealed)
 }
 
 #[tokio::test(flavor = "current_thread", start_paused = true)]
@@ -582,7 +606,7 @@ async fn who_could_not_be_asked_is_asked_again_and_whatever_else_is_shown_does_n
     let mut at_bob = bob.subscribe(&keys().write(&Key::Beacon)).await.unwrap();
     let ada = stage.node("ada", "consort://ward/node/ada?roles=voter").await;
     // Eve, whom bob knows, shows her own certificate for everybody's, and is the quicker.
-    let mut own = eve.query(&keys().any_card(), Bytes::new(), Duration::from_secs(1)).await.unwrap();
+    let mut own = eve.query(&keys().any_certificate(), Bytes::new(), Duration::from_secs(1)).await.unwrap();
     let shown = loop {
         let reply = own.recv().await.unwrap();
         let shown = reply.payload.unwrap();
@@ -607,13 +631,13 @@ async fn who_could_not_be_asked_is_asked_again_and_whatever_else_is_shown_does_n
         say(&ada, &Key::Beacon, &beacon("ada")).await;
         assert_eq!(heard(&mut at_bob).await, [] as [Bytes; 0], "she cannot be asked");
     }
-    stage.network.mend(node("bob"), node("ada"));
+    stage.network.restore(node("bob"), node("ada"));
     introduce(&mut at_bob, &ada, &Key::Beacon, &beacon("ada")).await;
 }
 
 /// Whose certificate it is, as somebody of the fleet judges it.
 fn bob_knows(stage: &Stage, certificate: &[u8]) -> String {
-    judge(stage).admit(certificate, NOW).unwrap().identity.to_string()
+    judge(stage).add_certificate(certificate, NOW).unwrap().identity.to_string()
 }
 
 #[test]
@@ -624,12 +648,12 @@ fn no_more_certificates_are_remembered_than_so_many() {
         let identity = format!("consort://ward/node/n{number}?roles=").parse().unwrap();
         let issued = authority.issue(&identity, &[], LONG).unwrap();
         let certificate = CertificateDer::from_pem_slice(issued.certificate.as_bytes()).unwrap();
-        ada.admit(&certificate, NOW).unwrap().fingerprint()
+        ada.add_certificate(&certificate, NOW).unwrap().fingerprint()
     });
     let first = shown.next().unwrap();
-    assert!(ada.card(first).is_some());
+    assert!(ada.certificate(first).is_some());
     let last = shown.last().unwrap();
-    assert!(ada.card(first).is_none() && ada.card(last).is_some());
+    assert!(ada.certificate(first).is_none() && ada.certificate(last).is_some());
 }
 
 /// A certificate of the stage's authority, with whatever names.
@@ -648,8 +672,8 @@ fn a_certificate_may_have_further_names_and_needs_one_of_ours() {
     let stage = Stage::new();
     let ada = judge(&stage);
     let bob = with_names(&stage, &["spiffe://ward/bob", "consort://ward/node/bob?roles=robot"]);
-    assert_eq!(ada.admit(&bob, NOW).unwrap().identity.to_string(), "consort://ward/node/bob?roles=robot");
-    let why = ada.admit(&with_names(&stage, &["spiffe://ward/bob"]), NOW).unwrap_err().to_string();
+    assert_eq!(ada.add_certificate(&bob, NOW).unwrap().identity.to_string(), "consort://ward/node/bob?roles=robot");
+    let why = ada.add_certificate(&with_names(&stage, &["spiffe://ward/bob"]), NOW).unwrap_err().to_string();
     assert!(why.contains("there is no name of the form consort://"), "{why}");
 }
 
@@ -682,8 +706,8 @@ fn a_persons_certificate_does_not_serve_to_be_connected_to() {
         let probed = ada.probe(address, &ward(), Duration::from_secs(20));
         serving.join().unwrap();
         match who {
-            "bob" => assert!(!matches!(probed, Err(ProbeError::Distrusted(_))), "{probed:?}"),
-            _ => assert!(matches!(probed, Err(ProbeError::Distrusted(_))), "{probed:?}"),
+            "bob" => assert!(!matches!(probed, Err(ProbeError::UntrustedPeer(_))), "{probed:?}"),
+            _ => assert!(matches!(probed, Err(ProbeError::UntrustedPeer(_))), "{probed:?}"),
         }
     }
 }
@@ -733,7 +757,8 @@ fn files_that_do_not_belong_together_are_told_by_name() {
     assert!(why.contains("it is not the key of") && why.contains(&name(&mixed.key)), "{why}");
 
     let other = Stage::new();
-    let foreign = other.files("ca", &Issued { certificate: other.ca.certificate.clone(), key: String::new() });
+    let foreign =
+        other.files("ca", &IssuedCertificate { certificate: other.ca.certificate.clone(), key: String::new() });
     let why = said(&TrustFiles { authority: foreign.authority.clone(), ..good.clone() }).unwrap();
     assert!(why.contains("it was not signed by this fleet's authority"), "{why}");
 
@@ -774,34 +799,34 @@ const HOUR: Duration = Duration::from_secs(3600);
 fn a_token_is_good_for_its_scope_and_time() {
     let stage = Stage::new();
     let (kim, ada) = (person(&stage, "submit"), judge(&stage));
-    let token = kim.token(Scope::Read, NOW + HOUR).unwrap();
-    let visitor = ada.visitor(&token, NOW).unwrap();
-    assert_eq!((visitor.name.as_str(), visitor.scope, visitor.until), ("kim", Scope::Read, NOW + HOUR));
-    assert_eq!(ada.visitor(&token, NOW + HOUR), Err(TokenError::Ended("0 s".to_owned())));
-    assert!(kim.token(Scope::Submit, NOW + HOUR).is_ok());
-    assert!(matches!(kim.token(Scope::Operate, NOW + HOUR), Err(TokenError::Scope { .. })));
-    assert!(matches!(ada.token(Scope::Read, NOW + HOUR), Err(TokenError::Node(_))));
+    let token = kim.issue_token(AccessScope::Read, NOW + HOUR).unwrap();
+    let visitor = ada.verify_token(&token, NOW).unwrap();
+    assert_eq!((visitor.name.as_str(), visitor.scope, visitor.expires), ("kim", AccessScope::Read, NOW + HOUR));
+    assert_eq!(ada.verify_token(&token, NOW + HOUR), Err(TokenError::Expired("0 s".to_owned())));
+    assert!(kim.issue_token(AccessScope::Submit, NOW + HOUR).is_ok());
+    assert!(matches!(kim.issue_token(AccessScope::Operate, NOW + HOUR), Err(TokenError::Scope { .. })));
+    assert!(matches!(ada.issue_token(AccessScope::Read, NOW + HOUR), Err(TokenError::Node(_))));
     // The certificate's end is the token's.
-    let late = kim.token(Scope::Read, LONG.until + 2 * HOUR).unwrap();
-    assert!(matches!(ada.visitor(&late, LONG.until + HOUR), Err(TokenError::Distrusted(_))));
+    let late = kim.issue_token(AccessScope::Read, LONG.until + 2 * HOUR).unwrap();
+    assert!(matches!(ada.verify_token(&late, LONG.until + HOUR), Err(TokenError::Certificate(_))));
 }
 
 #[test]
 fn whatever_is_changed_of_a_token_makes_it_none() {
     let stage = Stage::new();
     let (kim, ada) = (person(&stage, "read"), judge(&stage));
-    let token = kim.token(Scope::Read, NOW + HOUR).unwrap();
+    let token = kim.issue_token(AccessScope::Read, NOW + HOUR).unwrap();
     for (at, was) in token.bytes().enumerate() {
         for other in [b'A', b'x', b'.', b'='] {
             let mut changed = token.clone().into_bytes();
             changed[at] = other;
             let changed = String::from_utf8(changed).unwrap();
-            assert!(other == was || ada.visitor(&changed, NOW).is_err(), "at {at}");
+            assert!(other == was || ada.verify_token(&changed, NOW).is_err(), "at {at}");
         }
-        assert!(ada.visitor(&token[..at], NOW).is_err(), "cut at {at}");
+        assert!(ada.verify_token(&token[..at], NOW).is_err(), "cut at {at}");
     }
     let longer = format!("{token}{}", "A".repeat(TOKEN_MAX));
-    assert_eq!(ada.visitor(&longer, NOW), Err(TokenError::Form("it is too long")));
+    assert_eq!(ada.verify_token(&longer, NOW), Err(TokenError::Malformed("it is too long")));
 }
 
 #[test]
@@ -815,7 +840,7 @@ fn a_token_that_claims_more_than_its_certificate_is_refused_though_it_is_signed(
     let (kim, ada) = (files.open(&ward(), NOW, 1).unwrap(), judge(&stage));
     let key = PrivatePkcs8KeyDer::from_pem_file(&files.key).unwrap();
     let key = ring::signature::Ed25519KeyPair::from_pkcs8_maybe_unchecked(key.secret_pkcs8_der()).unwrap();
-    let token = kim.token(Scope::Read, NOW + HOUR).unwrap();
+    let token = kim.issue_token(AccessScope::Read, NOW + HOUR).unwrap();
     let head = token.split('.').next().unwrap().to_owned();
     let forged_with = |head: &str, claims: &serde_json::Value| {
         let signed = format!("{head}.{}", URL_SAFE_NO_PAD.encode(claims.to_string()));
@@ -824,14 +849,14 @@ fn a_token_that_claims_more_than_its_certificate_is_refused_though_it_is_signed(
     let forged = |claims: serde_json::Value| forged_with(&head, &claims);
     let until = (NOW + HOUR).as_secs();
     let as_made = serde_json::json!({ "aud": "ward", "exp": until, "scope": "read" });
-    assert!(ada.visitor(&forged(as_made.clone()), NOW).is_ok(), "the forger signs as the keyring does");
+    assert!(ada.verify_token(&forged(as_made.clone()), NOW).is_ok(), "the forger signs as the keyring does");
     let mut other: serde_json::Value = serde_json::from_slice(&URL_SAFE_NO_PAD.decode(&head).unwrap()).unwrap();
     other["alg"] = "HS256".into();
     let other = forged_with(&URL_SAFE_NO_PAD.encode(other.to_string()), &as_made);
-    assert_eq!(ada.visitor(&other, NOW), Err(TokenError::Form("it is signed by another algorithm")));
+    assert_eq!(ada.verify_token(&other, NOW), Err(TokenError::Malformed("it is signed by another algorithm")));
     let more = serde_json::json!({ "aud": "ward", "exp": until, "scope": "operate" });
-    let refused = ada.visitor(&forged(more), NOW).unwrap_err();
+    let refused = ada.verify_token(&forged(more), NOW).unwrap_err();
     assert_eq!(refused.to_string(), "it claims scope operate, where kim has scope read");
     let elsewhere = serde_json::json!({ "aud": "clinic", "exp": until, "scope": "read" });
-    assert_eq!(ada.visitor(&forged(elsewhere), NOW).unwrap_err().to_string(), "it is for fleet clinic");
+    assert_eq!(ada.verify_token(&forged(elsewhere), NOW).unwrap_err().to_string(), "it is for fleet clinic");
 }

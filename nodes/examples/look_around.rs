@@ -1,9 +1,9 @@
 //! A consort whose robots can look around: turn in four steps, and stand still after each.
 
-use consort_nodes::{cli, kit::Kit};
+use consort_nodes::{cli, extensions::Extensions};
 use consort_protocol::mission::{TaskSchema, TaskSpec, ValueKind};
 use consort_protocol::{ids::TaskType, units::Seconds};
-use consort_skills::descriptor::{Context, Estimate, EstimateError, SkillDescriptor};
+use consort_skills::descriptor::{Estimate, EstimateContext, EstimateError, SkillDescriptor};
 use consort_skills::{actions::Goal, bt, environment::Environment, skill};
 
 const TREE: &str = r#"<root BTCPP_format="4"><BehaviorTree ID="look_around">
@@ -16,14 +16,14 @@ impl SkillDescriptor for Price {
     fn task_type(&self) -> &TaskType {
         &self.0
     }
-    fn needs(&self) -> Vec<&'static str> {
+    fn required_descriptors(&self) -> Vec<&'static str> {
         vec![] // no map: it stays where it is
     }
-    fn estimate(&self, task: &TaskSpec, robot: &Context, _: &Environment) -> Result<Estimate, EstimateError> {
+    fn estimate(&self, task: &TaskSpec, robot: &EstimateContext, _: &Environment) -> Result<Estimate, EstimateError> {
         let pause = task.parameters.get("pause").and_then(|text| text.parse::<f64>().ok());
         let time = pause.and_then(|pause| Seconds::new(4.0 * (1.0 + pause)).ok());
         let lacks = EstimateError::MissingParameter { task_type: self.0.clone(), parameter: "pause" };
-        Ok(Estimate::lasting(time.ok_or(lacks)?, robot, robot.place.clone()))
+        Ok(Estimate::of_duration(time.ok_or(lacks)?, robot, robot.place.clone()))
     }
 }
 
@@ -32,10 +32,10 @@ fn look_around() -> TaskType {
 }
 
 fn main() -> std::process::ExitCode {
-    cli::run_with(KIT, std::env::args_os())
+    cli::run_with(EXTENSIONS, std::env::args_os())
 }
 
-pub(crate) const KIT: Kit = Kit {
+pub(crate) const EXTENSIONS: Extensions = Extensions {
     domain: |domain| domain.with(look_around(), TaskSchema::default().required("pause", ValueKind::Seconds)),
     descriptors: |descriptors| descriptors.with(Price(look_around())),
     library: |library| {

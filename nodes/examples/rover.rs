@@ -1,9 +1,9 @@
 //! The adapter of a rover: its body on the fleet's bus. The rover itself is pretended, in `where_it_is`.
 
-use consort_actors::node::{HostPart, NodeSettings};
+use consort_actors::node::{DriverServerPart, NodeSettings};
 use consort_nodes::config::{NodeFile, StationConfig, load};
-use consort_nodes::wiring::{Life, station_node};
-use consort_nodes::{exit::Failure, floor, running};
+use consort_nodes::wiring::{NodeIncarnation, station_node};
+use consort_nodes::{exit::Failure, map_loader, node_runtime};
 use consort_protocol::ids::{PlaceId, RobotId};
 use consort_protocol::pose::Pose;
 use consort_protocol::units::{BatteryShare, Metres, MetresPerSecond, WorldTime};
@@ -20,7 +20,7 @@ struct Rover {
     /// What has ended, and is still asked for.
     ended: BTreeMap<GoalId, (Goal, GoalStatus)>,
     /// What ended since the last `advance`.
-    news: Vec<BodyEvent>,
+    news: Vec<BackendEvent>,
 }
 
 #[derive(Clone)]
@@ -35,7 +35,7 @@ struct Work {
 impl Rover {
     fn end(&mut self, id: GoalId, goal: Goal, status: GoalStatus) {
         self.ended.insert(id, (goal, status.clone()));
-        self.news.push(BodyEvent::GoalEnded { robot: self.name.clone(), goal: id, status });
+        self.news.push(BackendEvent::GoalEnded { robot: self.name.clone(), goal: id, status });
     }
 
     fn refuse(&mut self, id: GoalId, goal: Goal, code: ErrorCode, message: &str) {
@@ -53,11 +53,11 @@ impl Rover {
     }
 }
 
-impl BodyHost for Rover {
+impl RobotBackend for Rover {
     fn robots(&self) -> Vec<RobotId> {
         vec![self.name.clone()]
     }
-    fn has_people(&self) -> bool {
+    fn serves_people(&self) -> bool {
         false
     }
     fn start(&mut self, robot: &RobotId, id: GoalId, goal: Goal) {
@@ -88,7 +88,7 @@ impl BodyHost for Rover {
     fn next_due(&self) -> Option<WorldTime> {
         if self.news.is_empty() { self.work.as_ref().map(|work| work.due) } else { Some(self.now) }
     }
-    fn advance(&mut self, to: WorldTime) -> Vec<BodyEvent> {
+    fn advance(&mut self, to: WorldTime) -> Vec<BackendEvent> {
         self.now = to;
         if let Some(work) = self.work.take_if(|work| work.due <= to) {
             if let Goal::NavigateToPose { pose, place } = &work.goal {
@@ -105,7 +105,7 @@ impl BodyHost for Rover {
                 Goal::NavigateToPose { pose, .. } => self.where_it_is().distance(*pose),
                 _ => Metres::ZERO,
             };
-            GoalStatus::Executing(Feedback::left(way, work.due - self.now))
+            GoalStatus::Executing(Feedback::remaining(way, work.due - self.now))
         };
         let at_work = self.work.as_ref().filter(|work| work.id == id).map(left);
         at_work.or_else(|| self.ended.get(&id).map(|(_, status)| status.clone()))
@@ -122,15 +122,15 @@ impl BodyHost for Rover {
         (*robot == self.name).then_some(Telemetry { time, pose, place, battery, able: true, closed: vec![] })
     }
     // There are no people here to be asked.
-    fn ask_person(&mut self, _: GoalId, _: PersonAsk) {}
-    fn dismiss_person(&mut self, _: GoalId) {}
-    fn asks(&self) -> Vec<GoalId> {
+    fn request_person(&mut self, _: GoalId, _: PersonRequest) {}
+    fn cancel_person_request(&mut self, _: GoalId) {}
+    fn open_person_requests(&self) -> Vec<GoalId> {
         vec![]
     }
-    fn answer(&self, _: GoalId) -> Option<Result<(), ActionError>> {
+    fn person_result(&self, _: GoalId) -> Option<Result<(), ActionError>> {
         None
     }
-    fn was_dismissed(&self, _: GoalId) -> bool {
+    fn was_person_request_canceled(&self, _: GoalId) -> bool {
         false
     }
 }
@@ -142,16 +142,16 @@ pub(crate) fn adapt(file: &str, robot: &str, place: &str) -> Result<(), Failure>
     let fleet = station.fleet.resolve()?;
     let place: PlaceId = place.parse().map_err(|problem| wrong(format!("{problem}")))?;
     let name: RobotId = robot.parse().map_err(|problem| wrong(format!("{problem}")))?;
-    let Some(pose) = floor::load(&fleet.map)?.topology.places.get(&place).copied() else {
+    let Some(pose) = map_loader::load(&fleet.map)?.topology.places.get(&place).copied() else {
         return Err(wrong(format!("{place} is not on the fleet's map")));
     };
     let (now, work, ended, news) = (WorldTime::ZERO, None, BTreeMap::new(), vec![]);
     let rover = Rover { name, place, pose, now, work, ended, news };
     let node = station.clone();
-    running::node(false, &station.surroundings(), &fleet, || {
-        let life = Life::real(&node.name, &fleet, node.data_dir.as_deref())?;
-        let host = HostPart { world: Box::new(rover), speed: 1.0 };
-        Ok(NodeSettings { host: Some(host), ..station_node(&node, &fleet, life)? })
+    node_runtime::run_node(false, &station.common_mut(), &fleet, || {
+        let life = NodeIncarnation::start(&node.name, &fleet, node.data_dir.as_deref())?;
+        let host = DriverServerPart { world: Box::new(rover), speed: 1.0 };
+        Ok(NodeSettings { driver_server: Some(host), ..station_node(&node, &fleet, life)? })
     })
 }
 

@@ -15,42 +15,42 @@ use tokio::sync::{OwnedSemaphorePermit, Semaphore};
 const CONNECTIONS: usize = 256;
 
 /// An address of ours, at which nothing is served yet. Who connects meanwhile waits.
-pub struct Taken {
+pub struct BoundAddress {
     at: SocketAddr,
     listener: TcpListener,
 }
 
-impl Taken {
+impl BoundAddress {
     /// Takes an address; port 0 is any free one. `flag` is what it was asked for with, as `--dashboard`.
     ///
     /// # Errors
     /// In words, with flag and address, if it cannot be had.
-    pub async fn take(flag: &str, at: SocketAddr) -> Result<Taken, String> {
+    pub async fn bind(flag: &str, at: SocketAddr) -> Result<BoundAddress, String> {
         let refused = |problem: io::Error| {
             format!("{flag} {at}: this address cannot be had: {problem}; with port 0 a free one is found")
         };
         let listener = TcpListener::bind(at).await.map_err(refused)?;
-        Ok(Taken { at: listener.local_addr().map_err(refused)?, listener })
+        Ok(BoundAddress { at: listener.local_addr().map_err(refused)?, listener })
     }
 
     /// Which it is, the port that was found among it.
-    pub fn at(&self) -> SocketAddr {
+    pub fn local_addr(&self) -> SocketAddr {
         self.at
     }
 
     /// To be served, to so many at once.
-    pub(crate) fn guarded(self) -> Guarded {
-        Guarded { listener: self.listener, places: Arc::new(Semaphore::new(CONNECTIONS)) }
+    pub(crate) fn with_connection_limit(self) -> LimitedListener {
+        LimitedListener { listener: self.listener, places: Arc::new(Semaphore::new(CONNECTIONS)) }
     }
 }
 
 /// A listener with a limited number of places.
-pub struct Guarded {
+pub struct LimitedListener {
     listener: TcpListener,
     places: Arc<Semaphore>,
 }
 
-impl Listener for Guarded {
+impl Listener for LimitedListener {
     type Io = Connection;
     type Addr = SocketAddr;
 
@@ -111,9 +111,9 @@ mod tests {
 
     #[tokio::test]
     async fn whoever_finds_no_place_waits_for_one() {
-        let taken = Taken::take("--dashboard", SocketAddr::from(([127, 0, 0, 1], 0))).await.unwrap();
-        let at = taken.at();
-        let mut guarded = Guarded { places: Arc::new(Semaphore::new(1)), ..taken.guarded() };
+        let taken = BoundAddress::bind("--dashboard", SocketAddr::from(([127, 0, 0, 1], 0))).await.unwrap();
+        let at = taken.local_addr();
+        let mut guarded = LimitedListener { places: Arc::new(Semaphore::new(1)), ..taken.with_connection_limit() };
         let _clients = [TcpStream::connect(at).await.unwrap(), TcpStream::connect(at).await.unwrap()];
         let (first, _) = guarded.accept().await;
         assert!(timeout(Duration::from_millis(50), guarded.accept()).await.is_err(), "there is one place");

@@ -9,9 +9,9 @@ use axum::http::{HeaderMap, HeaderName, HeaderValue, StatusCode, header};
 use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
 use consort_actors::clock::Clock;
-use consort_actors::trust::{Keyring, TokenError, Visitor};
+use consort_actors::trust::{Keyring, TokenClaims, TokenError};
 use consort_protocol::ids::FleetId;
-use consort_protocol::trust::Scope;
+use consort_protocol::trust::AccessScope;
 use governor::clock::{Clock as _, MonotonicClock};
 use governor::state::keyed::HashMapStateStore;
 use governor::{Quota, RateLimiter};
@@ -45,57 +45,57 @@ struct Closed {
 
 /// Somebody who has been let in, by a token.
 #[derive(Debug, Clone)]
-pub struct Guest {
+pub struct AuthenticatedClient {
     /// Who it is.
-    pub visitor: Visitor,
+    pub claims: TokenClaims,
     token: String,
 }
 
 /// Why somebody is not let in.
 #[derive(Debug, PartialEq, Eq, thiserror::Error)]
-pub enum NotAdmitted {
+pub enum AdmissionError {
     /// There is no token.
     #[error(
         "this fleet is closed: show a token, as Authorization: Bearer TOKEN; `consort token --certs DIR` makes one"
     )]
-    NoToken,
+    MissingToken,
     /// The token is no good.
     #[error("{0}")]
-    Token(#[from] TokenError),
+    InvalidToken(#[from] TokenError),
     /// The token is good for less.
     #[error("{} may {}, and this takes scope {needed}", visitor.name, visitor.scope)]
-    Scope {
+    InsufficientScope {
         /// Whose it is.
-        visitor: Visitor,
+        visitor: TokenClaims,
         /// What it takes.
-        needed: Scope,
+        needed: AccessScope,
     },
     /// Too many requests have come.
     #[error("too many requests; the next one is taken in {} s", after.as_secs() + 1)]
-    TooMany {
+    RateLimited {
         /// After how long one is taken.
         after: Duration,
     },
 }
 
-impl IntoResponse for NotAdmitted {
+impl IntoResponse for AdmissionError {
     fn into_response(self) -> Response {
         let status = match &self {
-            NotAdmitted::NoToken | NotAdmitted::Token(_) => StatusCode::UNAUTHORIZED,
-            NotAdmitted::Scope { .. } => StatusCode::FORBIDDEN,
-            NotAdmitted::TooMany { .. } => StatusCode::TOO_MANY_REQUESTS,
+            AdmissionError::MissingToken | AdmissionError::InvalidToken(_) => StatusCode::UNAUTHORIZED,
+            AdmissionError::InsufficientScope { .. } => StatusCode::FORBIDDEN,
+            AdmissionError::RateLimited { .. } => StatusCode::TOO_MANY_REQUESTS,
         };
         let kind = [(header::CONTENT_TYPE, "application/json")];
         let mut response = (status, kind, json!({ "error": self.to_string() }).to_string()).into_response();
         let headers = response.headers_mut();
         match self {
-            NotAdmitted::NoToken | NotAdmitted::Token(_) => {
+            AdmissionError::MissingToken | AdmissionError::InvalidToken(_) => {
                 headers.insert(header::WWW_AUTHENTICATE, HeaderValue::from_static("Bearer realm=\"consort\""));
             }
-            NotAdmitted::TooMany { after } => {
+            AdmissionError::RateLimited { after } => {
                 headers.insert(header::RETRY_AFTER, HeaderValue::from(after.as_secs() + 1));
             }
-            NotAdmitted::Scope { .. } => {}
+            AdmissionError::InsufficientScope { .. } => {}
         }
         response
     }
@@ -108,7 +108,7 @@ impl Admission {
     }
 
     /// Lets in who shows a token of this fleet's; if there is no keyring to judge by, everybody.
-    pub fn of(fleet: &FleetId, keyring: Option<Arc<Keyring>>, clock: Clock) -> Admission {
+    pub fn for_fleet(fleet: &FleetId, keyring: Option<Arc<Keyring>>, clock: Clock) -> Admission {
         let closed = keyring.map(|keyring| Closed { fleet: fleet.clone(), keyring, clock });
         Admission { closed, ..Admission::open() }
     }
@@ -117,39 +117,39 @@ impl Admission {
     ///
     /// # Errors
     /// [`NotAdmitted::Token`]; in an open fleet there are none.
-    pub fn judge(&self, token: &str) -> Result<Option<Guest>, NotAdmitted> {
+    pub fn verify_token(&self, token: &str) -> Result<Option<AuthenticatedClient>, AdmissionError> {
         let Some(Closed { keyring, clock, .. }) = &self.closed else { return Ok(None) };
-        let visitor = keyring.visitor(token, Duration::from_millis(clock.wall_ms()))?;
-        Ok(Some(Guest { visitor, token: token.to_owned() }))
+        let visitor = keyring.verify_token(token, Duration::from_millis(clock.wall_ms()))?;
+        Ok(Some(AuthenticatedClient { claims: visitor, token: token.to_owned() }))
     }
 
     /// Who makes a request; nobody in particular in an open fleet.
     ///
     /// # Errors
     /// [`NotAdmitted`] without a token that is good.
-    pub fn guest(&self, headers: &HeaderMap) -> Result<Option<Guest>, NotAdmitted> {
+    pub fn authenticate(&self, headers: &HeaderMap) -> Result<Option<AuthenticatedClient>, AdmissionError> {
         let Some(Closed { fleet, .. }) = &self.closed else { return Ok(None) };
-        self.judge(shown(headers, &cookie_name(fleet)).ok_or(NotAdmitted::NoToken)?)
+        self.verify_token(shown(headers, &cookie_name(fleet)).ok_or(AdmissionError::MissingToken)?)
     }
 
     /// Whether a guest who was let in still would be: tokens end, and certificates are revoked.
-    pub fn is_still_good(&self, guest: Option<&Guest>) -> bool {
-        guest.is_none_or(|guest| self.judge(&guest.token).is_ok())
+    pub fn is_still_valid(&self, guest: Option<&AuthenticatedClient>) -> bool {
+        guest.is_none_or(|guest| self.verify_token(&guest.token).is_ok())
     }
 
     /// Lets in a request that takes this scope, if it may be made and not too many have come.
-    fn admit(&self, headers: &HeaderMap, needed: Scope) -> Result<Option<Guest>, NotAdmitted> {
-        let guest = self.guest(headers)?;
-        if let Some(Guest { visitor, .. }) = &guest
+    fn admit(&self, headers: &HeaderMap, needed: AccessScope) -> Result<Option<AuthenticatedClient>, AdmissionError> {
+        let guest = self.authenticate(headers)?;
+        if let Some(AuthenticatedClient { claims: visitor, .. }) = &guest
             && visitor.scope < needed
         {
-            return Err(NotAdmitted::Scope { visitor: visitor.clone(), needed });
+            return Err(AdmissionError::InsufficientScope { visitor: visitor.clone(), needed });
         }
-        let limiter = if needed == Scope::Read { &self.looks } else { &self.changes };
-        let name = guest.as_ref().map(|guest| guest.visitor.name.to_string()).unwrap_or_default();
+        let limiter = if needed == AccessScope::Read { &self.looks } else { &self.changes };
+        let name = guest.as_ref().map(|guest| guest.claims.name.to_string()).unwrap_or_default();
         limiter.check_key(&name).map_err(|until| {
             let after = until.wait_time_from(limiter.clock().now());
-            NotAdmitted::TooMany { after }
+            AdmissionError::RateLimited { after }
         })?;
         Ok(guest)
     }
@@ -158,7 +158,8 @@ impl Admission {
     pub fn cookie(&self, token: &str, secure: bool) -> Option<(HeaderName, HeaderValue)> {
         let Closed { fleet, keyring, clock } = self.closed.as_ref()?;
         let now = Duration::from_millis(clock.wall_ms());
-        let left = keyring.visitor(token, now).map_or(Duration::ZERO, |visitor| visitor.until.saturating_sub(now));
+        let left =
+            keyring.verify_token(token, now).map_or(Duration::ZERO, |visitor| visitor.expires.saturating_sub(now));
         let name = cookie_name(fleet);
         let secure = if secure { "; Secure" } else { "" };
         let cookie = format!("{name}={token}; Path=/; HttpOnly; SameSite=Strict; Max-Age={}{secure}", left.as_secs());
@@ -188,7 +189,7 @@ fn shown<'a>(headers: &'a HeaderMap, cookie: &str) -> Option<&'a str> {
 
 /// Lets a request through to what takes a scope; a guest is in its extensions, as `Option<Guest>`.
 pub async fn admit(
-    State((admission, needed)): State<(Admission, Scope)>,
+    State((admission, needed)): State<(Admission, AccessScope)>,
     mut request: Request,
     next: Next,
 ) -> Response {
@@ -226,11 +227,11 @@ mod tests {
     fn beyond_its_share_nobody_is_served_until_time_has_passed() {
         let admission = Admission::open();
         let burst = CHANGES.1.get();
-        let taken = (0..2 * burst).filter(|_| admission.admit(&HeaderMap::new(), Scope::Submit).is_ok()).count();
+        let taken = (0..2 * burst).filter(|_| admission.admit(&HeaderMap::new(), AccessScope::Submit).is_ok()).count();
         assert!(taken >= burst as usize && taken < 2 * burst as usize, "{taken}");
-        let refused = admission.admit(&HeaderMap::new(), Scope::Submit);
-        assert!(matches!(refused, Err(NotAdmitted::TooMany { .. })), "{refused:?}");
-        assert!(admission.admit(&HeaderMap::new(), Scope::Read).is_ok(), "who looks is not in its way");
+        let refused = admission.admit(&HeaderMap::new(), AccessScope::Submit);
+        assert!(matches!(refused, Err(AdmissionError::RateLimited { .. })), "{refused:?}");
+        assert!(admission.admit(&HeaderMap::new(), AccessScope::Read).is_ok(), "who looks is not in its way");
         assert_eq!(refused.unwrap_err().into_response().headers()[header::RETRY_AFTER], "1");
     }
 }

@@ -1,14 +1,14 @@
 //! Whether files are right, each judged by what it is.
 
-use crate::config::{self, FleetConfig, Problem, Problems, RobotConfig, StationConfig, WorldConfig};
-use crate::evaluation::{Evaluation, Instead};
-use crate::{floor, kit, source, wiring};
+use crate::config::{self, Diagnostic, Diagnostics, FleetConfig, RobotConfig, StationConfig, WorldConfig};
+use crate::evaluation::{Evaluation, InputOverrides};
+use crate::{extensions, inputs, map_loader, wiring};
 use consort_protocol::count::count;
 use consort_protocol::ids::TaskId;
-use consort_protocol::mission::{Format, IhtnReading, Mission, MissionTemplate, TemplateKind, import_ihtn};
+use consort_protocol::mission::{Format, IhtnOptions, Mission, MissionTemplate, TemplateKind, import_ihtn};
 use consort_protocol::plan::divide_and_check;
 use consort_sim::experiment::calibration::Calibration;
-use consort_sim::map::MapForm;
+use consort_sim::map::MapFormat;
 use serde_json::Value;
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
@@ -16,7 +16,7 @@ use std::path::Path;
 
 /// What a file can be.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
-pub enum Kind {
+pub enum FileKind {
     /// A mission, in YAML or JSON.
     Mission,
     /// A mission in the flat iHTN form of the MissionControl replication package.
@@ -41,20 +41,20 @@ pub enum Kind {
     Calibration,
 }
 
-impl fmt::Display for Kind {
+impl fmt::Display for FileKind {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(match self {
-            Kind::Mission => "a mission",
-            Kind::Ihtn => "a flat iHTN",
-            Kind::Map => "a map",
-            Kind::Fleet => "a fleet",
-            Kind::Robot => "a robot",
-            Kind::Station => "a station",
-            Kind::World => "a world",
-            Kind::Workers => "workers",
-            Kind::Scenarios => "scenarios",
-            Kind::Design => "a design",
-            Kind::Calibration => "a calibration",
+            FileKind::Mission => "a mission",
+            FileKind::Ihtn => "a flat iHTN",
+            FileKind::Map => "a map",
+            FileKind::Fleet => "a fleet",
+            FileKind::Robot => "a robot",
+            FileKind::Station => "a station",
+            FileKind::World => "a world",
+            FileKind::Workers => "workers",
+            FileKind::Scenarios => "scenarios",
+            FileKind::Design => "a design",
+            FileKind::Calibration => "a calibration",
         })
     }
 }
@@ -63,9 +63,9 @@ impl fmt::Display for Kind {
 ///
 /// # Errors
 /// [`Problems`] with all that was found.
-pub fn check(path: &Path, kind: Option<Kind>) -> Result<String, Problems> {
+pub fn check_file(path: &Path, kind: Option<FileKind>) -> Result<String, Diagnostics> {
     let file = path.display().to_string();
-    let text = source::text(path)?;
+    let text = inputs::read_text(path)?;
     let kind = match kind {
         Some(kind) => kind,
         None => recognise(&text, &file)?,
@@ -83,54 +83,54 @@ pub fn check(path: &Path, kind: Option<Kind>) -> Result<String, Problems> {
 ///
 /// # Errors
 /// [`Problems`] if it cannot be read, or is nothing that is known.
-pub fn kind_of(path: &Path) -> Result<Kind, Problems> {
-    recognise(&source::text(path)?, &path.display().to_string())
+pub fn detect_kind(path: &Path) -> Result<FileKind, Diagnostics> {
+    recognise(&inputs::read_text(path)?, &path.display().to_string())
 }
 
-fn judge(kind: Kind, path: &Path, text: &str, file: &str) -> Result<String, Problems> {
+fn judge(kind: FileKind, path: &Path, text: &str, file: &str) -> Result<String, Diagnostics> {
     match kind {
-        Kind::Mission => mission(text, path, file),
-        Kind::Ihtn => ihtn(text, path, file),
-        Kind::Map => {
-            let floor = floor::read(text, file)?;
-            wiring::equipment(&floor)?;
+        FileKind::Mission => mission(text, path, file),
+        FileKind::Ihtn => ihtn(text, path, file),
+        FileKind::Map => {
+            let floor = map_loader::parse(text, file)?;
+            wiring::skill_resources(&floor)?;
             let (places, ways) = (floor.topology.places.len(), floor.topology.edges.len());
             Ok(format!("{}, {}", count(places, "place", "places"), count(ways, "way", "ways")))
         }
-        Kind::Fleet => {
+        FileKind::Fleet => {
             let fleet: FleetConfig = config::load(path)?;
             wiring::fleet_settings(&fleet)?;
-            wiring::fleet_equipment(&fleet)?;
+            wiring::fleet_skill_resources(&fleet)?;
             Ok(fleet.name.to_string())
         }
-        Kind::Robot => {
+        FileKind::Robot => {
             let robot: RobotConfig = config::load(path)?;
-            let equipment = wiring::fleet_equipment(&robot.fleet.resolve()?)?;
+            let equipment = wiring::fleet_skill_resources(&robot.fleet.resolve()?)?;
             wiring::worker(&robot, &equipment.places)?;
             Ok(robot.name.to_string())
         }
-        Kind::Station => {
+        FileKind::Station => {
             let station: StationConfig = config::load(path)?;
             wiring::fleet_settings(&station.fleet.resolve()?)?;
             Ok(station.name.to_string())
         }
-        Kind::World => {
+        FileKind::World => {
             let world: WorldConfig = config::load(path)?;
             wiring::build_world(&world, &world.fleet.resolve()?)?;
             let robots = count(world.robot.len(), "robot", "robots");
             Ok(format!("{robots}, {}", count(world.person.len(), "person", "people")))
         }
-        Kind::Workers => source::workers(text, file).map(|workers| format!("{} of them", workers.len())),
-        Kind::Scenarios => source::scenarios(text, file).map(|scenarios| format!("{} of them", scenarios.len())),
-        Kind::Design => {
-            let evaluation = Evaluation::of(config::load(path)?, &Instead::default())?;
+        FileKind::Workers => inputs::workers(text, file).map(|workers| format!("{} of them", workers.len())),
+        FileKind::Scenarios => inputs::scenarios(text, file).map(|scenarios| format!("{} of them", scenarios.len())),
+        FileKind::Design => {
+            let evaluation = Evaluation::load(config::load(path)?, &InputOverrides::default())?;
             let design = &evaluation.design;
-            evaluation.stage(design.clone(), None)?;
+            evaluation.trial_fixture(design.clone(), None)?;
             let trials = evaluation.scenarios.len() * design.policies.len() * design.treatments.len();
             let trials = count(trials * design.repetitions as usize, "trial", "trials");
             Ok(format!("{}, {trials}", design.name))
         }
-        Kind::Calibration => {
+        FileKind::Calibration => {
             let learned: Calibration = config::load(path)?;
             let skills = count(learned.skills.len(), "skill", "skills");
             Ok(format!("{skills}, {}", count(learned.legs.len(), "leg", "legs")))
@@ -139,9 +139,9 @@ fn judge(kind: Kind, path: &Path, text: &str, file: &str) -> Result<String, Prob
 }
 
 /// A mission is judged with its defaults; what has none is given a value of its kind.
-fn mission(text: &str, path: &Path, file: &str) -> Result<String, Problems> {
+fn mission(text: &str, path: &Path, file: &str) -> Result<String, Diagnostics> {
     let template = MissionTemplate::parse(text, Format::of(Some(path), text))
-        .map_err(|error| Problems::from(Problem::of(file, error)))?;
+        .map_err(|error| Diagnostics::from(Diagnostic::for_file(file, error)))?;
     let open = template.parameters().iter().filter(|(_, parameter)| parameter.default.is_none());
     let sample = |kind: TemplateKind| match kind {
         TemplateKind::Place => "Some Place",
@@ -150,62 +150,63 @@ fn mission(text: &str, path: &Path, file: &str) -> Result<String, Problems> {
     };
     let given: BTreeMap<String, String> =
         open.map(|(name, parameter)| (name.clone(), sample(parameter.kind).to_owned())).collect();
-    let (mission, recovery) = template
-        .instantiate_both(&given, &kit::domain())
-        .map_err(|errors| Problems(errors.problems.iter().map(|problem| Problem::of(file, problem)).collect()))?;
+    let (mission, recovery) = template.instantiate_with_recovery(&given, &extensions::domain()).map_err(|errors| {
+        Diagnostics(errors.diagnostics.iter().map(|problem| Diagnostic::for_file(file, problem)).collect())
+    })?;
     let recovery = recovery.map(|recovery| size(&recovery, file)).transpose()?;
     let of_recovery = recovery.map(|size| format!(", recovery with {size}"));
     Ok(format!("{}, {}{}", template.name(), size(&mission, file)?, of_recovery.unwrap_or_default()))
 }
 
 /// A flat iHTN does not say who is a person: `nurse` is taken for one.
-fn ihtn(text: &str, path: &Path, file: &str) -> Result<String, Problems> {
+fn ihtn(text: &str, path: &Path, file: &str) -> Result<String, Diagnostics> {
     let stem = path.file_stem().map(|stem| stem.to_string_lossy().into_owned()).unwrap_or_default();
     let name = TaskId::new(stem).or_else(|_| TaskId::new("mission")).expect("a slug");
     let slug = |text: &str| text.parse().expect("a slug");
-    let reading = IhtnReading {
+    let reading = IhtnOptions {
         name,
         unmanaged: BTreeSet::from(["nurse".parse().expect("a slug")]),
         aliases: BTreeMap::from([("navto".to_owned(), slug("navigation"))]),
     };
-    let mission = import_ihtn(text, &reading, &kit::domain())
-        .map_err(|errors| Problems(errors.problems.iter().map(|problem| Problem::of(file, problem)).collect()))?;
+    let mission = import_ihtn(text, &reading, &extensions::domain()).map_err(|errors| {
+        Diagnostics(errors.diagnostics.iter().map(|problem| Diagnostic::for_file(file, problem)).collect())
+    })?;
     size(&mission, file)
 }
 
 /// How large a mission is, once it has been found to be one that can be carried out.
-fn size(mission: &Mission, file: &str) -> Result<String, Problems> {
-    let division = divide_and_check(mission).map_err(|error| Problems::from(Problem::of(file, error)))?;
+fn size(mission: &Mission, file: &str) -> Result<String, Diagnostics> {
+    let division = divide_and_check(mission).map_err(|error| Diagnostics::from(Diagnostic::for_file(file, error)))?;
     let steps = division.plans.values().map(|plan| plan.steps.len()).sum();
     let roles = count(mission.roles.len(), "role", "roles");
     Ok(format!("{roles}, {}", count::<usize>(steps, "step", "steps")))
 }
 
 /// What kind of file a text is.
-fn recognise(text: &str, file: &str) -> Result<Kind, Problems> {
+fn recognise(text: &str, file: &str) -> Result<FileKind, Diagnostics> {
     if file.ends_with(".toml") {
         return recognise_toml(text, file);
     }
-    if MapForm::of(file).is_foreign() {
-        return Ok(Kind::Map);
+    if MapFormat::of(file).is_foreign() {
+        return Ok(FileKind::Map);
     }
-    let value: Value = source::any_format(text, file)?;
+    let value: Value = inputs::parse_any_format(text, file)?;
     let all_tasks = |map: &serde_json::Map<String, Value>| {
         !map.is_empty() && map.values().all(|node| node.get("parent").is_some() && node.get("type").is_some())
     };
     match &value {
-        Value::Array(list) if list.iter().any(|entry| entry.get("robots").is_some()) => Ok(Kind::Scenarios),
-        Value::Array(list) if list.iter().any(|entry| entry.get("skills").is_some()) => Ok(Kind::Workers),
+        Value::Array(list) if list.iter().any(|entry| entry.get("robots").is_some()) => Ok(FileKind::Scenarios),
+        Value::Array(list) if list.iter().any(|entry| entry.get("skills").is_some()) => Ok(FileKind::Workers),
         Value::Object(map) => {
             let has = |keys: &[&str]| keys.iter().any(|key| map.contains_key(*key));
             if has(&["mission", "root"]) {
-                Ok(Kind::Mission)
+                Ok(FileKind::Mission)
             } else if has(&["places", "lanes"]) || (has(&["nodes"]) && has(&["edges"])) {
-                Ok(Kind::Map)
+                Ok(FileKind::Map)
             } else if has(&["worker"]) {
-                Ok(Kind::Workers)
+                Ok(FileKind::Workers)
             } else if all_tasks(map) {
-                Ok(Kind::Ihtn)
+                Ok(FileKind::Ihtn)
             } else {
                 Err(unknown(file, "a mission has `mission` and `root`, a map `places` and `lanes`"))
             }
@@ -214,23 +215,23 @@ fn recognise(text: &str, file: &str) -> Result<Kind, Problems> {
     }
 }
 
-fn unknown(file: &str, hint: &str) -> Problems {
-    Problem::of(file, format!("it cannot be told what this file is: {hint}; --kind says it")).into()
+fn unknown(file: &str, hint: &str) -> Diagnostics {
+    Diagnostic::for_file(file, format!("it cannot be told what this file is: {hint}; --kind says it")).into()
 }
 
 /// A TOML file is of the kind that has most of its keys.
-fn recognise_toml(text: &str, file: &str) -> Result<Kind, Problems> {
+fn recognise_toml(text: &str, file: &str) -> Result<FileKind, Diagnostics> {
     let table: toml::Table = text.parse().map_err(|_| {
         // Any kind will do to say where the text is not TOML.
         config::from_text::<FleetConfig>(text, file).err().unwrap_or_else(|| unknown(file, "it is not TOML"))
     })?;
     // Keys by which a kind is known. Robots and stations share most of theirs: a robot has a place and skills.
-    const MARKS: [(Kind, &[&str]); 6] = [
-        (Kind::Workers, &["worker"]),
-        (Kind::World, &["robot", "person", "seed", "speed", "durations"]),
-        (Kind::Robot, &["place", "skills", "speed_mps", "battery", "discharge_share_per_s", "useful_charge"]),
+    const MARKS: [(FileKind, &[&str]); 6] = [
+        (FileKind::Workers, &["worker"]),
+        (FileKind::World, &["robot", "person", "seed", "speed", "durations"]),
+        (FileKind::Robot, &["place", "skills", "speed_mps", "battery", "discharge_share_per_s", "useful_charge"]),
         (
-            Kind::Fleet,
+            FileKind::Fleet,
             &[
                 "map",
                 "calibration",
@@ -247,8 +248,11 @@ fn recognise_toml(text: &str, file: &str) -> Result<Kind, Problems> {
                 "ensemble",
             ],
         ),
-        (Kind::Design, &["repetitions", "policies", "treatments", "mission", "robots", "fixed", "factors", "travel"]),
-        (Kind::Calibration, &["quantile", "to", "from", "legs"]),
+        (
+            FileKind::Design,
+            &["repetitions", "policies", "treatments", "mission", "robots", "fixed", "factors", "travel"],
+        ),
+        (FileKind::Calibration, &["quantile", "to", "from", "legs"]),
     ];
     const STATION: &[&str] = &["fleet", "stationary", "mains_powered", "may_vote", "bus"];
     let count = |marks: &[&str]| marks.iter().filter(|mark| table.contains_key(**mark)).count();
@@ -256,8 +260,8 @@ fn recognise_toml(text: &str, file: &str) -> Result<Kind, Problems> {
     let most = MARKS.iter().map(|(kind, marks)| (count(marks), *kind)).rev().max_by_key(|(count, _)| *count);
     match most {
         Some((1.., kind)) => Ok(kind),
-        _ if count(STATION) > 0 => Ok(Kind::Station),
-        _ if table.contains_key("name") => Ok(Kind::Fleet),
+        _ if count(STATION) > 0 => Ok(FileKind::Station),
+        _ if table.contains_key("name") => Ok(FileKind::Fleet),
         _ => Err(unknown(
             file,
             "none of its keys is one of a fleet, robot, station, world, workers, design or calibration file",

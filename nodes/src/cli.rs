@@ -2,12 +2,12 @@
 
 use crate::command::{
     backup, bench, cancel, cert, chaos, check, completions, doctor, dry_run, experiment, explain, fleet, keys, leave,
-    map, missions, record, recover, replay, rescue, restore, robot, schema, station, submit, test, token, upgrade,
+    map, missions, record, recover, replay, resolve, restore, robot, schema, station, submit, test, token, upgrade,
     watch, world,
 };
 use crate::demo;
 use crate::exit::Failure;
-use crate::kit::Kit;
+use crate::extensions::Extensions;
 use crate::output;
 use clap::{Parser, Subcommand};
 use std::ffi::OsString;
@@ -61,7 +61,7 @@ enum Command {
     Missions(missions::Args),
     Explain(explain::Args),
     Cancel(cancel::Args),
-    Rescue(rescue::Args),
+    Rescue(resolve::Args),
     Fleet(fleet::Args),
     Keys(keys::Args),
     Leave(leave::Args),
@@ -89,12 +89,12 @@ enum Command {
 
 /// Runs the program.
 pub fn run() -> ExitCode {
-    run_with(Kit::default(), std::env::args_os())
+    run_with(Extensions::default(), std::env::args_os())
 }
 
 /// Runs a program whose robots can do what is in `kit` besides. Of its arguments the first is its own name.
-pub fn run_with(kit: Kit, args: impl IntoIterator<Item = OsString>) -> ExitCode {
-    kit.put_in();
+pub fn run_with(kit: Extensions, args: impl IntoIterator<Item = OsString>) -> ExitCode {
+    kit.install();
     let done = match Cli::parse_from(args).command {
         Command::Demo(args) => demo::run(args),
         Command::Robot(args) => robot::run(args),
@@ -104,7 +104,7 @@ pub fn run_with(kit: Kit, args: impl IntoIterator<Item = OsString>) -> ExitCode 
         Command::Missions(args) => missions::run(args),
         Command::Explain(args) => explain::run(args),
         Command::Cancel(args) => cancel::run(args),
-        Command::Rescue(args) => rescue::run(args),
+        Command::Rescue(args) => resolve::run(args),
         Command::Fleet(args) => fleet::run(args),
         Command::Keys(args) => keys::run(args),
         Command::Leave(args) => leave::run(args),

@@ -1,19 +1,19 @@
 //! A client of a fleet: asks whoever coordinates, and says what it waits for.
 
-use crate::asking::{AGAIN, Hindrance, Whom, once};
 use crate::config::{DEFAULT_FLEET, FleetConfig, LogFormat, load};
 use crate::exit::Failure;
-use crate::output::{self, Waiting, note};
-use crate::running::{describe, runtime, rust_log, start_log};
+use crate::node_runtime::{build_runtime, describe_links, rust_log, start_log};
+use crate::output::{self, Progress, note};
+use crate::query::{QueryError, QueryTarget, RETRY_DELAY, query_once};
 use crate::trust;
 use crate::wiring::link_trust;
 use consort_actors::bus::zenoh_bus::Mode;
 use consort_actors::bus::{SharedBus, ZenohBus, ZenohSettings};
 use consort_actors::clock::Clock;
-use consort_actors::trust::SealedBus;
+use consort_actors::trust::SigningBus;
 use consort_protocol::ids::{FleetId, NodeId};
 use consort_protocol::keys::{ApiCall, Key, Keys};
-use consort_protocol::trust::{Bearer, access};
+use consort_protocol::trust::{Principal, access};
 use serde_json::Value;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -68,7 +68,7 @@ impl ClientFlags {
 
     /// The same for other addresses, certificates and another fleet.
     #[must_use]
-    pub fn instead(&self, connect: Vec<String>, certs: Option<PathBuf>, fleet: &FleetId) -> ClientFlags {
+    pub fn with_target(&self, connect: Vec<String>, certs: Option<PathBuf>, fleet: &FleetId) -> ClientFlags {
         ClientFlags { fleet: fleet.to_string(), connect, certs, timeout: self.timeout }
     }
 
@@ -76,8 +76,8 @@ impl ClientFlags {
     ///
     /// # Errors
     /// As [`Client::open`], and what `work` fails with.
-    pub fn connected<T>(&self, work: impl AsyncFnOnce(&mut Client) -> Result<T, Failure>) -> Result<T, Failure> {
-        runtime()?.block_on(async {
+    pub fn with_client<T>(&self, work: impl AsyncFnOnce(&mut Client) -> Result<T, Failure>) -> Result<T, Failure> {
+        build_runtime()?.block_on(async {
             let mut client = Client::open(self).await?;
             let done = work(&mut client).await;
             client.close().await;
@@ -88,7 +88,7 @@ impl ClientFlags {
 
 /// How a fleet is asked something, and how its answer is shown.
 #[derive(Debug, clap::Args)]
-pub struct AskFlags {
+pub struct QueryFlags {
     /// Print JSON
     #[arg(long)]
     json: bool,
@@ -96,7 +96,7 @@ pub struct AskFlags {
     client: ClientFlags,
 }
 
-impl AskFlags {
+impl QueryFlags {
     /// Asks, and prints the answer: as it is, or in words.
     ///
     /// # Errors
@@ -106,7 +106,7 @@ impl AskFlags {
         ask: impl AsyncFnOnce(&mut Client) -> Result<Value, Failure>,
         words: impl FnOnce(&Value) -> String,
     ) -> Result<(), Failure> {
-        let answer = self.client.connected(ask)?;
+        let answer = self.client.with_client(ask)?;
         if self.json { output::line(answer) } else { output::line(words(&answer)) }
     }
 }
@@ -115,15 +115,15 @@ impl AskFlags {
 pub struct Client {
     session: ZenohBus,
     /// Whose certificate it has, if it has one.
-    person: Option<Bearer>,
+    person: Option<Principal>,
     /// What tells the fleet's nodes from who says to be one, if there is a certificate to tell by.
-    sealed: Option<Arc<SealedBus>>,
+    sealed: Option<Arc<SigningBus>>,
     bus: SharedBus,
     keys: Keys,
     fleet: FleetId,
     to: String,
     timeout: Duration,
-    waiting: Waiting,
+    waiting: Progress,
 }
 
 impl Client {
@@ -136,14 +136,14 @@ impl Client {
         let fleet = fleet_name(&flags.fleet)?;
         let timeout = Duration::try_from_secs_f64(flags.timeout)
             .map_err(|_| Failure::Usage(format!("--timeout: {} is not a number of seconds", flags.timeout)))?;
-        let mut waiting = Waiting::new();
+        let mut waiting = Progress::new();
         let until = Instant::now() + timeout;
         let clock = Clock::real();
-        let proof = flags.certs.as_deref().map(|certs| trust::of_a_person(certs, &fleet, clock)).transpose()?;
+        let proof = flags.certs.as_deref().map(|certs| trust::person_keyring(certs, &fleet, clock)).transpose()?;
         let settings = ZenohSettings {
             mode: Mode::Client,
             connect: flags.connect.clone(),
-            links: flags.certs.as_deref().map(|certs| link_trust(certs, &fleet)),
+            link_trust: flags.certs.as_deref().map(|certs| link_trust(certs, &fleet)),
             ..ZenohSettings::default()
         };
         let addresses = flags.connect.join(", ");
@@ -158,32 +158,32 @@ impl Client {
                 }
                 Err(problem) => problem.to_string(),
             };
-            if Instant::now() + AGAIN >= until {
+            if Instant::now() + RETRY_DELAY >= until {
                 drop(waiting);
-                return Err(Failure::Unreached(format!(
+                return Err(Failure::Unreachable(format!(
                     "not connected: nothing answers at {addresses} ({problem})\n\
                      Start a node that listens there (consort station --name s1 --listen tcp/127.0.0.1:7447), or name \
                      one that runs: --connect tcp/HOST:PORT. A fleet whose nodes have certificates answers only those who \
                      have one (--certs DIR, --connect tls/HOST:PORT); `consort doctor` says what it is that does not fit"
                 )));
             }
-            waiting.say(format_args!("nothing answers at {addresses} yet; trying for {} s", timeout.as_secs_f64()));
-            sleep(AGAIN).await;
+            waiting.show(format_args!("nothing answers at {addresses} yet; trying for {} s", timeout.as_secs_f64()));
+            sleep(RETRY_DELAY).await;
         };
         waiting.clear();
         let keys = Keys::new(&fleet);
         let plain: SharedBus = Arc::new(session.clone());
-        let person = proof.as_ref().map(|(keyring, _)| keyring.identity().bearer.clone());
+        let person = proof.as_ref().map(|(keyring, _)| keyring.identity().principal.clone());
         let sealed = match proof {
             None => None,
             Some((keyring, files)) => {
                 let sealed =
-                    SealedBus::open(Arc::clone(&plain), keys.clone(), Arc::new(keyring), files.revoked, clock).await;
+                    SigningBus::open(Arc::clone(&plain), keys.clone(), Arc::new(keyring), files.revoked, clock).await;
                 Some(Arc::new(sealed.map_err(|problem| Failure::Unsuccessful(problem.to_string()))?))
             }
         };
         let bus = sealed.clone().map_or(plain, |sealed| sealed as SharedBus);
-        Ok(Client { session, person, sealed, bus, keys, fleet, to: describe(&links), timeout, waiting })
+        Ok(Client { session, person, sealed, bus, keys, fleet, to: describe_links(&links), timeout, waiting })
     }
 
     /// Makes a request: of the coordinator, or of the nearest node if it changes nothing.
@@ -192,18 +192,18 @@ impl Client {
     /// [`Failure::Unsuccessful`] with what it refused; [`Failure::Unreached`] if nobody coordinates.
     pub async fn api(&mut self, call: ApiCall, request: &Value) -> Result<Value, Failure> {
         self.may(call)?;
-        let whom = if call.is_reading() { Whom::Nearest } else { Whom::All };
+        let whom = if call.is_read_only() { QueryTarget::Nearest } else { QueryTarget::All };
         self.ask(&Key::Api(call), request.to_string(), whom).await
     }
 
     /// Whether the person's certificate allows a call. Nodes do not let it in otherwise, and Zenoh does not say so.
     fn may(&self, call: ApiCall) -> Result<(), Failure> {
-        let Some(Bearer::Person { name, scope }) = &self.person else { return Ok(()) };
-        let needed = access::needed(call);
+        let Some(Principal::Person { name, scope }) = &self.person else { return Ok(()) };
+        let needed = access::required_scope(call);
         if *scope >= needed {
             return Ok(());
         }
-        let word = call.word();
+        let word = call.as_str();
         Err(Failure::Usage(format!("the certificate of {name} is for scope {scope}, and {word} needs scope {needed}")))
     }
 
@@ -211,20 +211,20 @@ impl Client {
     ///
     /// # Errors
     /// As [`api`](Self::api).
-    pub async fn view(&mut self, key: &Key) -> Result<Value, Failure> {
-        self.ask(key, String::new(), Whom::Nearest).await
+    pub async fn query_view(&mut self, key: &Key) -> Result<Value, Failure> {
+        self.ask(key, String::new(), QueryTarget::Nearest).await
     }
 
     /// Asks one node for something that it does at most once, and waits for its answer.
     ///
     /// # Errors
     /// [`Failure::Unsuccessful`] with what it refused; [`Failure::Unreached`] if the node does not answer.
-    pub async fn ask_node(&mut self, key: &Key, node: &NodeId, limit: Duration) -> Result<Value, Failure> {
-        match once(&*self.bus, &self.keys.write(key), "", limit, Whom::All).await {
+    pub async fn query_node(&mut self, key: &Key, node: &NodeId, limit: Duration) -> Result<Value, Failure> {
+        match query_once(&*self.bus, &self.keys.write(key), "", limit, QueryTarget::All).await {
             Ok(value) => Ok(value),
-            Err(Hindrance::Refused(problem)) => Err(Failure::Unsuccessful(problem)),
-            Err(Hindrance::MayPass(problem, _)) => Err(Failure::Unreached(format!("{node}: {problem}"))),
-            Err(Hindrance::Silence) => Err(Failure::Unreached(format!(
+            Err(QueryError::Rejected(problem)) => Err(Failure::Unsuccessful(problem)),
+            Err(QueryError::Retryable(problem, _)) => Err(Failure::Unreachable(format!("{node}: {problem}"))),
+            Err(QueryError::NoReply) => Err(Failure::Unreachable(format!(
                 "no node {node} answers in fleet {}; linked to {}. `consort fleet` names those that are there",
                 self.fleet, self.to
             ))),
@@ -247,7 +247,7 @@ impl Client {
     }
 
     /// Says on the standard error what is waited for.
-    pub fn waiting(&mut self) -> &mut Waiting {
+    pub fn progress(&mut self) -> &mut Progress {
         &mut self.waiting
     }
 
@@ -268,36 +268,40 @@ impl Client {
 
     /// What was not believed, in words.
     fn refused(&self) -> Vec<String> {
-        self.sealed.as_ref().map(|sealed| sealed.refused()).unwrap_or_default()
+        self.sealed.as_ref().map(|sealed| sealed.rejections()).unwrap_or_default()
     }
 
-    async fn ask(&mut self, key: &Key, payload: String, mut whom: Whom) -> Result<Value, Failure> {
+    async fn ask(&mut self, key: &Key, payload: String, mut whom: QueryTarget) -> Result<Value, Failure> {
         let until = Instant::now() + self.timeout;
         let key = self.keys.write(key);
         let mut waited = false;
         loop {
             let left = until.saturating_duration_since(Instant::now());
-            let limit = ONE_QUERY.min(left.max(AGAIN));
-            let hindrance = match once(&*self.bus, &key, &payload, limit, whom).await {
+            let limit = ONE_QUERY.min(left.max(RETRY_DELAY));
+            let hindrance = match query_once(&*self.bus, &key, &payload, limit, whom).await {
                 Ok(value) => {
                     if waited {
                         self.waiting.clear();
                     }
                     return Ok(value);
                 }
-                Err(Hindrance::Refused(problem)) => return Err(Failure::Unsuccessful(problem)),
-                Err(Hindrance::MayPass(problem, after)) => (problem, after.max(AGAIN)),
-                Err(Hindrance::Silence) if self.bus.links().await.is_empty() => ("the link is down".to_owned(), AGAIN),
-                Err(Hindrance::Silence) => (format!("no {} of fleet {} answers yet", whom.word(), self.fleet), AGAIN),
+                Err(QueryError::Rejected(problem)) => return Err(Failure::Unsuccessful(problem)),
+                Err(QueryError::Retryable(problem, after)) => (problem, after.max(RETRY_DELAY)),
+                Err(QueryError::NoReply) if self.bus.links().await.is_empty() => {
+                    ("the link is down".to_owned(), RETRY_DELAY)
+                }
+                Err(QueryError::NoReply) => {
+                    (format!("no {} of fleet {} answers yet", whom.responder(), self.fleet), RETRY_DELAY)
+                }
             };
             let (hindrance, after) = hindrance;
             if !self.refused().is_empty() {
                 // Whoever forges answers may be the nearest.
-                whom = Whom::All;
+                whom = QueryTarget::All;
             }
             if Instant::now() + after >= until {
                 let hindrance = hindrance.trim_end_matches(" yet");
-                return Err(Failure::Unreached(format!(
+                return Err(Failure::Unreachable(format!(
                     "{hindrance}, and none did in {} s; linked to {}\n\
                      Is the fleet's name right (--fleet)? Are as many nodes up that may vote as its bootstrap_expect \
                      says, and linked with one another? Is a majority of the ledger's keepers alive?",
@@ -305,7 +309,7 @@ impl Client {
                     self.to
                 )));
             }
-            self.waiting.say(format_args!("{hindrance}: trying again in {:.1} s", after.as_secs_f64()));
+            self.waiting.show(format_args!("{hindrance}: trying again in {:.1} s", after.as_secs_f64()));
             waited = true;
             sleep(after).await;
         }

@@ -1,10 +1,12 @@
 //! What an auction would decide, offline: the robots' own bidders and the coordinator's own conclusion, without a
 //! fleet.
 
-use crate::source::WorkerEntry;
-use crate::wiring::Equipment;
-use consort_actors::robot::{Bidder, Circumstance};
-use consort_protocol::auction::{Answer, AuctionId, BidPart, CallForBids, Circumstances, Limits, Tender, conclude};
+use crate::inputs::WorkerEntry;
+use crate::wiring::SkillResources;
+use consort_actors::robot::{BidContext, Bidder};
+use consort_protocol::auction::{
+    AuctionContext, AuctionId, BidLimits, BidPart, BidResponse, CallForBids, RoleReply, clear_auction,
+};
 use consort_protocol::ensemble::Membership;
 use consort_protocol::ids::{EnsembleId, MissionId, RobotId, RoleId};
 use consort_protocol::plan::Division;
@@ -14,7 +16,7 @@ use std::sync::Arc;
 
 /// What one worker says to one role.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct Offer {
+pub struct WorkerBid {
     /// Who.
     pub worker: RobotId,
     /// Time for the whole plan, in seconds; none for a refusal.
@@ -34,9 +36,9 @@ pub struct Offer {
 
 /// What an auction came to.
 #[derive(Debug, Clone, PartialEq)]
-pub struct DryRun {
+pub struct DryRunOutcome {
     /// By role, what each worker says, in the order of the workers.
-    pub offers: BTreeMap<RoleId, Vec<Offer>>,
+    pub bids: BTreeMap<RoleId, Vec<WorkerBid>>,
     /// Who gets which role: every role, or none.
     pub holders: BTreeMap<RoleId, RobotId>,
     /// Why nobody does, if so.
@@ -44,47 +46,47 @@ pub struct DryRun {
 }
 
 /// Auctions the plans of `roles` among the workers. Roles without a plan are left aside.
-pub fn auction(
+pub fn simulate_auction(
     division: &Division,
     roles: &BTreeSet<RoleId>,
     workers: &[WorkerEntry],
-    equipment: &Equipment,
-    limits: &Limits,
-) -> DryRun {
+    equipment: &SkillResources,
+    limits: &BidLimits,
+) -> DryRunOutcome {
     let open = division.plans.iter().filter(|(role, _)| roles.contains(*role));
     let call = CallForBids {
         auction: AuctionId { mission: MissionId::new("dry-run").expect("a slug"), term: 0, round: 1 },
         ensemble: EnsembleId::new("workers").expect("a slug"),
         roles: open.map(|(role, plan)| (role.clone(), plan.clone())).collect(),
     };
-    let tenders: Vec<Tender> = workers.iter().map(|worker| tender(worker, &call, equipment)).collect();
+    let tenders: Vec<BidResponse> = workers.iter().map(|worker| tender(worker, &call, equipment)).collect();
     let expected: BTreeSet<RobotId> = workers.iter().map(|worker| worker.name.clone()).collect();
     let taken = BTreeMap::new();
     let excluded = BTreeMap::new();
     let circumstances =
-        Circumstances { expected: &expected, taken: &taken, excluded: &excluded, limits, window_ms: 0, at_ms: 0 };
-    let conclusion = conclude(&call, &tenders, &circumstances);
+        AuctionContext { invited: &expected, unavailable: &taken, excluded: &excluded, limits, window_ms: 0, at_ms: 0 };
+    let conclusion = clear_auction(&call, &tenders, &circumstances);
 
-    let mut offers: BTreeMap<RoleId, Vec<Offer>> = BTreeMap::new();
-    for answer in tenders.into_iter().flat_map(|tender| tender.answers) {
+    let mut offers: BTreeMap<RoleId, Vec<WorkerBid>> = BTreeMap::new();
+    for answer in tenders.into_iter().flat_map(|tender| tender.replies) {
         let (role, offer) = offer(answer, limits);
         offers.entry(role).or_default().push(offer);
     }
-    DryRun { offers, holders: conclusion.holders.unwrap_or_default(), failure: conclusion.record.failure }
+    DryRunOutcome { bids: offers, holders: conclusion.holders.unwrap_or_default(), failure: conclusion.record.failure }
 }
 
-fn tender(worker: &WorkerEntry, call: &CallForBids, equipment: &Equipment) -> Tender {
+fn tender(worker: &WorkerEntry, call: &CallForBids, equipment: &SkillResources) -> BidResponse {
     let bidder = Bidder::new(worker.name.clone(), Arc::clone(&equipment.estimator));
     let membership = Membership { member: true, reason: "named in the file".to_owned(), age_ms: 0 };
     let own = worker.worker(&equipment.places);
-    bidder.tender(call, &Circumstance { worker: &own, closed: &[], age_ms: 0, membership })
+    bidder.respond(call, &BidContext { worker: &own, closed_lanes: &[], age_ms: 0, membership })
 }
 
-fn offer(answer: Answer, limits: &Limits) -> (RoleId, Offer) {
+fn offer(answer: RoleReply, limits: &BidLimits) -> (RoleId, WorkerBid) {
     match answer {
-        Answer::Bid(bid) => {
-            let why_not = bid.viable(limits).err();
-            let offer = Offer {
+        RoleReply::Bid(bid) => {
+            let why_not = bid.check_viable(limits).err();
+            let offer = WorkerBid {
                 worker: bid.robot,
                 time_s: Some(bid.time.get()),
                 energy: Some(bid.energy),
@@ -95,8 +97,8 @@ fn offer(answer: Answer, limits: &Limits) -> (RoleId, Offer) {
             };
             (bid.role, offer)
         }
-        Answer::Refusal(refusal) => {
-            let offer = Offer {
+        RoleReply::Refusal(refusal) => {
+            let offer = WorkerBid {
                 worker: refusal.robot,
                 time_s: None,
                 energy: None,

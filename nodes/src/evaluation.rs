@@ -1,14 +1,14 @@
 //! A design with all that it names: scenarios, map and legs.
 
-use crate::config::{Problem, Problems};
-use crate::floor;
-use crate::source::text;
+use crate::config::{Diagnostic, Diagnostics};
+use crate::inputs::read_text;
+use crate::map_loader;
 use consort_sim::experiment::calibration::Calibration;
 use consort_sim::experiment::design::{self, Design, Scenario};
-use consort_sim::experiment::reference;
-use consort_sim::experiment::travel::{Legs, TravelModel};
+use consort_sim::experiment::published_format;
+use consort_sim::experiment::travel::{MeasuredLegs, TravelModel};
 use consort_sim::map::{self, Map};
-use consort_tests::experiment::Stage;
+use consort_tests::experiment::ExperimentSetup;
 use std::fmt::Display;
 use std::path::Path;
 use std::sync::Arc;
@@ -27,7 +27,7 @@ pub struct Evaluation {
 
 /// Files that take the place of what the design says.
 #[derive(Default)]
-pub struct Instead<'a> {
+pub struct InputOverrides<'a> {
     /// Scenarios in the form of the published ones.
     pub scenarios: Option<&'a Path>,
     /// A map of any form.
@@ -41,9 +41,11 @@ impl Evaluation {
     ///
     /// # Errors
     /// [`Problems`] of a file that it names.
-    pub fn of(design: Design, instead: &Instead<'_>) -> Result<Evaluation, Problems> {
+    pub fn load(design: Design, instead: &InputOverrides<'_>) -> Result<Evaluation, Diagnostics> {
         let scenarios = match instead.scenarios {
-            Some(file) => reference::scenarios(&text(file)?, &design).map_err(|problem| wrong(file, problem))?,
+            Some(file) => {
+                published_format::scenarios(&read_text(file)?, &design).map_err(|problem| wrong(file, problem))?
+            }
             None => design::scenarios(&design),
         };
         let map = match instead.map {
@@ -52,7 +54,7 @@ impl Evaluation {
         };
         let travel = match instead.legs.or(design.travel.legs.as_deref()) {
             Some(file) => {
-                let legs = Legs::read(text(file)?.as_bytes()).map_err(|problem| wrong(file, problem))?;
+                let legs = MeasuredLegs::read(read_text(file)?.as_bytes()).map_err(|problem| wrong(file, problem))?;
                 TravelModel::Empirical(legs)
             }
             None => TravelModel::Kinematic(design.travel.clone()),
@@ -64,23 +66,27 @@ impl Evaluation {
     ///
     /// # Errors
     /// [`Problems`] of what the design says of its map and mission, without the file's name.
-    pub fn stage(&self, design: Design, learned: Option<Arc<Calibration>>) -> Result<Stage, Problems> {
-        let set = Stage::set(design, self.scenarios.clone(), self.map.clone(), self.travel.clone(), learned);
-        set.map_err(|error| Problems(error.0.iter().map(|problem| Problem::of("", problem)).collect()))
+    pub fn trial_fixture(
+        &self,
+        design: Design,
+        learned: Option<Arc<Calibration>>,
+    ) -> Result<ExperimentSetup, Diagnostics> {
+        let set = ExperimentSetup::new(design, self.scenarios.clone(), self.map.clone(), self.travel.clone(), learned);
+        set.map_err(|error| Diagnostics(error.0.iter().map(|problem| Diagnostic::for_file("", problem)).collect()))
     }
 }
 
-fn load_map(name: &str) -> Result<Map, Problems> {
-    if floor::is_shipped(name) {
-        return map::shipped(name).map_err(|problem| floor::problems(name, problem));
+fn load_map(name: &str) -> Result<Map, Diagnostics> {
+    if map_loader::is_shipped(name) {
+        return map::shipped(name).map_err(|problem| map_loader::diagnostics(name, problem));
     }
-    let text = floor::text(name)?;
-    if floor::is_published_form(&text) {
-        return reference::floor(&text, name).map_err(|problem| wrong(Path::new(name), problem));
+    let text = map_loader::read_text(name)?;
+    if map_loader::is_published_format(&text) {
+        return published_format::published_map(&text, name).map_err(|problem| wrong(Path::new(name), problem));
     }
-    map::read(&text, name).map_err(|problem| floor::problems(name, problem))
+    map::read(&text, name).map_err(|problem| map_loader::diagnostics(name, problem))
 }
 
-fn wrong(file: &Path, problem: impl Display) -> Problems {
-    Problem::of(file.display(), problem).into()
+fn wrong(file: &Path, problem: impl Display) -> Diagnostics {
+    Diagnostic::for_file(file.display(), problem).into()
 }

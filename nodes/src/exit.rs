@@ -1,6 +1,6 @@
 //! How commands end.
 
-use crate::config::{Problem, Problems};
+use crate::config::{Diagnostic, Diagnostics};
 use std::process::ExitCode;
 
 /// Why a command did not do what it was asked; the exit code says which kind it is.
@@ -14,7 +14,7 @@ pub enum Failure {
     Usage(String),
     /// 3: nothing was reached, or nobody coordinates.
     #[error("{0}")]
-    Unreached(String),
+    Unreachable(String),
     /// 130: somebody pressed Ctrl-C, or sent SIGTERM.
     #[error("interrupted")]
     Interrupted,
@@ -30,20 +30,20 @@ impl Failure {
             Failure::OutputClosed => 0,
             Failure::Unsuccessful(_) => 1,
             Failure::Usage(_) => 2,
-            Failure::Unreached(_) => 3,
+            Failure::Unreachable(_) => 3,
             Failure::Interrupted => 130,
         })
     }
 }
 
-impl From<Problems> for Failure {
-    fn from(problems: Problems) -> Failure {
+impl From<Diagnostics> for Failure {
+    fn from(problems: Diagnostics) -> Failure {
         Failure::Usage(problems.to_string())
     }
 }
 
-impl From<Problem> for Failure {
-    fn from(problem: Problem) -> Failure {
+impl From<Diagnostic> for Failure {
+    fn from(problem: Diagnostic) -> Failure {
         Failure::Usage(problem.to_string())
     }
 }

@@ -1,6 +1,6 @@
 //! Files that are read or written whole, or not at all.
 
-use crate::config::Problem;
+use crate::config::Diagnostic;
 use crate::exit::Failure;
 use std::fs;
 use std::io::{self, Read, Write};
@@ -12,7 +12,7 @@ pub(crate) const BYTES_MAX: u64 = 16 << 20;
 
 /// Why a file was not read.
 #[derive(Debug, thiserror::Error)]
-pub(crate) enum ReadError {
+pub(crate) enum FileReadError {
     /// The system does not give it, or it is no text.
     #[error("cannot be read: {0}")]
     Unreadable(#[from] io::Error),
@@ -21,22 +21,22 @@ pub(crate) enum ReadError {
     TooLarge(u64, u64),
     /// A pipe or a device, which does not say how long it is, gave more than it may have.
     #[error("it has more than the {0} bytes allowed")]
-    Endless(u64),
+    StreamTooLarge(u64),
 }
 
 /// The text of a file of at most so many bytes.
 ///
 /// # Errors
 /// [`ReadError`], without the file's name; no more of it was read than is allowed.
-pub(crate) fn text(file: &Path, bytes_max: u64) -> Result<String, ReadError> {
+pub(crate) fn read_text(file: &Path, bytes_max: u64) -> Result<String, FileReadError> {
     let file = fs::File::open(file)?;
     let bytes = file.metadata()?.len();
     if bytes > bytes_max {
-        return Err(ReadError::TooLarge(bytes, bytes_max));
+        return Err(FileReadError::TooLarge(bytes, bytes_max));
     }
     let mut read = vec![];
     if file.take(bytes_max + 1).read_to_end(&mut read)? as u64 > bytes_max {
-        return Err(ReadError::Endless(bytes_max));
+        return Err(FileReadError::StreamTooLarge(bytes_max));
     }
     let no_text = |_| io::Error::new(io::ErrorKind::InvalidData, "stream did not contain valid UTF-8");
     Ok(String::from_utf8(read).map_err(no_text)?)
@@ -46,7 +46,7 @@ pub(crate) fn text(file: &Path, bytes_max: u64) -> Result<String, ReadError> {
 ///
 /// # Errors
 /// [`Problem`] with the file and what the system says; what was there is as it was.
-pub(crate) fn write_whole(file: &Path, text: &str, mode: u32) -> Result<(), Problem> {
+pub(crate) fn write_atomically(file: &Path, text: &str, mode: u32) -> Result<(), Diagnostic> {
     let unfinished = file.with_extension("new");
     let written = || {
         let mut options = fs::OpenOptions::new();
@@ -57,11 +57,11 @@ pub(crate) fn write_whole(file: &Path, text: &str, mode: u32) -> Result<(), Prob
         to.sync_all()?;
         fs::rename(&unfinished, file)
     };
-    written().map_err(|problem: io::Error| Problem::of(file.display(), problem))
+    written().map_err(|problem: io::Error| Diagnostic::for_file(file.display(), problem))
 }
 
 /// What somebody hears whose file is there already, where `--force` replaces it.
-pub(crate) fn there_already(file: &Path) -> Failure {
+pub(crate) fn already_exists(file: &Path) -> Failure {
     Failure::Usage(format!("{}: this file is there already; --force replaces it", file.display()))
 }
 
@@ -72,10 +72,10 @@ mod tests {
     #[test]
     fn no_more_is_read_than_is_allowed_even_of_what_has_no_end() {
         let manifest = Path::new(env!("CARGO_MANIFEST_DIR")).join("Cargo.toml");
-        let whole = text(&manifest, BYTES_MAX).expect("it is there");
+        let whole = read_text(&manifest, BYTES_MAX).expect("it is there");
         let bytes = whole.len() as u64;
-        assert_eq!(text(&manifest, bytes).expect("it is just as large"), whole);
-        let said = |file: &Path, max| text(file, max).expect_err("it is too large").to_string();
+        assert_eq!(read_text(&manifest, bytes).expect("it is just as large"), whole);
+        let said = |file: &Path, max| read_text(file, max).expect_err("it is too large").to_string();
         assert_eq!(said(&manifest, bytes - 1), format!("{bytes} bytes are more than the {} allowed", bytes - 1));
         assert_eq!(said(Path::new("/dev/zero"), 100), "it has more than the 100 bytes allowed");
         let absent = said(Path::new("/nowhere"), 100);

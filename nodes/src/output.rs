@@ -25,7 +25,7 @@ pub fn note(text: impl Display) {
 
 /// Says on the standard error what is waited for: on a terminal in one line that is overwritten, else a line for each
 /// change.
-pub struct Waiting {
+pub struct Progress {
     /// What turns on a terminal while something is waited for.
     bar: Option<ProgressBar>,
     /// Whether lines are written where there is no terminal.
@@ -33,27 +33,27 @@ pub struct Waiting {
     said: String,
 }
 
-impl Default for Waiting {
+impl Default for Progress {
     fn default() -> Self {
-        Waiting::new()
+        Progress::new()
     }
 }
 
-impl Waiting {
+impl Progress {
     /// Says nothing yet.
-    pub fn new() -> Waiting {
-        Waiting { bar: None, in_lines: true, said: String::new() }
+    pub fn new() -> Progress {
+        Progress { bar: None, in_lines: true, said: String::new() }
     }
 
     /// Says nothing yet, and nothing at all where there is no terminal: for what changes all the time.
-    pub fn on_terminal() -> Waiting {
-        let mut waiting = Waiting::new();
+    pub fn on_terminal() -> Progress {
+        let mut waiting = Progress::new();
         waiting.in_lines = false;
         waiting
     }
 
     /// Says what is waited for now.
-    pub fn say(&mut self, text: impl Display) {
+    pub fn show(&mut self, text: impl Display) {
         let text = text.to_string();
         if text == self.said {
             return;
@@ -67,9 +67,9 @@ impl Waiting {
     }
 
     /// Says how something goes on that goes on by itself: on a terminal alone, where it is overwritten.
-    pub fn turn(&mut self, text: impl Display) {
+    pub fn show_on_terminal(&mut self, text: impl Display) {
         if stderr().is_terminal() {
-            self.say(text);
+            self.show(text);
         }
     }
 
@@ -89,7 +89,7 @@ fn spinner() -> ProgressBar {
     bar
 }
 
-impl Drop for Waiting {
+impl Drop for Progress {
     fn drop(&mut self) {
         self.clear();
     }

@@ -1,8 +1,8 @@
 //! Files in which a world is to be looked at afterwards.
 
-use crate::config::{Problem, Problems};
+use crate::config::{Diagnostic, Diagnostics};
 use crate::exit::Failure;
-use consort_sim::record::{Outputs, Recorder};
+use consort_sim::record::{Recorder, RecordingOutputs};
 use consort_sim::world::SharedWorld;
 use std::path::PathBuf;
 
@@ -21,7 +21,7 @@ pub struct RenderFlags {
 
 impl RenderFlags {
     /// Whether anything is to be made.
-    pub fn any(&self) -> bool {
+    pub fn is_enabled(&self) -> bool {
         self.record.is_some() || self.svg.is_some()
     }
 
@@ -29,9 +29,9 @@ impl RenderFlags {
     ///
     /// # Errors
     /// [`Problems`] of the files.
-    pub fn begin(&self, world: &SharedWorld) -> Result<(), Problems> {
-        let outputs = Outputs { mcap: self.record.clone(), svg: self.svg.clone() };
-        let recorder = Recorder::open(&outputs).map_err(|problem| Problem::of("", problem))?;
+    pub fn start_recording(&self, world: &SharedWorld) -> Result<(), Diagnostics> {
+        let outputs = RecordingOutputs { mcap: self.record.clone(), svg: self.svg.clone() };
+        let recorder = Recorder::open(&outputs).map_err(|problem| Diagnostic::for_file("", problem))?;
         if let Some(recorder) = recorder {
             world.record(recorder);
         }
@@ -43,7 +43,7 @@ impl RenderFlags {
 ///
 /// # Errors
 /// [`Failure::Unsuccessful`] if a file does not hold all that happened.
-pub fn end(world: &SharedWorld, mut say: impl FnMut(&str)) -> Result<(), Failure> {
+pub fn finish_recording(world: &SharedWorld, mut say: impl FnMut(&str)) -> Result<(), Failure> {
     let mut problems = vec![];
     for file in world.end_recording() {
         match file {
@@ -64,17 +64,17 @@ mod tests {
     fn a_world_without_the_options_has_no_recorder() {
         let world = SharedWorld::new(build_world(&WorldConfig::default(), &FleetConfig::default()).unwrap());
         let none = RenderFlags::default();
-        none.begin(&world).unwrap();
-        assert!(!none.any() && !world.is_recorded());
-        end(&world, |words| panic!("{words}")).unwrap();
+        none.start_recording(&world).unwrap();
+        assert!(!none.is_enabled() && !world.is_recorded());
+        finish_recording(&world, |words| panic!("{words}")).unwrap();
     }
 
     #[test]
     fn a_file_that_cannot_be_written_is_told_before_anything_starts() {
         let world = SharedWorld::new(build_world(&WorldConfig::default(), &FleetConfig::default()).unwrap());
         let nowhere = RenderFlags { record: None, svg: Some("/no/such/folder/out.svg".into()) };
-        let problem = nowhere.begin(&world).unwrap_err().to_string();
+        let problem = nowhere.start_recording(&world).unwrap_err().to_string();
         assert!(problem.contains("/no/such/folder/out.svg: the recording cannot be written"), "{problem}");
-        assert!(nowhere.any() && !world.is_recorded());
+        assert!(nowhere.is_enabled() && !world.is_recorded());
     }
 }

@@ -5,49 +5,51 @@ use crate::exit::Failure;
 use consort_actors::bus::SharedBus;
 use consort_actors::clock::Clock;
 use consort_actors::node::NodeSettings;
-use consort_actors::trust::{Keyring, SealedBus, TrustFiles};
+use consort_actors::trust::{Keyring, SigningBus, TrustFiles};
 use consort_protocol::ids::FleetId;
 use consort_protocol::keys::Keys;
-use consort_protocol::trust::{Bearer, NodeRole};
+use consort_protocol::trust::{NodeRole, Principal};
 use std::path::Path;
 use std::sync::Arc;
 use std::time::Duration;
 use tracing::info;
 
 /// What a node proves itself with, if it has certificates.
-pub struct NodeTrust(Option<(Arc<Keyring>, TrustFiles)>);
+pub struct NodeCredentials(Option<(Arc<Keyring>, TrustFiles)>);
 
-impl NodeTrust {
+impl NodeCredentials {
     /// Reads the files, and sees to it that they are this node's and let it be what it is configured to be.
     ///
     /// # Errors
     /// [`Failure::Usage`] names the file and what is wrong with it.
-    pub fn open(bus: &BusConfig, node: &NodeSettings) -> Result<NodeTrust, Failure> {
-        let Some(folder) = &bus.certs else { return Ok(NodeTrust(None)) };
+    pub fn open(bus: &BusConfig, node: &NodeSettings) -> Result<NodeCredentials, Failure> {
+        let Some(folder) = &bus.certs else { return Ok(NodeCredentials(None)) };
         let files = trust_files(folder);
         let now = Duration::from_millis(node.clock.wall_ms());
         let keyring = files.open(&node.fleet.fleet, now, node.incarnation);
         let keyring = keyring.map_err(|problem| Failure::Usage(problem.to_string()))?;
         let wanted = needed_roles(node);
-        let problem = match &keyring.identity().bearer {
-            Bearer::Node { name, .. } if *name != node.node => {
+        let problem = match &keyring.identity().principal {
+            Principal::Node { name, .. } if *name != node.node => {
                 Some(format!("it is node {name}'s, and this is {}", node.node))
             }
-            Bearer::Node { roles, .. } => wanted.iter().find(|(role, _)| !roles.contains(role)).map(|(role, why)| {
-                format!(
-                    "it does not let {} be a {role}, and {why}; `consort cert node {0} --roles …` makes one",
-                    node.node
-                )
-            }),
-            person @ Bearer::Person { .. } => {
+            Principal::Node { roles, .. } => {
+                wanted.iter().find(|(role, _)| !roles.contains(role)).map(|(role, why)| {
+                    format!(
+                        "it does not let {} be a {role}, and {why}; `consort cert node {0} --roles …` makes one",
+                        node.node
+                    )
+                })
+            }
+            person @ Principal::Person { .. } => {
                 Some(format!("it is {person}'s, and nodes have certificates of their own"))
             }
         };
         match problem {
             Some(problem) => Err(Failure::Usage(format!("{}: {problem}", files.certificate.display()))),
             None => {
-                info!(bearer = %keyring.identity().bearer, "links are encrypted, and messages signed");
-                Ok(NodeTrust(Some((Arc::new(keyring), files))))
+                info!(bearer = %keyring.identity().principal, "links are encrypted, and messages signed");
+                Ok(NodeCredentials(Some((Arc::new(keyring), files))))
             }
         }
     }
@@ -61,11 +63,11 @@ impl NodeTrust {
     ///
     /// # Errors
     /// [`Failure::Unsuccessful`] if the node's certificate cannot be shown on the bus.
-    pub async fn sealed(self, bus: SharedBus, node: &mut NodeSettings) -> Result<SharedBus, Failure> {
+    pub async fn signing_bus(self, bus: SharedBus, node: &mut NodeSettings) -> Result<SharedBus, Failure> {
         let Some((keyring, files)) = self.0 else { return Ok(bus) };
-        let sealed = SealedBus::open(bus, Keys::new(&node.fleet.fleet), keyring, files.revoked, node.clock).await;
+        let sealed = SigningBus::open(bus, Keys::new(&node.fleet.fleet), keyring, files.revoked, node.clock).await;
         let sealed = sealed.map_err(|problem| Failure::Unsuccessful(problem.to_string()))?;
-        node.notary = Some(sealed.notary());
+        node.record_signer = Some(sealed.record_signer());
         Ok(Arc::new(sealed))
     }
 }
@@ -75,7 +77,7 @@ fn needed_roles(node: &NodeSettings) -> Vec<(NodeRole, &'static str)> {
     let all = [
         (node.robot.is_some(), NodeRole::Robot, "it is a robot's"),
         (node.may_vote, NodeRole::Voter, "may_vote is true"),
-        (node.host.is_some(), NodeRole::Host, "it hosts a world"),
+        (node.driver_server.is_some(), NodeRole::Host, "it hosts a world"),
     ];
     all.into_iter().filter(|(needed, ..)| *needed).map(|(_, role, why)| (role, why)).collect()
 }
@@ -84,7 +86,7 @@ fn needed_roles(node: &NodeSettings) -> Vec<(NodeRole, &'static str)> {
 ///
 /// # Errors
 /// [`Failure::Usage`] names the file and what is wrong with it.
-pub fn of_a_person(certs: &Path, fleet: &FleetId, clock: Clock) -> Result<(Keyring, TrustFiles), Failure> {
+pub fn person_keyring(certs: &Path, fleet: &FleetId, clock: Clock) -> Result<(Keyring, TrustFiles), Failure> {
     let files = trust_files(certs);
     let life = clock.wall_ms();
     let keyring = files.open(fleet, Duration::from_millis(life), life);

@@ -20,22 +20,22 @@ use serde::Serialize;
 use serde::de::DeserializeOwned;
 
 /// First byte of every message whose layout has not changed since the first version of the wire ([`versions`](crate::versions)).
-pub const FIRST: u8 = 1;
+pub const FIRST_VERSION: u8 = 1;
 
 /// A message whose layout has changed. The first byte says in which version of the wire its layout came; as long as a fleet writes
 /// an earlier one, so is it written.
-pub trait Evolved: Serialize + DeserializeOwned + From<Self::Earlier> {
+pub trait VersionedMessage: Serialize + DeserializeOwned + From<Self::Previous> {
     /// The version of the wire in which its layout came.
     const SINCE: u8;
     /// What it was before, since [`FIRST`].
-    type Earlier: Serialize + DeserializeOwned + From<Self>;
+    type Previous: Serialize + DeserializeOwned + From<Self>;
 }
 
 /// Largest message in bytes, version byte included.
-pub const LIMIT: usize = 64 * 1024;
+pub const MESSAGE_BYTES_MAX: usize = 64 * 1024;
 
 /// Largest stored record, in bytes. A guess: a mission takes some kilobytes, so this holds tens of thousands.
-pub const RECORD_LIMIT: usize = 256 * 1024 * 1024;
+pub const RECORD_BYTES_MAX: usize = 256 * 1024 * 1024;
 
 /// What decoding may take in memory, as a multiple of the largest message: bincode counts a number by its width there, and
 /// the widest, of 16 bytes, may have been sent as one. With less, some of what may be sent could not be read.
@@ -79,17 +79,17 @@ pub enum CodecError {
 /// # Errors
 /// [`CodecError::TooLarge`], and [`CodecError::Malformed`] for a value that cannot be told in bytes.
 pub fn encode<T: Serialize>(message: &T) -> Result<Vec<u8>, CodecError> {
-    encode_within(FIRST, message, LIMIT)
+    encode_within(FIRST_VERSION, message, MESSAGE_BYTES_MAX)
 }
 
 /// The message as bytes, as a fleet that writes this version of the wire has them.
 ///
 /// # Errors
 /// As [`encode`].
-pub fn encode_for<T: Evolved>(wire: u8, message: T) -> Result<Vec<u8>, CodecError> {
+pub fn encode_for_version<T: VersionedMessage>(wire: u8, message: T) -> Result<Vec<u8>, CodecError> {
     match wire >= T::SINCE {
-        true => encode_within(T::SINCE, &message, LIMIT),
-        false => encode_within(FIRST, &T::Earlier::from(message), LIMIT),
+        true => encode_within(T::SINCE, &message, MESSAGE_BYTES_MAX),
+        false => encode_within(FIRST_VERSION, &T::Previous::from(message), MESSAGE_BYTES_MAX),
     }
 }
 
@@ -97,10 +97,15 @@ pub fn encode_for<T: Evolved>(wire: u8, message: T) -> Result<Vec<u8>, CodecErro
 ///
 /// # Errors
 /// As [`decode`].
-pub fn decode_any<T: Evolved>(bytes: &[u8]) -> Result<T, CodecError> {
+pub fn decode_any_version<T: VersionedMessage>(bytes: &[u8]) -> Result<T, CodecError> {
     match bytes.first() {
-        Some(&FIRST) => decode::<T::Earlier>(bytes).map(T::from),
-        _ => decode_within(T::SINCE, bytes, LIMIT, config::standard().with_limit::<{ LIMIT * WIDENING }>()),
+        Some(&FIRST) => decode::<T::Previous>(bytes).map(T::from),
+        _ => decode_within(
+            T::SINCE,
+            bytes,
+            MESSAGE_BYTES_MAX,
+            config::standard().with_limit::<{ MESSAGE_BYTES_MAX * WIDENING }>(),
+        ),
     }
 }
 
@@ -109,7 +114,12 @@ pub fn decode_any<T: Evolved>(bytes: &[u8]) -> Result<T, CodecError> {
 /// # Errors
 /// [`CodecError`] says what is wrong; whatever the bytes are, this neither panics nor allocates beyond 16 times [`LIMIT`].
 pub fn decode<T: DeserializeOwned>(bytes: &[u8]) -> Result<T, CodecError> {
-    decode_within(FIRST, bytes, LIMIT, config::standard().with_limit::<{ LIMIT * WIDENING }>())
+    decode_within(
+        FIRST_VERSION,
+        bytes,
+        MESSAGE_BYTES_MAX,
+        config::standard().with_limit::<{ MESSAGE_BYTES_MAX * WIDENING }>(),
+    )
 }
 
 /// A record to be stored, as bytes.
@@ -117,7 +127,7 @@ pub fn decode<T: DeserializeOwned>(bytes: &[u8]) -> Result<T, CodecError> {
 /// # Errors
 /// As [`encode`], beyond [`RECORD_LIMIT`].
 pub fn encode_record<T: Serialize>(record: &T) -> Result<Vec<u8>, CodecError> {
-    encode_within(FIRST, record, RECORD_LIMIT)
+    encode_within(FIRST_VERSION, record, RECORD_BYTES_MAX)
 }
 
 /// The stored record that the bytes spell, all of them.
@@ -129,20 +139,29 @@ pub fn decode_record<T: DeserializeOwned>(bytes: &[u8]) -> Result<T, CodecError>
     const SOME: usize = 1 << 20;
     const MANY: usize = 16 << 20;
     match bytes.len() {
-        size if size <= LIMIT => {
-            decode_within(FIRST, bytes, RECORD_LIMIT, config::standard().with_limit::<{ LIMIT * WIDENING }>())
-        }
-        size if size <= SOME => {
-            decode_within(FIRST, bytes, RECORD_LIMIT, config::standard().with_limit::<{ SOME * WIDENING }>())
-        }
-        size if size <= MANY => {
-            decode_within(FIRST, bytes, RECORD_LIMIT, config::standard().with_limit::<{ MANY * WIDENING }>())
-        }
-        _ => decode_within(
-            FIRST,
+        size if size <= MESSAGE_BYTES_MAX => decode_within(
+            FIRST_VERSION,
             bytes,
-            RECORD_LIMIT,
-            config::standard().with_limit::<{ RECORD_LIMIT.saturating_mul(WIDENING) }>(),
+            RECORD_BYTES_MAX,
+            config::standard().with_limit::<{ MESSAGE_BYTES_MAX * WIDENING }>(),
+        ),
+        size if size <= SOME => decode_within(
+            FIRST_VERSION,
+            bytes,
+            RECORD_BYTES_MAX,
+            config::standard().with_limit::<{ SOME * WIDENING }>(),
+        ),
+        size if size <= MANY => decode_within(
+            FIRST_VERSION,
+            bytes,
+            RECORD_BYTES_MAX,
+            config::standard().with_limit::<{ MANY * WIDENING }>(),
+        ),
+        _ => decode_within(
+            FIRST_VERSION,
+            bytes,
+            RECORD_BYTES_MAX,
+            config::standard().with_limit::<{ RECORD_BYTES_MAX.saturating_mul(WIDENING) }>(),
         ),
     }
 }
@@ -201,7 +220,7 @@ mod tests {
     #[test]
     fn a_length_that_lies_allocates_nothing() {
         // A string said to be 2^60 bytes long.
-        let bytes = [FIRST, 253, 0, 0, 0, 0, 0, 0, 0, 16];
+        let bytes = [FIRST_VERSION, 253, 0, 0, 0, 0, 0, 0, 0, 16];
         assert!(matches!(decode::<String>(&bytes), Err(CodecError::Malformed(_))));
         assert!(matches!(decode::<Vec<u64>>(&bytes), Err(CodecError::Malformed(_))));
     }
@@ -210,7 +229,7 @@ mod tests {
     fn a_short_record_that_lies_takes_no_more_memory_than_a_message() {
         // A text said to be 2 MiB long, and one said to be 1 GiB long: neither is looked for.
         for lie in [2_u64 << 20, 1 << 30] {
-            let mut bytes = vec![FIRST, 253];
+            let mut bytes = vec![FIRST_VERSION, 253];
             bytes.extend(lie.to_le_bytes());
             let problem = decode_record::<String>(&bytes).unwrap_err().to_string();
             assert!(problem.contains("LimitExceeded"), "{problem}");
@@ -222,17 +241,17 @@ mod tests {
     #[test]
     fn all_that_may_be_sent_can_be_read() {
         // Numbers that are small are sent as one byte each.
-        let narrow = vec![0_u128; LIMIT - 10];
+        let narrow = vec![0_u128; MESSAGE_BYTES_MAX - 10];
         assert_eq!(decode::<Vec<u128>>(&encode(&narrow).unwrap()).unwrap(), narrow);
-        let optional = vec![Some(7_u64); LIMIT / 2 - 10];
+        let optional = vec![Some(7_u64); MESSAGE_BYTES_MAX / 2 - 10];
         assert_eq!(decode::<Vec<Option<u64>>>(&encode(&optional).unwrap()).unwrap(), optional);
-        let words = vec!["a".to_owned(); LIMIT / 2 - 10];
+        let words = vec!["a".to_owned(); MESSAGE_BYTES_MAX / 2 - 10];
         assert_eq!(decode::<Vec<String>>(&encode(&words).unwrap()).unwrap(), words);
     }
 
     #[test]
     fn what_is_too_large_is_not_sent() {
-        let text = "x".repeat(LIMIT);
+        let text = "x".repeat(MESSAGE_BYTES_MAX);
         assert!(encode(&text).is_err());
     }
 }

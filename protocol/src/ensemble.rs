@@ -16,7 +16,7 @@ mod bounds;
 use crate::ids::{EnsembleId, NodeId, TaskType};
 use crate::knowledge::{Availability, Knowledge, KnowledgeBase};
 use crate::units::NodeTime;
-use bounds::LOOPS_MAX;
+use bounds::LOOP_DEPTH_MAX;
 use cel::{Context, Env, Program, Value};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -136,7 +136,7 @@ struct Facts<'a> {
 
 impl<'a> Facts<'a> {
     fn of(name: &'a NodeId, knowledge: &'a Knowledge) -> Facts<'a> {
-        let worker = knowledge.worker.as_ref();
+        let worker = knowledge.robot.as_ref();
         Facts {
             name: name.as_str(),
             may_vote: knowledge.may_vote,
@@ -185,7 +185,13 @@ impl Ensemble {
     }
 
     /// Whether `node` is a member of the ensemble that `coordinator` coordinates, by what `base` has heard.
-    pub fn judge(&self, node: &NodeId, coordinator: &NodeId, base: &KnowledgeBase, now: NodeTime) -> Membership {
+    pub fn membership_of(
+        &self,
+        node: &NodeId,
+        coordinator: &NodeId,
+        base: &KnowledgeBase,
+        now: NodeTime,
+    ) -> Membership {
         let Some(member) = base.get(node) else {
             return Membership { member: false, reason: format!("nothing heard of {node}"), age_ms: 0 };
         };
@@ -251,7 +257,11 @@ impl Ensemble {
 
     /// Everyone this node believes to be a member.
     pub fn members(&self, coordinator: &NodeId, base: &KnowledgeBase, now: NodeTime) -> BTreeSet<NodeId> {
-        base.iter().map(|(node, _)| node).filter(|n| self.judge(n, coordinator, base, now).member).cloned().collect()
+        base.iter()
+            .map(|(node, _)| node)
+            .filter(|n| self.membership_of(n, coordinator, base, now).member)
+            .cloned()
+            .collect()
     }
 
     /// The variables that conditions may name.
@@ -304,11 +314,11 @@ fn compile_all(spec: &EnsembleSpec, texts: &[String]) -> Result<Vec<Condition>, 
             return Err(refuse(text, format!("{} bytes long, where {CONDITION_MAX} are allowed", text.len())));
         }
         let program = Program::compile(text).map_err(|e| refuse(text, e.to_string()))?;
-        let loops = bounds::loops(program.expression());
-        if loops > LOOPS_MAX {
+        let loops = bounds::loop_depth(program.expression());
+        if loops > LOOP_DEPTH_MAX {
             return Err(refuse(
                 text,
-                format!("its loops stand {loops} deep in one another, where {LOOPS_MAX} are allowed"),
+                format!("its loops stand {loops} deep in one another, where {LOOP_DEPTH_MAX} are allowed"),
             ));
         }
         Ok(Condition { text: text.clone(), program })
@@ -327,8 +337,8 @@ fn example_knowledge() -> Knowledge {
         replica: None,
         cluster: None,
         leaving: false,
-        speaks: crate::versions::Versions::OWN,
-        worker: Some(crate::knowledge::Worker {
+        supported_versions: crate::versions::VersionRange::OWN,
+        robot: Some(crate::knowledge::RobotKnowledge {
             skills: BTreeSet::from([TaskType::new("navigation").expect("a slug")]),
             place: PlaceId::new("dock").expect("a label"),
             pose: Pose::default(),
@@ -345,7 +355,7 @@ fn example_knowledge() -> Knowledge {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::knowledge::{Record, Stamp};
+    use crate::knowledge::{Record, RecordStamp};
 
     fn at(ms: u64) -> NodeTime {
         NodeTime::at(Duration::from_millis(ms))
@@ -357,8 +367,8 @@ mod tests {
 
     fn heard(name: &str, skills: &[&str]) -> Record {
         let mut knowledge = example_knowledge();
-        knowledge.worker.as_mut().unwrap().skills = skills.iter().map(|s| TaskType::new(*s).unwrap()).collect();
-        Record { owner: node(name), stamp: Stamp::default(), knowledge, proof: None }
+        knowledge.robot.as_mut().unwrap().skills = skills.iter().map(|s| TaskType::new(*s).unwrap()).collect();
+        Record { owner: node(name), stamp: RecordStamp::default(), knowledge, proof: None }
     }
 
     fn drawers() -> EnsembleSpec {
@@ -372,7 +382,7 @@ mod tests {
         let mut base = KnowledgeBase::default();
         base.merge(heard("ada", &["navigation", "operate_drawer"]), at(0));
         base.merge(heard("bob", &["navigation"]), at(0));
-        let judge = |name: &str, now| ensemble.judge(&node(name), &node("ada"), &base, now);
+        let judge = |name: &str, now| ensemble.membership_of(&node(name), &node("ada"), &base, now);
 
         let yes = Membership { member: true, reason: "all conditions hold".to_owned(), age_ms: 10_000 };
         assert_eq!(judge("ada", at(10_000)), yes);
@@ -406,7 +416,7 @@ mod tests {
         let ensemble = Ensemble::compile(spec).unwrap();
         let mut base = KnowledgeBase::default();
         base.merge(heard("ada", &["operate_drawer"]), at(0));
-        let verdict = ensemble.judge(&node("ada"), &node("ada"), &base, at(0));
+        let verdict = ensemble.membership_of(&node("ada"), &node("ada"), &base, at(0));
         assert_eq!(verdict.reason, "`coordinator.mains_powered` is false for ada");
     }
 }

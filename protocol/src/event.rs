@@ -3,7 +3,7 @@
 
 use crate::auction::{AuctionRecord, Bid};
 use crate::ids::{ClusterId, EnsembleId, MissionId, NodeId, RobotId, RoleId, TaskId};
-use crate::lease::{Ending, Epoch};
+use crate::lease::{EndReason, Epoch};
 use crate::ledger::MissionState;
 use crate::message::FailureKind;
 use crate::plan::Signal;
@@ -21,13 +21,13 @@ pub struct Event {
     pub at_ms: u64,
     /// What.
     #[serde(flatten)]
-    pub what: Happening,
+    pub kind: EventKind,
 }
 
 /// What can happen.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(tag = "event", rename_all = "snake_case")]
-pub enum Happening {
+pub enum EventKind {
     /// A node began to coordinate.
     Elected {
         /// Its term.
@@ -215,7 +215,7 @@ pub enum Happening {
         /// Its role.
         role: RoleId,
         /// Why.
-        reason: Ending,
+        reason: EndReason,
     },
     /// An attempt at a task failed; it is made again.
     TaskRetried {
@@ -281,72 +281,72 @@ pub enum Happening {
     },
 }
 
-impl Happening {
+impl EventKind {
     /// What kind of happening it is: the field `event` of its JSON.
-    pub fn word(&self) -> &'static str {
+    pub fn as_str(&self) -> &'static str {
         match self {
-            Happening::Elected { .. } => "elected",
-            Happening::SteppedDown { .. } => "stepped_down",
-            Happening::Foreign { .. } => "foreign",
-            Happening::Voters { .. } => "voters",
-            Happening::Joined { .. } => "joined",
-            Happening::Left { .. } => "left",
-            Happening::Submitted { .. } => "submitted",
-            Happening::Called { .. } => "called",
-            Happening::Bid { .. } => "bid",
-            Happening::Closed { .. } => "closed",
-            Happening::Awarded { .. } => "awarded",
-            Happening::Released { .. } => "released",
-            Happening::Mission { .. } => "mission",
-            Happening::Progress { .. } => "progress",
-            Happening::Started { .. } => "started",
-            Happening::TaskBegan { .. } => "task_began",
-            Happening::TaskEnded { .. } => "task_ended",
-            Happening::TaskFailed { .. } => "task_failed",
-            Happening::Sent { .. } => "sent",
-            Happening::Heard { .. } => "heard",
-            Happening::Suspended { .. } => "suspended",
-            Happening::Resumed { .. } => "resumed",
-            Happening::Halted { .. } => "halted",
-            Happening::TaskRetried { .. } => "task_retried",
-            Happening::Alternative { .. } => "alternative",
-            Happening::GaveUp { .. } => "gave_up",
-            Happening::ChargeShort { .. } => "charge_short",
-            Happening::Outdated { .. } => "outdated",
+            EventKind::Elected { .. } => "elected",
+            EventKind::SteppedDown { .. } => "stepped_down",
+            EventKind::Foreign { .. } => "foreign",
+            EventKind::Voters { .. } => "voters",
+            EventKind::Joined { .. } => "joined",
+            EventKind::Left { .. } => "left",
+            EventKind::Submitted { .. } => "submitted",
+            EventKind::Called { .. } => "called",
+            EventKind::Bid { .. } => "bid",
+            EventKind::Closed { .. } => "closed",
+            EventKind::Awarded { .. } => "awarded",
+            EventKind::Released { .. } => "released",
+            EventKind::Mission { .. } => "mission",
+            EventKind::Progress { .. } => "progress",
+            EventKind::Started { .. } => "started",
+            EventKind::TaskBegan { .. } => "task_began",
+            EventKind::TaskEnded { .. } => "task_ended",
+            EventKind::TaskFailed { .. } => "task_failed",
+            EventKind::Sent { .. } => "sent",
+            EventKind::Heard { .. } => "heard",
+            EventKind::Suspended { .. } => "suspended",
+            EventKind::Resumed { .. } => "resumed",
+            EventKind::Halted { .. } => "halted",
+            EventKind::TaskRetried { .. } => "task_retried",
+            EventKind::Alternative { .. } => "alternative",
+            EventKind::GaveUp { .. } => "gave_up",
+            EventKind::ChargeShort { .. } => "charge_short",
+            EventKind::Outdated { .. } => "outdated",
         }
     }
 
     /// The mission that it belongs to, if any.
     pub fn mission(&self) -> Option<&MissionId> {
         match self {
-            Happening::Submitted { mission, .. }
-            | Happening::Called { mission, .. }
-            | Happening::Bid { mission, .. }
-            | Happening::Closed { mission, .. }
-            | Happening::Awarded { mission, .. }
-            | Happening::Released { mission, .. }
-            | Happening::Mission { mission, .. }
-            | Happening::Progress { mission, .. }
-            | Happening::Started { mission, .. }
-            | Happening::TaskBegan { mission, .. }
-            | Happening::TaskEnded { mission, .. }
-            | Happening::TaskFailed { mission, .. }
-            | Happening::Sent { mission, .. }
-            | Happening::Heard { mission, .. }
-            | Happening::Suspended { mission, .. }
-            | Happening::Resumed { mission, .. }
-            | Happening::Halted { mission, .. }
-            | Happening::TaskRetried { mission, .. }
-            | Happening::Alternative { mission, .. }
-            | Happening::GaveUp { mission, .. }
-            | Happening::ChargeShort { mission, .. }
-            | Happening::Outdated { mission, .. } => Some(mission),
-            Happening::Elected { .. }
-            | Happening::SteppedDown { .. }
-            | Happening::Foreign { .. }
-            | Happening::Voters { .. }
-            | Happening::Joined { .. }
-            | Happening::Left { .. } => None,
+            EventKind::Submitted { mission, .. }
+            | EventKind::Called { mission, .. }
+            | EventKind::Bid { mission, .. }
+            | EventKind::Closed { mission, .. }
+            | EventKind::Awarded { mission, .. }
+            | EventKind::Released { mission, .. }
+            | EventKind::Mission { mission, .. }
+            | EventKind::Progress { mission, .. }
+            | EventKind::Started { mission, .. }
+            | EventKind::TaskBegan { mission, .. }
+            | EventKind::TaskEnded { mission, .. }
+            | EventKind::TaskFailed { mission, .. }
+            | EventKind::Sent { mission, .. }
+            | EventKind::Heard { mission, .. }
+            | EventKind::Suspended { mission, .. }
+            | EventKind::Resumed { mission, .. }
+            | EventKind::Halted { mission, .. }
+            | EventKind::TaskRetried { mission, .. }
+            | EventKind::Alternative { mission, .. }
+            | EventKind::GaveUp { mission, .. }
+            | EventKind::ChargeShort { mission, .. }
+            | EventKind::Outdated { mission, .. } => Some(mission),
+            EventKind::Elected { .. }
+            | EventKind::SteppedDown { .. }
+            | EventKind::Foreign { .. }
+            | EventKind::Voters { .. }
+            | EventKind::Joined { .. }
+            | EventKind::Left { .. } => None,
         }
     }
 }
@@ -360,12 +360,12 @@ mod tests {
         let mission: MissionId = "lab-samples-1".parse().unwrap();
         let (role, task): (RoleId, TaskId) = ("r1".parse().unwrap(), "go".parse().unwrap());
         let happenings = [
-            Happening::SteppedDown { term: 1 },
-            Happening::TaskBegan { mission: mission.clone(), role: role.clone(), task },
-            Happening::ChargeShort { mission, role, cause: String::new() },
+            EventKind::SteppedDown { term: 1 },
+            EventKind::TaskBegan { mission: mission.clone(), role: role.clone(), task },
+            EventKind::ChargeShort { mission, role, cause: String::new() },
         ];
         for what in happenings {
-            assert_eq!(serde_json::to_value(&what).unwrap()["event"], what.word());
+            assert_eq!(serde_json::to_value(&what).unwrap()["event"], what.as_str());
         }
     }
 }

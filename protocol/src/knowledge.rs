@@ -7,9 +7,9 @@
 use crate::codec;
 use crate::ids::{ClusterId, FleetId, MissionId, NodeId, PlaceId, RoleId, TaskType};
 use crate::pose::Pose;
-use crate::trust::{Fingerprint, SIGNATURE};
+use crate::trust::{Fingerprint, SIGNATURE_BYTES};
 use crate::units::{BatteryShare, MetresPerSecond, NodeTime, SharePerSecond};
-use crate::versions::Versions;
+use crate::versions::VersionRange;
 use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
@@ -20,7 +20,7 @@ pub struct Record {
     /// Who wrote it.
     pub owner: NodeId,
     /// Which version of which life of the owner.
-    pub stamp: Stamp,
+    pub stamp: RecordStamp,
     /// What it says.
     pub knowledge: Knowledge,
     /// That its owner says so, for those who have it from others, if the fleet has certificates.
@@ -40,7 +40,7 @@ impl Record {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Proof {
     by: Fingerprint,
-    signature: [[u8; SIGNATURE / 2]; 2],
+    signature: [[u8; SIGNATURE_BYTES / 2]; 2],
 }
 
 impl Proof {
@@ -63,7 +63,7 @@ impl Proof {
 
 /// Position of a record in the history of its owner.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Default, Serialize, Deserialize)]
-pub struct Stamp {
+pub struct RecordStamp {
     /// Grows each time the owner starts.
     pub incarnation: u64,
     /// Grows each time the owner's knowledge changes.
@@ -86,21 +86,21 @@ pub struct Knowledge {
     /// Whether it is about to leave the fleet for good.
     pub leaving: bool,
     /// Which versions of the wire its program reads.
-    pub speaks: Versions,
+    pub supported_versions: VersionRange,
     /// Its robot, if it is a robot's node.
-    pub worker: Option<Worker>,
+    pub robot: Option<RobotKnowledge>,
 }
 
 impl Knowledge {
     /// Whether it is a robot that could take a role now.
     pub fn is_free(&self) -> bool {
-        self.worker.as_ref().is_some_and(|worker| worker.availability == Availability::Free)
+        self.robot.as_ref().is_some_and(|worker| worker.availability == Availability::Free)
     }
 }
 
 /// A robot, as the coordinator knows it.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct Worker {
+pub struct RobotKnowledge {
     /// What it can do.
     pub skills: BTreeSet<TaskType>,
     /// Where it is, or was last, on the map.
@@ -144,7 +144,7 @@ pub enum Availability {
 }
 
 /// What a node has of each other: enough to see what the other lacks.
-pub type Digest = BTreeMap<NodeId, Stamp>;
+pub type Digest = BTreeMap<NodeId, RecordStamp>;
 
 /// Classes of owners at most.
 pub const CLASSES_MAX: u8 = 16;
@@ -152,34 +152,34 @@ pub const CLASSES_MAX: u8 = 16;
 /// Some of all owners. Owners fall into classes by their names, the same on every node, so that two nodes which differ need
 /// speak only of the classes in which they do.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Scope {
+pub struct DigestScope {
     /// How many classes there are.
     classes: u8,
     /// Which of them are within: a bit each.
     within: u16,
 }
 
-impl Scope {
+impl DigestScope {
     /// Everybody.
-    pub const ALL: Scope = Scope { classes: 1, within: 1 };
+    pub const ALL: DigestScope = DigestScope { classes: 1, within: 1 };
 
     /// Nobody.
-    pub const NONE: Scope = Scope { classes: 1, within: 0 };
+    pub const NONE: DigestScope = DigestScope { classes: 1, within: 0 };
 
     /// Those of whom two nodes know different things, by their sums; everybody if these cannot be compared.
-    pub fn of_difference(ours: &[u64], theirs: &[u64]) -> Scope {
+    pub fn of_difference(ours: &[u64], theirs: &[u64]) -> DigestScope {
         let classes = u8::try_from(ours.len()).ok().filter(|classes| (1..=CLASSES_MAX).contains(classes));
         match classes {
             Some(classes) if ours.len() == theirs.len() => {
                 let differ = ours.iter().zip(theirs).enumerate().filter(|(_, (our, their))| our != their);
-                Scope { classes, within: differ.fold(0, |within, (class, _)| within | 1 << class) }
+                DigestScope { classes, within: differ.fold(0, |within, (class, _)| within | 1 << class) }
             }
-            _ => Scope::ALL,
+            _ => DigestScope::ALL,
         }
     }
 
     /// Whether this owner is one of them.
-    pub fn holds(&self, owner: &NodeId) -> bool {
+    pub fn contains(&self, owner: &NodeId) -> bool {
         self.within.checked_shr(class(owner, self.classes) as u32).unwrap_or(0) & 1 == 1
     }
 }
@@ -204,22 +204,22 @@ fn mix(number: u64) -> u64 {
 /// All that a node has heard.
 #[derive(Debug, Clone, Default)]
 pub struct KnowledgeBase {
-    heard: BTreeMap<NodeId, Heard>,
+    heard: BTreeMap<NodeId, KnownRecord>,
 }
 
 /// A record and when it reached this node.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Heard {
+pub struct KnownRecord {
     /// The record.
     pub record: Record,
     /// When, on this node's clock, this version was first heard or was last confirmed to be current.
-    pub at: NodeTime,
+    pub last_contact: NodeTime,
 }
 
-impl Heard {
+impl KnownRecord {
     /// How old this node's knowledge of the owner is.
     pub fn age(&self, now: NodeTime) -> Duration {
-        now.since(self.at)
+        now.since(self.last_contact)
     }
 }
 
@@ -229,22 +229,29 @@ impl KnowledgeBase {
         match self.heard.get(&record.owner) {
             Some(known) if known.record.stamp >= record.stamp => false,
             _ => {
-                self.heard.insert(record.owner.clone(), Heard { record, at: now });
+                self.heard.insert(record.owner.clone(), KnownRecord { record, last_contact: now });
                 true
             }
         }
     }
 
     /// The owner itself said, at `now`, that this is still its latest version.
-    pub fn confirm(&mut self, owner: &NodeId, stamp: Stamp, now: NodeTime) {
+    pub fn confirm(&mut self, owner: &NodeId, stamp: RecordStamp, now: NodeTime) {
         if let Some(heard) = self.heard.get_mut(owner).filter(|heard| heard.record.stamp == stamp) {
-            heard.at = heard.at.max(now);
+            heard.last_contact = heard.last_contact.max(now);
         }
     }
 
     /// The owner itself said, at `now`, that it is at `stamp`, and has said the same since version `since` of that
     /// incarnation; `proof` is that of its record with that stamp. False if this node has not heard what that is.
-    pub fn renew(&mut self, owner: &NodeId, stamp: Stamp, since: u64, proof: Option<Proof>, now: NodeTime) -> bool {
+    pub fn refresh(
+        &mut self,
+        owner: &NodeId,
+        stamp: RecordStamp,
+        since: u64,
+        proof: Option<Proof>,
+        now: NodeTime,
+    ) -> bool {
         let Some(heard) = self.heard.get_mut(owner) else { return false };
         let known = heard.record.stamp;
         if known > stamp {
@@ -257,25 +264,25 @@ impl KnowledgeBase {
             heard.record.proof = proof;
         }
         heard.record.stamp = stamp;
-        heard.at = heard.at.max(now);
+        heard.last_contact = heard.last_contact.max(now);
         true
     }
 
     /// What this node has of those within a scope.
-    pub fn digest(&self, scope: Scope) -> Digest {
-        let told = self.heard.iter().filter(|(owner, _)| scope.holds(owner));
+    pub fn digest(&self, scope: DigestScope) -> Digest {
+        let told = self.heard.iter().filter(|(owner, _)| scope.contains(owner));
         told.map(|(owner, heard)| (owner.clone(), heard.record.stamp)).collect()
     }
 
     /// A number for each class of owners, as many as suit so many owners. Two nodes whose sums are equal have the same; that
     /// they differ and their sums do not happens once in 2⁶⁴ times.
-    pub fn sums(&self) -> Vec<u64> {
+    pub fn class_sums(&self) -> Vec<u64> {
         let classes = (self.heard.len() / 12).next_power_of_two();
         self.sums_of(u8::try_from(classes).unwrap_or(CLASSES_MAX).min(CLASSES_MAX))
     }
 
     /// The same for so many classes, to compare with another's; none if that are more than there may be.
-    pub fn sums_like(&self, theirs: &[u64]) -> Vec<u64> {
+    pub fn class_sums_like(&self, theirs: &[u64]) -> Vec<u64> {
         match u8::try_from(theirs.len()) {
             Ok(classes) if classes <= CLASSES_MAX => self.sums_of(classes),
             _ => vec![],
@@ -285,7 +292,7 @@ impl KnowledgeBase {
     fn sums_of(&self, classes: u8) -> Vec<u64> {
         let mut sums = vec![0u64; usize::from(classes)];
         for (owner, heard) in &self.heard {
-            let Stamp { incarnation, version } = heard.record.stamp;
+            let RecordStamp { incarnation, version } = heard.record.stamp;
             let entry = mix(mix(hash(owner) ^ mix(incarnation)).wrapping_add(version));
             if let Some(sum) = sums.get_mut(class(owner, classes)) {
                 *sum = sum.wrapping_add(entry);
@@ -295,28 +302,28 @@ impl KnowledgeBase {
     }
 
     /// The records that a node with this digest of those within a scope lacks or has in an older version.
-    pub fn missing_for(&self, scope: Scope, digest: &Digest) -> Vec<&Record> {
+    pub fn missing_for(&self, scope: DigestScope, digest: &Digest) -> Vec<&Record> {
         let newer = |record: &&Record| {
-            scope.holds(&record.owner) && digest.get(&record.owner).is_none_or(|stamp| *stamp < record.stamp)
+            scope.contains(&record.owner) && digest.get(&record.owner).is_none_or(|stamp| *stamp < record.stamp)
         };
         self.heard.values().map(|heard| &heard.record).filter(newer).collect()
     }
 
     /// The owners of whom a node with this digest knows something later.
-    pub fn behind(&self, digest: &Digest) -> BTreeSet<NodeId> {
-        let later = |(owner, stamp): &(&NodeId, &Stamp)| {
+    pub fn outdated_owners(&self, digest: &Digest) -> BTreeSet<NodeId> {
+        let later = |(owner, stamp): &(&NodeId, &RecordStamp)| {
             self.heard.get(*owner).is_none_or(|heard| heard.record.stamp < **stamp)
         };
         digest.iter().filter(later).map(|(owner, _)| owner.clone()).collect()
     }
 
     /// What is known of a node.
-    pub fn get(&self, node: &NodeId) -> Option<&Heard> {
+    pub fn get(&self, node: &NodeId) -> Option<&KnownRecord> {
         self.heard.get(node)
     }
 
     /// Everything, in the order of the owners' names.
-    pub fn iter(&self) -> impl Iterator<Item = (&NodeId, &Heard)> {
+    pub fn iter(&self) -> impl Iterator<Item = (&NodeId, &KnownRecord)> {
         self.heard.iter()
     }
 
@@ -326,7 +333,7 @@ impl KnowledgeBase {
     }
 
     /// Forgets a node that has left; a later incarnation of it is welcome.
-    pub fn forget(&mut self, node: &NodeId) -> Option<Heard> {
+    pub fn remove(&mut self, node: &NodeId) -> Option<KnownRecord> {
         self.heard.remove(node)
     }
 }
@@ -339,7 +346,7 @@ mod tests {
     pub(crate) fn record(owner: u8, incarnation: u64, version: u64) -> Record {
         Record {
             owner: NodeId::new(format!("node{owner}")).unwrap(),
-            stamp: Stamp { incarnation, version },
+            stamp: RecordStamp { incarnation, version },
             knowledge: Knowledge {
                 may_vote: version.is_multiple_of(2),
                 stationary: false,
@@ -347,8 +354,8 @@ mod tests {
                 replica: Some(incarnation * 1000 + version),
                 cluster: None,
                 leaving: false,
-                speaks: Versions::OWN,
-                worker: None,
+                supported_versions: VersionRange::OWN,
+                robot: None,
             },
             proof: None,
         }
@@ -382,16 +389,16 @@ mod tests {
         #[test]
         fn after_one_exchange_two_nodes_know_the_same(a in records(), b in records()) {
             let (mut ada, mut bob) = (base(&a), base(&b));
-            let scope = Scope::of_difference(&ada.sums(), &bob.sums_like(&ada.sums()));
+            let scope = DigestScope::of_difference(&ada.class_sums(), &bob.class_sums_like(&ada.class_sums()));
             let for_bob: Vec<Record> = ada.missing_for(scope, &bob.digest(scope)).into_iter().cloned().collect();
             let for_ada: Vec<Record> = bob.missing_for(scope, &ada.digest(scope)).into_iter().cloned().collect();
             let owners: BTreeSet<NodeId> = for_ada.iter().map(|record| record.owner.clone()).collect();
-            prop_assert_eq!(ada.behind(&bob.digest(scope)), owners);
+            prop_assert_eq!(ada.outdated_owners(&bob.digest(scope)), owners);
             for record in for_bob { prop_assert!(bob.merge(record, NodeTime::ZERO)); }
             for record in for_ada { prop_assert!(ada.merge(record, NodeTime::ZERO)); }
             prop_assert_eq!(content(&ada), content(&bob));
-            prop_assert!(ada.missing_for(Scope::ALL, &bob.digest(Scope::ALL)).is_empty());
-            prop_assert_eq!(Scope::of_difference(&ada.sums(), &bob.sums_like(&ada.sums())).within, 0);
+            prop_assert!(ada.missing_for(DigestScope::ALL, &bob.digest(DigestScope::ALL)).is_empty());
+            prop_assert_eq!(DigestScope::of_difference(&ada.class_sums(), &bob.class_sums_like(&ada.class_sums())).within, 0);
         }
     }
 
@@ -407,7 +414,7 @@ mod tests {
             for (version, changed) in changes.iter().enumerate() {
                 let version = version as u64;
                 since = if *changed { version } else { since };
-                let said = Record { stamp: Stamp { incarnation: 1, version }, ..record(1, 1, since) };
+                let said = Record { stamp: RecordStamp { incarnation: 1, version }, ..record(1, 1, since) };
                 versions.push((said, since));
             }
             let mut base = KnowledgeBase::default();
@@ -416,7 +423,7 @@ mod tests {
                 let before = base.get(&said.owner).map(|heard| heard.record.stamp);
                 if whole {
                     base.merge(said.clone(), NodeTime::ZERO);
-                } else if !base.renew(&said.owner, said.stamp, *since, None, NodeTime::ZERO) {
+                } else if !base.refresh(&said.owner, said.stamp, *since, None, NodeTime::ZERO) {
                     prop_assert!(before.is_none_or(|before| before.version < *since));
                     continue;
                 }
@@ -431,9 +438,15 @@ mod tests {
     fn an_earlier_life_says_nothing_about_a_later_one() {
         let mut base = base(&[record(1, 2, 5)]);
         let owner = record(1, 0, 0).owner;
-        assert!(base.renew(&owner, Stamp { incarnation: 1, version: 9 }, 0, None, NodeTime::ZERO));
-        assert!(!base.renew(&owner, Stamp { incarnation: 3, version: 9 }, 0, None, NodeTime::ZERO));
-        assert!(!base.renew(&record(2, 0, 0).owner, Stamp { incarnation: 1, version: 0 }, 0, None, NodeTime::ZERO));
+        assert!(base.refresh(&owner, RecordStamp { incarnation: 1, version: 9 }, 0, None, NodeTime::ZERO));
+        assert!(!base.refresh(&owner, RecordStamp { incarnation: 3, version: 9 }, 0, None, NodeTime::ZERO));
+        assert!(!base.refresh(
+            &record(2, 0, 0).owner,
+            RecordStamp { incarnation: 1, version: 0 },
+            0,
+            None,
+            NodeTime::ZERO
+        ));
         assert_eq!(content(&base), [record(1, 2, 5)]);
     }
 
@@ -442,15 +455,15 @@ mod tests {
         let everybody: Vec<Record> = (0..=255).map(|owner| record(owner, 1, 1)).collect();
         let (mut ada, bob) = (base(&everybody), base(&everybody));
         ada.merge(record(77, 1, 2), NodeTime::ZERO);
-        let scope = Scope::of_difference(&ada.sums(), &bob.sums_like(&ada.sums()));
-        assert!(scope.holds(&record(77, 0, 0).owner));
+        let scope = DigestScope::of_difference(&ada.class_sums(), &bob.class_sums_like(&ada.class_sums()));
+        assert!(scope.contains(&record(77, 0, 0).owner));
         // One class of sixteen, more or less.
         assert!((1..=40).contains(&bob.digest(scope).len()), "{}", bob.digest(scope).len());
         let strange = vec![0; 300];
-        assert_eq!(Scope::of_difference(&bob.sums_like(&strange), &strange), Scope::ALL);
-        assert_eq!(bob.digest(Scope::ALL).len(), 256);
-        assert!(bob.digest(Scope::NONE).is_empty());
-        assert!(!Scope { classes: 0, within: 0 }.holds(&record(1, 0, 0).owner));
+        assert_eq!(DigestScope::of_difference(&bob.class_sums_like(&strange), &strange), DigestScope::ALL);
+        assert_eq!(bob.digest(DigestScope::ALL).len(), 256);
+        assert!(bob.digest(DigestScope::NONE).is_empty());
+        assert!(!DigestScope { classes: 0, within: 0 }.contains(&record(1, 0, 0).owner));
     }
 
     #[test]

@@ -50,4 +50,4 @@ mod schema;
 pub mod trust;
 pub mod units;
 pub mod versions;
-mod words;
+mod word_enum;

@@ -16,19 +16,19 @@
 //!
 //! From `wire/beacon` on, what is published or asked is [`Within`] a cluster.
 
-use crate::codec::Evolved;
+use crate::codec::VersionedMessage;
 use crate::ids::{ClusterId, MissionId, NodeId, PlaceId, RobotId, RoleId, TaskId};
-use crate::knowledge::{Digest, Proof, Record, Scope, Stamp};
-use crate::lease::{Award, Declined, Ending, Epoch, Holding};
+use crate::knowledge::{Digest, DigestScope, Proof, Record, RecordStamp};
+use crate::lease::{Award, DeclineReason, EndReason, Epoch, RoleHolder};
 use crate::ledger::Branch;
 use crate::plan::{Signal, StepIndex};
 use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, BTreeSet};
 
-pub mod earlier;
-mod live;
+mod active_missions;
+pub mod v1;
 
-pub use live::{Live, LivePlan};
+pub use active_missions::{ActiveMissions, ActivePlan};
 
 /// What a node publishes of itself.
 #[expect(
@@ -36,13 +36,13 @@ pub use live::{Live, LivePlan};
     reason = "records are what is said in bulk; the few words are as rare in memory as on the wire"
 )]
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub enum Statement {
+pub enum RecordUpdate {
     /// All of it.
     Record(Record),
     /// That it still says what it said: whoever has heard that need not hear it again.
-    Still {
+    Refresh {
         /// Its latest version.
-        stamp: Stamp,
+        stamp: RecordStamp,
         /// The version, of the same incarnation, with which it began to say this.
         since: u64,
         /// That of its record with the latest version, if the fleet has certificates.
@@ -50,9 +50,9 @@ pub enum Statement {
     },
 }
 
-impl Evolved for Statement {
+impl VersionedMessage for RecordUpdate {
     const SINCE: u8 = 2;
-    type Earlier = earlier::Statement;
+    type Previous = v1::RecordUpdate;
 }
 
 /// One side of an anti-entropy round. It begins with sums of what the one has, where both may well have the same; the other
@@ -62,22 +62,22 @@ pub struct Exchange {
     /// Sums of all that the sender has ([`KnowledgeBase::sums`](crate::knowledge::KnowledgeBase::sums)), to be compared; or none.
     pub sums: Vec<u64>,
     /// Of whom the digest tells.
-    pub scope: Scope,
+    pub scope: DigestScope,
     /// What the sender has of them.
     pub digest: Digest,
     /// What the sender thinks the other lacks, as much as fits a message.
     pub records: Vec<Record>,
 }
 
-impl Evolved for Exchange {
+impl VersionedMessage for Exchange {
     const SINCE: u8 = 2;
-    type Earlier = earlier::Exchange;
+    type Previous = v1::Exchange;
 }
 
 /// Asks whether its sender may found the fleet's ledger. Ordered by who is to keep a ledger rather: one that stays where it is
 /// before one that moves, one on mains power before one on a battery, then by name.
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
-pub struct Founder {
+pub struct BootstrapRequest {
     /// Whether it moves about.
     pub mobile: bool,
     /// Whether it lives on a battery.
@@ -88,7 +88,7 @@ pub struct Founder {
 
 /// What a node says to a [`Founder`].
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-pub enum FoundingAnswer {
+pub enum BootstrapReply {
     /// It will found none for a while, and lets nobody else.
     Agreed,
     /// There is a ledger, or it has left it to somebody else to found one.
@@ -120,17 +120,17 @@ pub struct Beacon {
 impl Beacon {
     /// Whether whoever knows `known` should follow this one: it is no older, or of another cluster, to which the hearer has
     /// gone over and where terms are counted anew.
-    pub fn follows(&self, known: Option<&Beacon>) -> bool {
-        known.is_none_or(|known| self.term >= known.term || self.is_abroad(known))
+    pub fn supersedes(&self, known: Option<&Beacon>) -> bool {
+        known.is_none_or(|known| self.term >= known.term || self.is_other_cluster(known))
     }
 
     /// Whether it is of another reign than `known`: of another node, or another term of the same.
-    pub fn is_of_another_reign(&self, known: Option<&Beacon>) -> bool {
+    pub fn is_other_leader_session(&self, known: Option<&Beacon>) -> bool {
         known.is_none_or(|known| (self.term, &self.node) != (known.term, &known.node))
     }
 
     /// Whether this is certainly the coordinator of another cluster.
-    pub fn is_abroad(&self, known: &Beacon) -> bool {
+    pub fn is_other_cluster(&self, known: &Beacon) -> bool {
         self.cluster.is_some() && known.cluster.is_some() && self.cluster != known.cluster
     }
 }
@@ -138,11 +138,11 @@ impl Beacon {
 /// What goes around every message that concerns missions, on the bus: two clusters of one fleet name may have missions
 /// of the same name.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Within {
+pub struct ClusterEnvelope {
     /// Which cluster the sender belongs to, if it knows of one.
     pub cluster: Option<ClusterId>,
     /// The message.
-    pub said: Vec<u8>,
+    pub payload: Vec<u8>,
 }
 
 /// The coordinator tells a robot what the ledger says of it.
@@ -155,17 +155,17 @@ pub enum AwardNotice {
         /// By which award it had it.
         epoch: Epoch,
         /// Why it ended.
-        reason: Ending,
+        reason: EndReason,
     },
 }
 
 /// What a robot says to a notice.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-pub enum AwardAnswer {
+pub enum AwardReply {
     /// It will report, or has stopped.
-    Heard,
+    Acknowledged,
     /// It will not take the role.
-    Declined(Declined),
+    Declined(DeclineReason),
 }
 
 /// A robot's account of a role it holds; also its request to go on holding it.
@@ -186,12 +186,12 @@ pub struct Report {
     /// All steps that have ended so far.
     pub ended: BTreeSet<StepIndex>,
     /// What it is at, to show.
-    pub at: Option<TaskId>,
+    pub current_task: Option<TaskId>,
     /// Where the robot is, if it knows: where to look for what it carries, should it be lost.
     pub place: Option<PlaceId>,
     /// Whether this life of the node took the plan up from what the former one had written down. A life that did not knows
     /// nothing of the plan.
-    pub resumes: bool,
+    pub from_checkpoint: bool,
     /// Why the role cannot be carried to its end, if so.
     pub failure: Option<TaskFailure>,
 }
@@ -229,7 +229,7 @@ pub enum FailureKind {
 
 /// What the coordinator says to a report. What was reported is in the ledger before anything but `NotCoordinator` is said.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-pub enum ReportAnswer {
+pub enum ReportReply {
     /// The lease goes on, from when the report was sent.
     Renewed {
         /// The award.
@@ -237,16 +237,16 @@ pub enum ReportAnswer {
         /// Steps that the ledger knows as ended.
         ended: BTreeSet<StepIndex>,
         /// Who holds the mission's managed roles now.
-        holders: BTreeMap<RoleId, Holding>,
+        holders: BTreeMap<RoleId, RoleHolder>,
         /// What other roles have told this one, as far as the ledger knows: a teller may be gone before it was heard.
-        told: BTreeSet<Signal>,
+        signals: BTreeSet<Signal>,
     },
     /// The role is no longer the reporter's, or has been carried out.
     Ended {
         /// The award it reported under.
         epoch: Epoch,
         /// Why.
-        reason: Ending,
+        reason: EndReason,
         /// The award of this role that is now in force, if there is one.
         current: Option<Epoch>,
     },
@@ -259,7 +259,7 @@ pub enum ReportAnswer {
 
 /// Missions under way have changed: somebody who follows them should ask again.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Changed {
+pub struct MissionsChanged {
     /// The coordinator's node.
     pub node: NodeId,
     /// Its term.
@@ -268,7 +268,7 @@ pub struct Changed {
 
 /// What a role has said so far to one other, or to all: idempotent, since signals are only ever added.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Said {
+pub struct SignalHistory {
     /// The mission.
     pub mission: MissionId,
     /// By which award the sender holds its role; the default for an unmanaged role.
@@ -299,7 +299,7 @@ mod tests {
             (Some(beacon(5, 1)), beacon(4, 0), false),
             (Some(beacon(5, 0)), beacon(4, 1), false),
         ] {
-            assert_eq!(heard.follows(known.as_ref()), follows, "{known:?} {heard:?}");
+            assert_eq!(heard.supersedes(known.as_ref()), follows, "{known:?} {heard:?}");
         }
     }
 }

@@ -15,7 +15,7 @@ pub enum Mutant {
     /// Votes are not written down at all: a voter that restarts may vote twice in one term.
     DoubleVote,
     /// A leader that hears no majority goes on believing that it leads.
-    DeafLeader,
+    NoCheckQuorum,
     /// A coordinator renews whatever award a robot reports, the latest or not.
     IgnoreEpoch,
     /// A robot acts on without looking at the end of its lease.
@@ -44,7 +44,7 @@ impl Mutant {
     pub const ALL: [Mutant; 13] = [
         Mutant::SkipFsync,
         Mutant::DoubleVote,
-        Mutant::DeafLeader,
+        Mutant::NoCheckQuorum,
         Mutant::IgnoreEpoch,
         Mutant::LeaseNotChecked,
         Mutant::EarlyRelease,
@@ -62,7 +62,7 @@ impl Mutant {
         match self {
             Mutant::SkipFsync => "skip-fsync",
             Mutant::DoubleVote => "double-vote",
-            Mutant::DeafLeader => "deaf-leader",
+            Mutant::NoCheckQuorum => "deaf-leader",
             Mutant::IgnoreEpoch => "ignore-epoch",
             Mutant::LeaseNotChecked => "lease-not-checked",
             Mutant::EarlyRelease => "early-release",
@@ -97,7 +97,7 @@ impl FromStr for Mutant {
 /// This program was built without the feature `mutants`. Nothing was changed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 #[error("this program has no mutants in it; build it with `--features mutants`")]
-pub struct NotBuilt;
+pub struct MutantsNotBuilt;
 
 #[cfg(feature = "mutants")]
 mod chosen {
@@ -113,18 +113,18 @@ mod chosen {
 ///
 /// # Errors
 /// [`NotBuilt`], if a mistake was asked for.
-pub fn choose(mutant: Option<Mutant>) -> Result<(), NotBuilt> {
+pub fn activate(mutant: Option<Mutant>) -> Result<(), MutantsNotBuilt> {
     #[cfg(feature = "mutants")]
     {
         chosen::CHOSEN.set(mutant);
         Ok(())
     }
     #[cfg(not(feature = "mutants"))]
-    if mutant.is_some() { Err(NotBuilt) } else { Ok(()) }
+    if mutant.is_some() { Err(MutantsNotBuilt) } else { Ok(()) }
 }
 
 /// What `judge` says on this thread without any mistake: whoever checks makes none.
-pub fn without<R>(judge: impl FnOnce() -> R) -> R {
+pub fn without_mutant<R>(judge: impl FnOnce() -> R) -> R {
     #[cfg(feature = "mutants")]
     {
         let chosen = chosen::CHOSEN.replace(None);
@@ -138,7 +138,7 @@ pub fn without<R>(judge: impl FnOnce() -> R) -> R {
 
 /// Whether the current thread makes this mistake.
 #[inline]
-pub fn is(mutant: Mutant) -> bool {
+pub fn is_active(mutant: Mutant) -> bool {
     #[cfg(feature = "mutants")]
     return chosen::CHOSEN.get() == Some(mutant);
     #[cfg(not(feature = "mutants"))]

@@ -17,24 +17,24 @@ use std::fmt;
 
 /// Which versions of the wire a program reads: all from one to another.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Versions {
+pub struct VersionRange {
     /// The oldest.
     pub oldest: u8,
     /// The newest, which it would rather write.
     pub newest: u8,
 }
 
-impl Versions {
+impl VersionRange {
     /// Those of this program.
-    pub const OWN: Versions = Versions { oldest: 1, newest: 2 };
+    pub const OWN: VersionRange = VersionRange { oldest: 1, newest: 2 };
 
     /// Whether this version is one of them.
-    pub fn hold(self, version: u8) -> bool {
+    pub fn contains(self, version: u8) -> bool {
         (self.oldest..=self.newest).contains(&version)
     }
 }
 
-impl fmt::Display for Versions {
+impl fmt::Display for VersionRange {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self.oldest == self.newest {
             true => write!(f, "{}", self.newest),
@@ -45,7 +45,7 @@ impl fmt::Display for Versions {
 
 /// How far a fleet is on its way to the next version.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub enum Upgrade {
+pub enum UpgradeStatus {
     /// The coordinator's program reads none later.
     Newest,
     /// Every node reads the next one.
@@ -54,29 +54,34 @@ pub enum Upgrade {
         next: u8,
     },
     /// Some do not, or nothing is known of them.
-    Waits {
+    Blocked {
         /// The next version.
         next: u8,
         /// Who, and what they read as far as is known.
-        behind: BTreeMap<NodeId, Option<Versions>>,
+        behind: BTreeMap<NodeId, Option<VersionRange>>,
     },
 }
 
-impl Upgrade {
+impl UpgradeStatus {
     /// Whether a fleet that writes version `now` may go on to the next, as far as a coordinator whose program reads `own` knows.
     /// Everybody counts of whom something is known, be he down: he may come back. So does whoever is `needed`, known or not.
-    pub fn of(now: u8, own: Versions, needed: impl IntoIterator<Item = NodeId>, base: &KnowledgeBase) -> Upgrade {
+    pub fn of(
+        now: u8,
+        own: VersionRange,
+        needed: impl IntoIterator<Item = NodeId>,
+        base: &KnowledgeBase,
+    ) -> UpgradeStatus {
         let next = now.saturating_add(1);
-        if !own.hold(next) {
-            return Upgrade::Newest;
+        if !own.contains(next) {
+            return UpgradeStatus::Newest;
         }
-        let known = base.iter().map(|(node, heard)| (node.clone(), Some(heard.record.knowledge.speaks)));
-        let mut all: BTreeMap<NodeId, Option<Versions>> = needed.into_iter().map(|node| (node, None)).collect();
+        let known = base.iter().map(|(node, heard)| (node.clone(), Some(heard.record.knowledge.supported_versions)));
+        let mut all: BTreeMap<NodeId, Option<VersionRange>> = needed.into_iter().map(|node| (node, None)).collect();
         all.extend(known);
-        all.retain(|_, speaks| !speaks.is_some_and(|speaks| speaks.hold(next)));
+        all.retain(|_, speaks| !speaks.is_some_and(|speaks| speaks.contains(next)));
         match all.is_empty() {
-            true => Upgrade::Ready { next },
-            false => Upgrade::Waits { next, behind: all },
+            true => UpgradeStatus::Ready { next },
+            false => UpgradeStatus::Blocked { next, behind: all },
         }
     }
 }
@@ -84,14 +89,14 @@ impl Upgrade {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::knowledge::{Knowledge, Record, Stamp};
+    use crate::knowledge::{Knowledge, Record, RecordStamp};
     use crate::units::NodeTime;
 
     fn node(name: &str) -> NodeId {
         NodeId::new(name).unwrap()
     }
 
-    fn base(nodes: &[(&str, Versions)]) -> KnowledgeBase {
+    fn base(nodes: &[(&str, VersionRange)]) -> KnowledgeBase {
         let mut base = KnowledgeBase::default();
         for (name, speaks) in nodes {
             let knowledge = Knowledge {
@@ -101,34 +106,37 @@ mod tests {
                 replica: None,
                 cluster: None,
                 leaving: false,
-                speaks: *speaks,
-                worker: None,
+                supported_versions: *speaks,
+                robot: None,
             };
-            base.merge(Record { owner: node(name), stamp: Stamp::default(), knowledge, proof: None }, NodeTime::ZERO);
+            base.merge(
+                Record { owner: node(name), stamp: RecordStamp::default(), knowledge, proof: None },
+                NodeTime::ZERO,
+            );
         }
         base
     }
 
-    const OLD: Versions = Versions { oldest: 1, newest: 1 };
-    const NEW: Versions = Versions { oldest: 1, newest: 2 };
+    const OLD: VersionRange = VersionRange { oldest: 1, newest: 1 };
+    const NEW: VersionRange = VersionRange { oldest: 1, newest: 2 };
 
     #[test]
     fn a_fleet_goes_on_when_everybody_reads_the_next_version() {
-        let of = |now, own, needed: &[&str], nodes: &[(&str, Versions)]| {
-            Upgrade::of(now, own, needed.iter().map(|name| node(name)), &base(nodes))
+        let of = |now, own, needed: &[&str], nodes: &[(&str, VersionRange)]| {
+            UpgradeStatus::of(now, own, needed.iter().map(|name| node(name)), &base(nodes))
         };
-        let waits = |behind: &[(&str, Option<Versions>)]| Upgrade::Waits {
+        let waits = |behind: &[(&str, Option<VersionRange>)]| UpgradeStatus::Blocked {
             next: 2,
             behind: behind.iter().map(|(name, speaks)| (node(name), *speaks)).collect(),
         };
-        assert_eq!(of(1, NEW, &["ada"], &[("ada", NEW), ("bob", NEW)]), Upgrade::Ready { next: 2 });
+        assert_eq!(of(1, NEW, &["ada"], &[("ada", NEW), ("bob", NEW)]), UpgradeStatus::Ready { next: 2 });
         assert_eq!(of(1, NEW, &[], &[("ada", NEW), ("bob", OLD)]), waits(&[("bob", Some(OLD))]));
         assert_eq!(of(1, NEW, &["ada", "cyd"], &[("ada", NEW)]), waits(&[("cyd", None)]));
         // Two steps at once would leave some behind who read the next but not the one after it.
-        let far = Versions { oldest: 2, newest: 3 };
-        assert_eq!(of(1, far, &[], &[("ada", far)]), Upgrade::Ready { next: 2 });
-        assert_eq!(of(2, NEW, &[], &[("ada", NEW)]), Upgrade::Newest);
-        assert_eq!(of(1, OLD, &[], &[("ada", NEW)]), Upgrade::Newest);
-        assert_eq!(of(u8::MAX, NEW, &[], &[]), Upgrade::Newest);
+        let far = VersionRange { oldest: 2, newest: 3 };
+        assert_eq!(of(1, far, &[], &[("ada", far)]), UpgradeStatus::Ready { next: 2 });
+        assert_eq!(of(2, NEW, &[], &[("ada", NEW)]), UpgradeStatus::Newest);
+        assert_eq!(of(1, OLD, &[], &[("ada", NEW)]), UpgradeStatus::Newest);
+        assert_eq!(of(u8::MAX, NEW, &[], &[]), UpgradeStatus::Newest);
     }
 }

@@ -1,28 +1,32 @@
 //! Every message survives the wire, and no bytes do any harm.
 
 use consort_protocol::auction::{
-    Answer, AuctionEntry, AuctionId, AuctionRecord, Bid, BidPart, CallForBids, Refusal, RefusalReason, Tender,
-    Unviable, Verdict,
+    AuctionEntry, AuctionId, AuctionRecord, Bid, BidPart, BidRefusal, BidResponse, BidVerdict, CallForBids,
+    RefusalReason, RoleReply, ViabilityError,
 };
-use consort_protocol::codec::{CodecError, Evolved, LIMIT, decode, decode_any, encode, encode_for};
+use consort_protocol::codec::{
+    CodecError, MESSAGE_BYTES_MAX, VersionedMessage, decode, decode_any_version, encode, encode_for_version,
+};
 use consort_protocol::ids::{ClusterId, MissionId, NodeId, PlaceId, RequestId, RobotId, RoleId, TaskId, TaskType};
-use consort_protocol::knowledge::{Availability, Digest, Knowledge, Proof, Record, Scope, Stamp, Worker};
-use consort_protocol::lease::{Award, Declined, Ending, Epoch, Holding};
+use consort_protocol::knowledge::{
+    Availability, Digest, DigestScope, Knowledge, Proof, Record, RecordStamp, RobotKnowledge,
+};
+use consort_protocol::lease::{Award, DeclineReason, EndReason, Epoch, RoleHolder};
 use consort_protocol::ledger::{
-    Branch, Command, Ledger, MissionState, Outcome, Priority, Recovery, Refused, Stranded, Submission,
+    Branch, Command, CommandError, CommandOutcome, HeldItem, Ledger, MissionState, Priority, RecoveryBranch, Submission,
 };
 use consort_protocol::message::{
-    AwardAnswer, AwardNotice, Beacon, Changed, Exchange, FailureKind, Founder, FoundingAnswer, Live, LivePlan, Report,
-    ReportAnswer, Said, Statement, TaskFailure, Within,
+    ActiveMissions, ActivePlan, AwardNotice, AwardReply, Beacon, BootstrapReply, BootstrapRequest, ClusterEnvelope,
+    Exchange, FailureKind, MissionsChanged, RecordUpdate, Report, ReportReply, SignalHistory, TaskFailure,
 };
 use consort_protocol::mission::{
-    Body, Method, Mission, OnLoss, Order, OtherMethod, Role, RoleKind, TaskNode, TaskSpec,
+    AlternativeMethod, Method, Mission, OnLoss, Role, RoleKind, TaskBody, TaskNode, TaskOrder, TaskSpec,
 };
 use consort_protocol::plan::{Alternative, Division, LocalPlan, Signal, SignalKind, Step, StepAction};
 use consort_protocol::pose::Pose;
 use consort_protocol::trust::Fingerprint;
 use consort_protocol::units::{BatteryShare, MetresPerSecond, Seconds, SharePerSecond};
-use consort_protocol::versions::Versions;
+use consort_protocol::versions::VersionRange;
 use proptest::collection::{btree_map, btree_set, vec};
 use proptest::option;
 use proptest::prelude::*;
@@ -47,8 +51,8 @@ fn epoch() -> impl Strategy<Value = Epoch> {
     (any::<u64>(), any::<u64>()).prop_map(|(term, index)| Epoch { term, index })
 }
 
-fn stamp() -> impl Strategy<Value = Stamp> {
-    (any::<u64>(), any::<u64>()).prop_map(|(incarnation, version)| Stamp { incarnation, version })
+fn stamp() -> impl Strategy<Value = RecordStamp> {
+    (any::<u64>(), any::<u64>()).prop_map(|(incarnation, version)| RecordStamp { incarnation, version })
 }
 
 fn share() -> impl Strategy<Value = BatteryShare> {
@@ -97,12 +101,13 @@ fn plan() -> impl Strategy<Value = LocalPlan> {
 fn mission() -> impl Strategy<Value = Mission> {
     let kind = prop_oneof![Just(RoleKind::Managed), Just(RoleKind::Unmanaged)];
     let on_loss = prop_oneof![Just(OnLoss::Fail), Just(OnLoss::Restart)];
-    let order = prop_oneof![Just(Order::Sequential), Just(Order::Unordered)];
-    let other = vec((name(), spec()), 0..2).prop_map(|tasks| OtherMethod { tasks });
+    let order = prop_oneof![Just(TaskOrder::Sequential), Just(TaskOrder::Unordered)];
+    let other = vec((name(), spec()), 0..2).prop_map(|tasks| AlternativeMethod { tasks });
     let body = prop_oneof![
-        spec().prop_map(Body::Elementary),
-        (order, vec(any::<u32>(), 0..4), vec(other, 0..2))
-            .prop_map(|(order, children, alternatives)| { Body::Abstract(Method { order, children, alternatives }) }),
+        spec().prop_map(TaskBody::Elementary),
+        (order, vec(any::<u32>(), 0..4), vec(other, 0..2)).prop_map(|(order, children, alternatives)| {
+            TaskBody::Abstract(Method { order, children, alternatives })
+        }),
     ];
     let node = (name(), body).prop_map(|(id, body)| TaskNode { id, body });
     (
@@ -125,35 +130,36 @@ fn availability() -> impl Strategy<Value = Availability> {
     ]
 }
 
-fn worker() -> impl Strategy<Value = Worker> {
+fn worker() -> impl Strategy<Value = RobotKnowledge> {
     let speed = option::of((0.01..9.0).prop_map(|speed| MetresPerSecond::new(speed).expect("a speed")));
     let pose = (-1e3..1e3, -1e3..1e3, -4.0..4.0).prop_map(|(x, y, yaw)| Pose::new(x, y, yaw));
     let rate = (0.0..1.0).prop_map(|rate| SharePerSecond::new(rate).expect("a rate"));
     (btree_set(name::<TaskType>(), 0..5), place(), pose, share(), rate, share(), speed, availability(), text())
-        .prop_map(|(skills, place, pose, battery, discharge, useful_charge, speed, availability, estimator)| Worker {
-            skills,
-            place,
-            pose,
-            battery,
-            discharge,
-            useful_charge,
-            speed,
-            availability,
-            estimator,
+        .prop_map(|(skills, place, pose, battery, discharge, useful_charge, speed, availability, estimator)| {
+            RobotKnowledge { skills, place, pose, battery, discharge, useful_charge, speed, availability, estimator }
         })
 }
 
 fn record() -> impl Strategy<Value = Record> {
     let flags = (any::<bool>(), any::<bool>(), any::<bool>(), any::<bool>());
     let numbers = (option::of(any::<u64>()), option::of(any::<u64>().prop_map(ClusterId)));
-    let speaks = (any::<u8>(), any::<u8>()).prop_map(|(oldest, newest)| Versions { oldest, newest });
+    let speaks = (any::<u8>(), any::<u8>()).prop_map(|(oldest, newest)| VersionRange { oldest, newest });
     let proof = option::of((any::<[u8; 16]>(), any::<[u8; 32]>()));
     (name(), stamp(), flags, numbers, speaks, option::of(worker()), proof).prop_map(
         |(owner, stamp, (may_vote, stationary, mains_powered, leaving), (replica, cluster), speaks, worker, proof)| {
             Record {
                 owner,
                 stamp,
-                knowledge: Knowledge { may_vote, stationary, mains_powered, replica, cluster, leaving, speaks, worker },
+                knowledge: Knowledge {
+                    may_vote,
+                    stationary,
+                    mains_powered,
+                    replica,
+                    cluster,
+                    leaving,
+                    supported_versions: speaks,
+                    robot: worker,
+                },
                 proof: proof.and_then(|(by, half)| Proof::new(Fingerprint(by), &[half, half].concat())),
             }
         },
@@ -205,15 +211,15 @@ fn reason() -> impl Strategy<Value = RefusalReason> {
 
 fn auction_record() -> impl Strategy<Value = AuctionRecord> {
     let verdict = prop_oneof![
-        (seconds(), 0.0..2.0, -1.0..1.0).prop_map(|(time, energy, remaining)| Verdict::Viable {
+        (seconds(), 0.0..2.0, -1.0..1.0).prop_map(|(time, energy, remaining)| BidVerdict::Viable {
             time,
             energy,
             remaining
         }),
         (seconds(), 0.0..2.0, -1.0..1.0, share()).prop_map(|(time, energy, remaining, floor)| {
-            Verdict::Unviable { time, energy, remaining, why: Unviable::LowCharge { remaining, floor } }
+            BidVerdict::Unviable { time, energy, remaining, why: ViabilityError::LowCharge { remaining, floor } }
         }),
-        reason().prop_map(|reason| Verdict::Refused { reason }),
+        reason().prop_map(|reason| BidVerdict::Refused { reason }),
     ];
     let entry = (name(), name(), verdict, vec(part(), 0..3)).prop_map(|(role, robot, verdict, parts)| AuctionEntry {
         role,
@@ -237,7 +243,7 @@ fn auction_record() -> impl Strategy<Value = AuctionRecord> {
 fn submission() -> impl Strategy<Value = Submission> {
     let division = btree_map(name(), plan(), 0..3).prop_map(|plans| Division { plans });
     let division = division.boxed();
-    let recovery = (mission(), division.clone()).prop_map(|(mission, division)| Recovery { mission, division });
+    let recovery = (mission(), division.clone()).prop_map(|(mission, division)| RecoveryBranch { mission, division });
     let priority = (-100i64..=100).prop_map(|number| Priority::new(number).expect("a priority"));
     let how = (option::of(recovery), priority, option::of(any::<u64>()));
     (name::<RequestId>(), mission(), division, btree_map(text(), text(), 0..3), how, any::<u64>()).prop_map(
@@ -257,7 +263,7 @@ fn submission() -> impl Strategy<Value = Submission> {
 fn command() -> impl Strategy<Value = Command> {
     let held = || (name::<MissionId>(), name::<RoleId>(), epoch());
     prop_oneof![
-        any::<u64>().prop_map(|cluster| Command::Found { cluster: ClusterId(cluster) }),
+        any::<u64>().prop_map(|cluster| Command::Bootstrap { cluster: ClusterId(cluster) }),
         submission().prop_map(|submission| Command::Submit(Box::new(submission))),
         (name(), branch(), btree_map(name(), name(), 0..3), auction_record())
             .prop_map(|(mission, branch, holders, auction)| Command::Award { mission, branch, holders, auction }),
@@ -267,7 +273,7 @@ fn command() -> impl Strategy<Value = Command> {
             auction
         }),
         (held(), any::<u64>(), any::<bool>()).prop_map(|((mission, role, epoch), incarnation, resumes)| {
-            Command::Accept { mission, role, epoch, incarnation, resumes }
+            Command::Accept { mission, role, epoch, incarnation, from_checkpoint: resumes }
         }),
         (held(), branch(), btree_set(any::<u32>(), 0..5)).prop_map(|((mission, role, epoch), branch, ended)| {
             Command::Progress { mission, role, epoch, branch, ended }
@@ -278,7 +284,7 @@ fn command() -> impl Strategy<Value = Command> {
                 role,
                 epoch,
                 cause,
-                blamed,
+                robot_failed: blamed,
                 place
             }
         ),
@@ -289,8 +295,8 @@ fn command() -> impl Strategy<Value = Command> {
             places
         }),
         (name(), text(), places()).prop_map(|(mission, by, places)| Command::Cancel { mission, by, places }),
-        (name(), text()).prop_map(|(mission, by)| Command::Rescued { mission, by }),
-        any::<u8>().prop_map(|wire| Command::Raise { wire }),
+        (name(), text()).prop_map(|(mission, by)| Command::Resolve { mission, by }),
+        any::<u8>().prop_map(|wire| Command::RaiseWireVersion { wire }),
     ]
 }
 
@@ -302,49 +308,51 @@ fn places() -> impl Strategy<Value = BTreeMap<RobotId, PlaceId>> {
     btree_map(name(), place(), 0..3)
 }
 
-fn stranded() -> impl Strategy<Value = Stranded> {
+fn stranded() -> impl Strategy<Value = HeldItem> {
     (name(), name(), name(), option::of(place()), any::<bool>())
-        .prop_map(|(item, role, robot, place, certain)| Stranded { item, role, robot, place, certain })
+        .prop_map(|(item, role, robot, place, certain)| HeldItem { item, role, robot, place, certain })
 }
 
-fn outcome() -> impl Strategy<Value = Outcome> {
+fn outcome() -> impl Strategy<Value = CommandOutcome> {
     prop_oneof![
-        (name(), any::<bool>()).prop_map(|(mission, again)| Outcome::Submitted { mission, again }),
-        epoch().prop_map(|epoch| Outcome::Awarded { epoch }),
-        Just(Outcome::Done),
+        (name(), any::<bool>()).prop_map(|(mission, again)| CommandOutcome::Submitted { mission, again }),
+        epoch().prop_map(|epoch| CommandOutcome::Awarded { epoch }),
+        Just(CommandOutcome::Done),
         (name(), text()).prop_map(|(mission, cause)| {
-            Outcome::Refused(Refused::Over { mission, state: MissionState::Failed { cause } })
+            CommandOutcome::Refused(CommandError::MissionEnded { mission, state: MissionState::Failed { cause } })
         }),
         (name(), text(), vec(stranded(), 0..3)).prop_map(|(mission, cause, items)| {
-            Outcome::Refused(Refused::Over { mission, state: MissionState::NeedsRescue { cause, items } })
+            CommandOutcome::Refused(CommandError::MissionEnded {
+                mission,
+                state: MissionState::NeedsRescue { cause, items },
+            })
         }),
-        (name(), name(), name()).prop_map(|(robot, item, mission)| Outcome::Refused(Refused::HandsFull {
-            robot,
-            item,
-            mission
-        })),
-        (name(), text()).prop_map(|(mission, state)| Outcome::Refused(Refused::NoRescue { mission, state })),
-        (name(), name(), option::of(epoch())).prop_map(|(mission, role, held)| Outcome::Refused(Refused::Epoch {
+        (name(), name(), name()).prop_map(|(robot, item, mission)| CommandOutcome::Refused(
+            CommandError::CarriesItem { robot, item, mission }
+        )),
+        (name(), text()).prop_map(|(mission, state)| CommandOutcome::Refused(CommandError::NoInterventionNeeded {
             mission,
-            role,
-            held
+            state
         })),
+        (name(), name(), option::of(epoch())).prop_map(|(mission, role, held)| CommandOutcome::Refused(
+            CommandError::StaleEpoch { mission, role, held }
+        )),
     ]
 }
 
-fn ending() -> impl Strategy<Value = Ending> {
+fn ending() -> impl Strategy<Value = EndReason> {
     prop_oneof![
-        Just(Ending::Canceled),
-        Just(Ending::Failed),
-        Just(Ending::Over),
-        Just(Ending::Replaced),
-        Just(Ending::Released),
-        Just(Ending::Rescue),
+        Just(EndReason::Canceled),
+        Just(EndReason::Failed),
+        Just(EndReason::Over),
+        Just(EndReason::Replaced),
+        Just(EndReason::Released),
+        Just(EndReason::Rescue),
     ]
 }
 
-fn holders() -> impl Strategy<Value = BTreeMap<RoleId, Holding>> {
-    btree_map(name(), (name(), epoch()).prop_map(|(robot, epoch)| Holding { robot, epoch }), 0..3)
+fn holders() -> impl Strategy<Value = BTreeMap<RoleId, RoleHolder>> {
+    btree_map(name(), (name(), epoch()).prop_map(|(robot, epoch)| RoleHolder { robot, epoch }), 0..3)
 }
 
 fn notice() -> impl Strategy<Value = AwardNotice> {
@@ -356,12 +364,12 @@ fn notice() -> impl Strategy<Value = AwardNotice> {
     ]
 }
 
-fn award_answer() -> impl Strategy<Value = AwardAnswer> {
+fn award_answer() -> impl Strategy<Value = AwardReply> {
     prop_oneof![
-        Just(AwardAnswer::Heard),
-        (name(), name()).prop_map(|(mission, role)| AwardAnswer::Declined(Declined::Busy { mission, role })),
-        epoch().prop_map(|known| AwardAnswer::Declined(Declined::Stale { known })),
-        name().prop_map(|robot| AwardAnswer::Declined(Declined::NotMine { robot })),
+        Just(AwardReply::Acknowledged),
+        (name(), name()).prop_map(|(mission, role)| AwardReply::Declined(DeclineReason::Busy { mission, role })),
+        epoch().prop_map(|known| AwardReply::Declined(DeclineReason::Stale { known })),
+        name().prop_map(|robot| AwardReply::Declined(DeclineReason::WrongRobot { robot })),
     ]
 }
 
@@ -386,24 +394,24 @@ fn report() -> impl Strategy<Value = Report> {
             epoch,
             branch,
             ended,
-            at,
+            current_task: at,
             place,
-            resumes,
+            from_checkpoint: resumes,
             failure,
         },
     )
 }
 
-fn report_answer() -> impl Strategy<Value = ReportAnswer> {
+fn report_answer() -> impl Strategy<Value = ReportReply> {
     prop_oneof![
         (epoch(), btree_set(any::<u32>(), 0..5), holders(), btree_set(signal(), 0..4))
-            .prop_map(|(epoch, ended, holders, told)| ReportAnswer::Renewed { epoch, ended, holders, told }),
-        (epoch(), ending(), option::of(epoch())).prop_map(|(epoch, reason, current)| ReportAnswer::Ended {
+            .prop_map(|(epoch, ended, holders, told)| ReportReply::Renewed { epoch, ended, holders, signals: told }),
+        (epoch(), ending(), option::of(epoch())).prop_map(|(epoch, reason, current)| ReportReply::Ended {
             epoch,
             reason,
             current
         }),
-        option::of(name()).prop_map(|coordinator| ReportAnswer::NotCoordinator { coordinator }),
+        option::of(name()).prop_map(|coordinator| ReportReply::NotCoordinator { coordinator }),
     ]
 }
 
@@ -416,17 +424,17 @@ fn survives<T: Serialize + DeserializeOwned + PartialEq + Debug>(message: &T) ->
 }
 
 /// The same of a message whose layout has changed: in a version before, it loses what that version lacks, and nothing else.
-fn evolves<T: Evolved + PartialEq + Debug + Clone>(message: &T, before: &T) -> Result<(), TestCaseError> {
+fn evolves<T: VersionedMessage + PartialEq + Debug + Clone>(message: &T, before: &T) -> Result<(), TestCaseError> {
     for (wire, heard) in [(1, before), (2, message), (3, message)] {
-        let bytes = encode_for(wire, message.clone()).expect("a small message");
+        let bytes = encode_for_version(wire, message.clone()).expect("a small message");
         let layout = if wire == 1 { 1 } else { T::SINCE };
         prop_assert_eq!(bytes[0], layout);
-        prop_assert_eq!(&decode_any::<T>(&bytes).expect("what was encoded"), heard);
-        prop_assert!(decode_any::<T>(&bytes[..bytes.len() - 1]).is_err());
+        prop_assert_eq!(&decode_any_version::<T>(&bytes).expect("what was encoded"), heard);
+        prop_assert!(decode_any_version::<T>(&bytes[..bytes.len() - 1]).is_err());
     }
-    let mut later = encode_for(T::SINCE, message.clone()).expect("a small message");
+    let mut later = encode_for_version(T::SINCE, message.clone()).expect("a small message");
     later[0] += 1;
-    let refused = matches!(decode_any::<T>(&later), Err(CodecError::Version { .. }));
+    let refused = matches!(decode_any_version::<T>(&later), Err(CodecError::Version { .. }));
     prop_assert!(refused);
     Ok(())
 }
@@ -439,10 +447,10 @@ proptest! {
         let digest: Digest = digest;
         let without = Record { proof: None, ..record.clone() };
         let sums = vec![record.stamp.incarnation; 3];
-        let scope = Scope::of_difference(&sums, &[record.stamp.version; 3]);
-        let still = |proof| Statement::Still { stamp: record.stamp, since: record.stamp.version, proof };
+        let scope = DigestScope::of_difference(&sums, &[record.stamp.version; 3]);
+        let still = |proof| RecordUpdate::Refresh { stamp: record.stamp, since: record.stamp.version, proof };
         evolves(&still(record.proof), &still(None))?;
-        evolves(&Statement::Record(record.clone()), &Statement::Record(without.clone()))?;
+        evolves(&RecordUpdate::Record(record.clone()), &RecordUpdate::Record(without.clone()))?;
         let exchange = |record| Exchange { sums: sums.clone(), scope, digest: digest.clone(), records: vec![record] };
         evolves(&exchange(record.clone()), &exchange(without))?;
     }
@@ -453,8 +461,8 @@ proptest! {
         robot in name::<RobotId>(), role in name::<RoleId>(), reason in reason()
     ) {
         survives(&CallForBids { auction: auction.clone(), ensemble, roles })?;
-        let refusal = Refusal { robot: robot.clone(), role, reason };
-        survives(&Tender { robot, auction, answers: vec![Answer::Bid(bid), Answer::Refusal(refusal)] })?;
+        let refusal = BidRefusal { robot: robot.clone(), role, reason };
+        survives(&BidResponse { robot, auction, replies: vec![RoleReply::Bid(bid), RoleReply::Refusal(refusal)] })?;
     }
 
     #[test]
@@ -485,15 +493,15 @@ proptest! {
         ended in btree_set(any::<u32>(), 0..4), holders in holders(), branch in branch(),
         vacant in btree_set(name::<RoleId>(), 0..3)
     ) {
-        survives(&Within { cluster: Some(ClusterId(term)), said: vec![1, 2, 3] })?;
-        survives(&Said { mission: mission.clone(), epoch, signals: signals.clone() })?;
+        survives(&ClusterEnvelope { cluster: Some(ClusterId(term)), payload: vec![1, 2, 3] })?;
+        survives(&SignalHistory { mission: mission.clone(), epoch, signals: signals.clone() })?;
         survives(&Beacon { node: node.clone(), term, voters, since_ms: term, cluster: (term % 2 == 0).then_some(ClusterId(term)), wire: (term % 3 == 0).then_some(2) })?;
-        let founder = Founder { mobile: term % 2 == 0, on_battery: term % 3 == 0, node: node.clone() };
-        survives(&FoundingAnswer::Refused { reason: founder.node.to_string() })?;
+        let founder = BootstrapRequest { mobile: term % 2 == 0, on_battery: term % 3 == 0, node: node.clone() };
+        survives(&BootstrapReply::Refused { reason: founder.node.to_string() })?;
         survives(&founder)?;
-        survives(&Changed { node, term })?;
-        let live = LivePlan { mission, branch, plan, ended, holders, vacant, told: signals };
-        survives(&Live { cluster: Some(ClusterId(term)), count: 1, plans: vec![live] })?;
+        survives(&MissionsChanged { node, term })?;
+        let live = ActivePlan { mission, branch, plan, ended, holders, vacant, signals: signals };
+        survives(&ActiveMissions { cluster: Some(ClusterId(term)), count: 1, plans: vec![live] })?;
     }
 
     #[test]
@@ -503,23 +511,23 @@ proptest! {
             bytes[0] = 1;
         }
         // What cannot be read is an error; what can be read is the same again.
-        let _ = decode_any::<Exchange>(&bytes);
-        let _ = decode_any::<Statement>(&bytes);
+        let _ = decode_any_version::<Exchange>(&bytes);
+        let _ = decode_any_version::<RecordUpdate>(&bytes);
         harmless::<CallForBids>(&bytes);
-        harmless::<Tender>(&bytes);
+        harmless::<BidResponse>(&bytes);
         harmless::<AwardNotice>(&bytes);
-        harmless::<AwardAnswer>(&bytes);
+        harmless::<AwardReply>(&bytes);
         harmless::<Report>(&bytes);
-        harmless::<ReportAnswer>(&bytes);
+        harmless::<ReportReply>(&bytes);
         harmless::<Command>(&bytes);
-        harmless::<Outcome>(&bytes);
+        harmless::<CommandOutcome>(&bytes);
         harmless::<Ledger>(&bytes);
-        harmless::<Said>(&bytes);
+        harmless::<SignalHistory>(&bytes);
         harmless::<Beacon>(&bytes);
-        harmless::<Founder>(&bytes);
-        harmless::<FoundingAnswer>(&bytes);
-        harmless::<Changed>(&bytes);
-        harmless::<Live>(&bytes);
+        harmless::<BootstrapRequest>(&bytes);
+        harmless::<BootstrapReply>(&bytes);
+        harmless::<MissionsChanged>(&bytes);
+        harmless::<ActiveMissions>(&bytes);
     }
 
     #[test]
@@ -528,13 +536,13 @@ proptest! {
         let at = at.index(bytes.len());
         bytes[at] ^= 1 << bit;
         harmless::<Command>(&bytes);
-        harmless::<Tender>(&bytes);
+        harmless::<BidResponse>(&bytes);
     }
 }
 
 fn harmless<T: Serialize + DeserializeOwned>(bytes: &[u8]) {
     if let Ok(message) = decode::<T>(bytes) {
-        assert!(encode(&message).is_ok_and(|again| again.len() <= LIMIT));
+        assert!(encode(&message).is_ok_and(|again| again.len() <= MESSAGE_BYTES_MAX));
     }
 }
 

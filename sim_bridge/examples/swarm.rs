@@ -4,16 +4,16 @@
 
 #![expect(clippy::print_stdout, reason = "an example answers on the terminal")]
 
-use consort_sim::swarm::{HEADING, Swarm, fly};
+use consort_sim::swarm::{Swarm, TABLE_HEADER, run_swarm};
 use std::time::Instant;
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let sizes: Result<Vec<usize>, _> = std::env::args().skip(1).map(|text| text.parse()).collect();
     let sizes = Some(sizes?).filter(|sizes| !sizes.is_empty()).unwrap_or_else(|| vec![20, 40, 60, 80, 100, 150, 200]);
-    println!("{HEADING}");
+    println!("{TABLE_HEADER}");
     for drones in sizes {
         let began = Instant::now();
-        println!("{}", fly(Swarm { drones, seed: 1 }, || began.elapsed())?);
+        println!("{}", run_swarm(Swarm { drones, seed: 1 }, || began.elapsed())?);
     }
     Ok(())
 }

@@ -4,9 +4,9 @@ use consort_protocol::ids::{PlaceId, RobotId, TaskType};
 use consort_protocol::mission::TaskSpec;
 use consort_protocol::units::{BatteryShare, MetresPerSecond, SharePerSecond};
 use consort_sim::map::{self, Map};
-use consort_sim::world::{RobotBody, World, WorldSetup};
-use consort_skills::actions::{BodyHost, Goal, GoalId, GoalStatus};
-use consort_skills::descriptor::{Context, DescriptorRegistry};
+use consort_sim::world::{RobotSetup, World, WorldSetup};
+use consort_skills::actions::{Goal, GoalId, GoalStatus, RobotBackend};
+use consort_skills::descriptor::{DescriptorRegistry, EstimateContext};
 use consort_skills::environment::{Environment, Routes};
 
 /// Two levels: a corridor with a door and a slow lane, a lift, and a room.
@@ -32,7 +32,7 @@ fn estimate_s(environment: Environment, from: &str, to: &str, speed: f64) -> f64
     let estimator = DescriptorRegistry::standard().resolve(environment).unwrap();
     let mut task = TaskSpec::of(TaskType::new("navigation").unwrap(), vec!["r1".parse().unwrap()]);
     task.parameters.insert("to".to_owned(), to.to_owned());
-    let context = Context {
+    let context = EstimateContext {
         pose: None,
         place: place(from),
         speed: MetresPerSecond::new(speed).unwrap(),
@@ -44,7 +44,7 @@ fn estimate_s(environment: Environment, from: &str, to: &str, speed: f64) -> f64
 
 /// How long the drive takes in the world, leg by leg as the skill drives it.
 fn drive_s(map: &Map, from: &str, to: &str, speed: f64) -> f64 {
-    let body = RobotBody::carrier(
+    let body = RobotSetup::carrier(
         ada(),
         place(from),
         MetresPerSecond::new(speed).unwrap(),

@@ -18,10 +18,10 @@ use serde::{Deserialize, Serialize};
 /// How long a person who has left is waited for, in seconds of world time, unless the task says otherwise (parameter
 /// `patience`). Raised: a nurse who is called away for longer costs no mission, and one who does not come back is known for
 /// gone later. A guess: two minutes see to a call bell.
-pub const AWAY_S: f64 = 120.0;
+pub const PERSON_TIMEOUT_S: f64 = 120.0;
 
 /// The parameter of a task that says how long a person is waited for, in seconds.
-pub const PATIENCE: &str = "patience";
+pub const PERSON_TIMEOUT_PARAMETER: &str = "patience";
 
 /// Names one goal among all that a robot ever sends; later goals have larger numbers.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
@@ -157,21 +157,21 @@ pub struct Feedback {
     /// Time left as far as the host can tell.
     pub time_remaining: Seconds,
     /// How far it is in terms of its own, as Nav2 tells it.
-    pub progress: Progress,
+    pub progress: GoalProgress,
 }
 
 impl Feedback {
     /// Of a goal that has no terms of its own.
-    pub fn left(distance_remaining: Metres, time_remaining: Seconds) -> Feedback {
-        Feedback { distance_remaining, time_remaining, progress: Progress::Unsaid }
+    pub fn remaining(distance_remaining: Metres, time_remaining: Seconds) -> Feedback {
+        Feedback { distance_remaining, time_remaining, progress: GoalProgress::Unspecified }
     }
 }
 
 /// How far a goal under way has come, in terms of its own.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-pub enum Progress {
+pub enum GoalProgress {
     /// What is left says all.
-    Unsaid,
+    Unspecified,
     /// Of [`Goal::FollowWaypoints`]: the place in the list of the one it is on its way to, from 0 (`current_waypoint`).
     Waypoint(u32),
     /// Of [`Goal::Spin`]: the angle turned so far, in radians, to the left if it is positive (`angular_distance_traveled`).
@@ -305,7 +305,7 @@ pub trait RobotActions {
     /// Whether an earlier attempt at the same task has brought this goal to its end: one that was broken off before it was
     /// over, or whose robot crashed and never learned what its body went on to do. True once for each time that the goal was
     /// done. Asked of goals that are not [repeatable](Goal::is_repeatable). A body that remembers nothing says no.
-    fn has_done(&mut self, goal: &Goal) -> bool {
+    fn take_completed(&mut self, goal: &Goal) -> bool {
         let _ = goal;
         false
     }
@@ -313,7 +313,7 @@ pub trait RobotActions {
 
 /// What a person who plays an unmanaged role is asked to do, by the messages of the mission's plan.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct PersonAsk {
+pub struct PersonRequest {
     /// The person's role in the mission.
     pub role: RoleId,
     /// The task, as the mission has it.
@@ -324,7 +324,7 @@ pub struct PersonAsk {
 
 /// Something that happened to a body or a person.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub enum BodyEvent {
+pub enum BackendEvent {
     /// A robot's goal ended; the status is final.
     GoalEnded {
         /// Whose.
@@ -340,7 +340,7 @@ pub enum BodyEvent {
         robot: RobotId,
     },
     /// A person calls off the mission for which a robot came to them.
-    CalledOff {
+    MissionCanceled {
         /// Who says so.
         by: String,
         /// The role they play.
@@ -349,7 +349,7 @@ pub enum BodyEvent {
         robot: RobotId,
     },
     /// A person ended what they were asked to do.
-    PersonEnded {
+    PersonRequestEnded {
         /// The number the ask was given.
         ask: GoalId,
         /// `Err` when they declined or could not.
@@ -358,13 +358,13 @@ pub enum BodyEvent {
 }
 
 /// What hosts bodies: a simulated world, or an adapter to real ones. Time only moves in [`advance`](BodyHost::advance).
-pub trait BodyHost: Send + Sync {
+pub trait RobotBackend: Send + Sync {
     /// The robots whose bodies are here.
     fn robots(&self) -> Vec<RobotId>;
 
     /// Whether people are asked, and the world is looked at, here. Of all hosts of a fleet one does that; an adapter to a
     /// single robot does not.
-    fn has_people(&self) -> bool {
+    fn serves_people(&self) -> bool {
         true
     }
 
@@ -377,10 +377,10 @@ pub trait BodyHost: Send + Sync {
 
     /// Asks a person; the answer comes as [`BodyEvent::PersonEnded`]. They take their time: what they wait for (a robot
     /// beside them with an open drawer) may come much later. A repeated id changes nothing.
-    fn ask_person(&mut self, id: GoalId, ask: PersonAsk);
+    fn request_person(&mut self, id: GoalId, ask: PersonRequest);
 
     /// Withdraws an ask. One that was never heard of is not served either when it comes late.
-    fn dismiss_person(&mut self, id: GoalId);
+    fn cancel_person_request(&mut self, id: GoalId);
 
     /// The world's clock.
     fn now(&self) -> WorldTime;
@@ -389,7 +389,7 @@ pub trait BodyHost: Send + Sync {
     fn next_due(&self) -> Option<WorldTime>;
 
     /// Lets time pass up to and including `to` and says what happened, in order.
-    fn advance(&mut self, to: WorldTime) -> Vec<BodyEvent>;
+    fn advance(&mut self, to: WorldTime) -> Vec<BackendEvent>;
 
     /// The state of one goal under way (`Executing` with fresh feedback) or lately ended; `None` if unknown.
     fn status(&self, robot: &RobotId, id: GoalId) -> Option<GoalStatus>;
@@ -403,13 +403,13 @@ pub trait BodyHost: Send + Sync {
 
     /// The asks that have not ended, in the order in which they were made: for a host that is started anew while people are
     /// asked.
-    fn asks(&self) -> Vec<GoalId>;
+    fn open_person_requests(&self) -> Vec<GoalId>;
 
     /// What came of an ask; `None` for one that has not ended, was withdrawn, or ended long ago.
-    fn answer(&self, id: GoalId) -> Option<Result<(), ActionError>>;
+    fn person_result(&self, id: GoalId) -> Option<Result<(), ActionError>>;
 
     /// Whether an ask was withdrawn lately, before it ended.
-    fn was_dismissed(&self, id: GoalId) -> bool;
+    fn was_person_request_canceled(&self, id: GoalId) -> bool;
 
     /// The body's report as of `now`; `None` for a robot that is not here.
     fn telemetry(&self, robot: &RobotId) -> Option<Telemetry>;

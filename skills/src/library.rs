@@ -41,11 +41,11 @@
 use crate::actions::RobotActions;
 use crate::bt::xml::read_xml;
 use crate::bt::{
-    BlackboardError, Blueprint, Input, PortType, Registry, RegistryError, Status, Tree, TreeError, TreeSpec, Value,
-    listed,
+    BlackboardError, Blueprint, NodeStatus, PortType, Registry, RegistryError, Tree, TreeError, TreeInput, TreeSpec,
+    Value, join_names,
 };
 use crate::environment::Environment;
-use crate::skill::{SHIPPED, TaskContext, shared_leaves};
+use crate::skill::{STANDARD_SKILLS, TaskContext, register_shared_leaves};
 use consort_protocol::ids::{RobotId, RoleId, TaskType};
 use consort_protocol::mission::TaskSpec;
 use consort_protocol::units::WorldTime;
@@ -108,23 +108,23 @@ impl SkillLibrary {
     pub fn standard(environment: Environment) -> SkillLibrary {
         let mut library = SkillLibrary::empty(environment);
         let own = "the leaves of our own skills have names of their own";
-        shared_leaves(&mut library.registry).expect(own);
-        for skill in &SHIPPED {
-            (skill.leaves)(&mut library.registry).expect(own);
+        register_shared_leaves(&mut library.registry).expect(own);
+        for skill in &STANDARD_SKILLS {
+            (skill.register_leaves)(&mut library.registry).expect(own);
         }
-        for (task_type, tree) in SkillLibrary::shipped() {
+        for (task_type, tree) in SkillLibrary::standard_trees() {
             library.register(task_type, &tree).expect("our own trees load");
         }
         library
     }
 
     /// The trees of the skills that come with Consort, by task type: to build others on.
-    pub fn shipped() -> BTreeMap<TaskType, TreeSpec> {
-        let tree = |skill: &crate::skill::Shipped| {
+    pub fn standard_trees() -> BTreeMap<TaskType, TreeSpec> {
+        let tree = |skill: &crate::skill::StandardSkill| {
             let task_type = TaskType::new(skill.task_type).expect("the names of our own skills are slugs");
             (task_type, read_xml(&format!("{}.xml", skill.task_type), skill.xml).expect("our own trees load"))
         };
-        SHIPPED.iter().map(tree).collect()
+        STANDARD_SKILLS.iter().map(tree).collect()
     }
 
     /// Adds a skill, in place of any for the same task type. The task's parameters are set on the keys of the main
@@ -168,7 +168,7 @@ impl SkillLibrary {
     }
 
     /// The parameters that tasks of a type may or must have; `None` where there is no skill for it.
-    pub fn parameters(&self, task_type: &TaskType) -> Option<&[Input]> {
+    pub fn parameters(&self, task_type: &TaskType) -> Option<&[TreeInput]> {
         self.skills.get(task_type).map(Blueprint::inputs)
     }
 
@@ -179,11 +179,11 @@ impl SkillLibrary {
     pub fn load(&self, task: &TaskSpec, context: &SkillContext) -> Result<ActiveSkill, SkillError> {
         let task_type = &task.task_type;
         let Some(blueprint) = self.skills.get(task_type) else {
-            let known = listed(self.task_types().map(TaskType::as_str));
+            let known = join_names(self.task_types().map(TaskType::as_str));
             return Err(SkillError::NoSkill { task_type: task_type.clone(), known });
         };
         let context = TaskContext { task: task.clone(), skill: context.clone(), environment: self.environment.clone() };
-        let mut tree = blueprint.start(&context);
+        let mut tree = blueprint.instantiate(&context);
         for input in blueprint.inputs() {
             match task.parameters.get(&input.key) {
                 Some(text) => tree
@@ -194,7 +194,7 @@ impl SkillLibrary {
                         task_type: task_type.clone(),
                         parameter: input.key.clone(),
                         wanted: input.port_type,
-                        given: listed(task.parameters.keys().map(String::as_str)),
+                        given: join_names(task.parameters.keys().map(String::as_str)),
                     });
                 }
                 None => {}
@@ -234,9 +234,9 @@ impl ActiveSkill {
         }
         self.look(actions);
         let status = match self.tree.tick(actions, self.now) {
-            Status::Running => return SkillStatus::Running,
-            Status::Success => SkillStatus::Succeeded,
-            Status::Failure => {
+            NodeStatus::Running => return SkillStatus::Running,
+            NodeStatus::Success => SkillStatus::Succeeded,
+            NodeStatus::Failure => {
                 let cause = self.tree.cause().map_or("it failed without a cause".to_owned(), ToString::to_string);
                 SkillStatus::Failed { cause }
             }
@@ -257,8 +257,8 @@ impl ActiveSkill {
     }
 
     /// Whether the body has let go of every goal that this skill canceled, so that another skill can send its own.
-    pub fn is_settled(&self, actions: &dyn RobotActions) -> bool {
-        self.tree.is_settled(actions)
+    pub fn cancels_complete(&self, actions: &dyn RobotActions) -> bool {
+        self.tree.cancels_complete(actions)
     }
 
     fn look(&mut self, actions: &dyn RobotActions) {

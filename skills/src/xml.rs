@@ -7,10 +7,10 @@ use roxmltree::{Document, ParsingOptions};
 use std::fmt;
 
 /// Most attributes of one element. Nodes of trees and shapes of drawings have a dozen.
-pub const ATTRIBUTES_MAX: usize = 256;
+pub const MAX_ATTRIBUTES: usize = 256;
 
 /// Most namespaces that a text declares. Trees and drawings declare none, and editors a few.
-pub const NAMESPACES_MAX: usize = 64;
+pub const MAX_NAMESPACES: usize = 64;
 
 /// Why a text is not parsed.
 #[derive(Debug, Clone, PartialEq)]
@@ -43,10 +43,10 @@ impl fmt::Display for XmlError {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             XmlError::Attributes { line } => {
-                write!(f, "the element in line {line} has more than the {ATTRIBUTES_MAX} attributes allowed")
+                write!(f, "the element in line {line} has more than the {MAX_ATTRIBUTES} attributes allowed")
             }
             XmlError::Namespaces { line } => {
-                write!(f, "up to line {line} more than the {NAMESPACES_MAX} namespaces allowed are declared")
+                write!(f, "up to line {line} more than the {MAX_NAMESPACES} namespaces allowed are declared")
             }
             XmlError::Syntax(error) => error.fmt(f),
         }
@@ -95,11 +95,11 @@ fn count(text: &str) -> Result<(), XmlError> {
                 }
                 (None, _) => {}
             }
-            if attributes > ATTRIBUTES_MAX {
+            if attributes > MAX_ATTRIBUTES {
                 return Err(XmlError::Attributes { line: line_at(tag) });
             }
         }
-        if namespaces > NAMESPACES_MAX {
+        if namespaces > MAX_NAMESPACES {
             return Err(XmlError::Namespaces { line: line_at(tag) });
         }
         rest = &tag[length..];
@@ -118,9 +118,9 @@ mod tests {
 
     #[test]
     fn attributes_are_counted_element_by_element() {
-        let text = with(ATTRIBUTES_MAX);
+        let text = with(MAX_ATTRIBUTES);
         assert_eq!(parse(&text, 10).unwrap().root_element().first_element_child().unwrap().attributes().len(), 256);
-        let text = with(ATTRIBUTES_MAX + 1);
+        let text = with(MAX_ATTRIBUTES + 1);
         let why = parse(&text, 10).unwrap_err();
         assert_eq!(why.to_string(), "the element in line 3 has more than the 256 attributes allowed");
         assert_eq!(why.line(), 3);
@@ -132,8 +132,8 @@ mod tests {
             let open: String = (0..count).map(|nth| format!("<a xmlns:n{nth}='u{nth}' b='xmlns'>\n")).collect();
             format!("{open}{}", "</a>".repeat(count))
         };
-        assert!(parse(&of(NAMESPACES_MAX), 1000).is_ok());
-        assert_eq!(parse(&of(NAMESPACES_MAX + 1), 1000).unwrap_err(), XmlError::Namespaces { line: 65 });
+        assert!(parse(&of(MAX_NAMESPACES), 1000).is_ok());
+        assert_eq!(parse(&of(MAX_NAMESPACES + 1), 1000).unwrap_err(), XmlError::Namespaces { line: 65 });
     }
 
     #[test]

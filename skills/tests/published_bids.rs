@@ -4,7 +4,7 @@ use consort_protocol::ids::{PlaceId, RoleId, TaskId, TaskType};
 use consort_protocol::mission::TaskSpec;
 use consort_protocol::plan::{LocalPlan, Signal, SignalKind, Step, StepAction};
 use consort_protocol::units::{MetresPerSecond, SharePerSecond};
-use consort_skills::descriptor::{Context, DescriptorRegistry, Estimator};
+use consort_skills::descriptor::{DescriptorRegistry, EstimateContext, Estimator};
 use consort_skills::environment::{Environment, Routes, TopologicalMap};
 use serde_json::Value;
 use std::path::PathBuf;
@@ -93,8 +93,8 @@ fn robot<'s>(scenario: &'s Value, name: &Value) -> &'s Value {
     scenario["robots"].as_array().unwrap().iter().find(|robot| robot["name"] == *name).unwrap()
 }
 
-fn context(robot: &Value) -> Context {
-    Context {
+fn context(robot: &Value) -> EstimateContext {
+    EstimateContext {
         pose: None,
         place: PlaceId::new(robot["location"].as_str().unwrap()).unwrap(),
         speed: MetresPerSecond::new(robot["avg_speed"].as_f64().unwrap()).unwrap(),

@@ -1,5 +1,5 @@
 //! Behavior in Gherkin: the features that come with the program, and what is said of those that fail.
 
-mod failing;
+mod failing_steps;
 mod features;
-mod words;
+mod step_docs;

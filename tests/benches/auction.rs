@@ -10,15 +10,15 @@
 
 mod support;
 
-use consort_nodes::demo::{Cast, Stage};
-use consort_protocol::event::Happening;
+use consort_nodes::demo::{DemoFleet, DemoScenario};
+use consort_protocol::event::EventKind;
 use consort_protocol::ids::{MissionId, RobotId};
 use consort_protocol::keys::{ApiCall, Key};
 use serde_json::{Value, json};
 use std::collections::BTreeSet;
 use std::process::ExitCode;
 use std::time::Duration;
-use support::{Fleet, LOOK, Problem, acknowledged, ask, figures, in_fleet, lab_samples, ms};
+use support::{BenchError, Fleet, QUERY_TIMEOUT, acknowledged, ask, figures, in_fleet, lab_samples, ms};
 use tokio::time::Instant;
 
 /// Mobile robots.
@@ -34,13 +34,13 @@ fn main() -> ExitCode {
     support::main("auction", measure(support::count(100)))
 }
 
-async fn measure(missions: usize) -> Result<Value, Problem> {
-    let cast = Cast::new(ROBOTS, 1, 1.0, 1);
+async fn measure(missions: usize) -> Result<Value, BenchError> {
+    let cast = DemoScenario::new(ROBOTS, 1, 1.0, 1);
     // The default ensemble: every robot with any skill. So all of them are asked, and answer.
     let fleet = consort_nodes::config::FleetConfig { ensemble: vec![], ..cast.fleet.clone() };
     let mut fleet = Fleet::start(&in_fleet(cast, fleet)).await?;
     let measured = measure_in(&mut fleet, missions).await;
-    let trouble = fleet.stage.trouble();
+    let trouble = fleet.stage.unexpected_exit();
     fleet.end().await;
     trouble.map_or(measured, Err)
 }
@@ -54,7 +54,7 @@ struct Sample {
     seen: f64,
 }
 
-async fn measure_in(fleet: &mut Fleet, missions: usize) -> Result<Value, Problem> {
+async fn measure_in(fleet: &mut Fleet, missions: usize) -> Result<Value, BenchError> {
     // Not counted: the coordinator may not have met everybody yet, nothing is warm.
     let mut warm = 0;
     for number in 0.. {
@@ -84,18 +84,18 @@ async fn measure_in(fleet: &mut Fleet, missions: usize) -> Result<Value, Problem
 }
 
 /// Has one mission awarded and withdraws it.
-async fn one(fleet: &mut Fleet, request: &str, room: &str) -> Result<Sample, Problem> {
+async fn one(fleet: &mut Fleet, request: &str, room: &str) -> Result<Sample, BenchError> {
     let begun = Instant::now();
     let answer = api(fleet, ApiCall::Submit, &lab_samples(request, room)).await;
     let mission = acknowledged(answer.as_ref()).ok_or_else(|| format!("{request} was not acknowledged: {answer:?}"))?;
     let acknowledged_ms = ms(begun, Instant::now());
     let (mut asked, mut rounds) = (0, 0);
-    let awarded = fleet.hear(format!("the award of {mission}"), LIMIT, |event| match event.what {
-        Happening::Called { mission: of, asked: number, round, .. } if of == mission => {
+    let awarded = fleet.wait_for_event(format!("the award of {mission}"), LIMIT, |event| match event.kind {
+        EventKind::Called { mission: of, asked: number, round, .. } if of == mission => {
             (asked, rounds) = (number, round);
             None
         }
-        Happening::Awarded { mission: of, holders, after_ms, .. } if of == mission => {
+        EventKind::Awarded { mission: of, holders, after_ms, .. } if of == mission => {
             Some((holders.into_values().collect::<BTreeSet<RobotId>>(), after_ms))
         }
         _ => None,
@@ -107,14 +107,14 @@ async fn one(fleet: &mut Fleet, request: &str, room: &str) -> Result<Sample, Pro
 }
 
 /// Cancels a mission once its robots have begun, and waits until they are free again: the arm is needed for the next.
-async fn withdraw(fleet: &mut Fleet, mission: &MissionId, holders: BTreeSet<RobotId>) -> Result<(), Problem> {
-    let begun = |what: &Happening| matches!(what, Happening::Started { mission: of, .. } if of == mission);
+async fn withdraw(fleet: &mut Fleet, mission: &MissionId, holders: BTreeSet<RobotId>) -> Result<(), BenchError> {
+    let begun = |what: &EventKind| matches!(what, EventKind::Started { mission: of, .. } if of == mission);
     all_say(fleet, format!("the beginning of {mission}"), holders.clone(), begun).await?;
     let answer = api(fleet, ApiCall::Cancel, &json!({ "mission": mission, "by": "bench" })).await;
     if answer.as_ref().is_none_or(|answer| answer.get("error").is_some()) {
         return Err(format!("{mission} was not canceled: {answer:?}"));
     }
-    let halted = |what: &Happening| matches!(what, Happening::Halted { mission: of, .. } if of == mission);
+    let halted = |what: &EventKind| matches!(what, EventKind::Halted { mission: of, .. } if of == mission);
     all_say(fleet, format!("the end of {mission}"), holders, halted).await
 }
 
@@ -123,10 +123,10 @@ async fn all_say(
     fleet: &mut Fleet,
     what: String,
     mut robots: BTreeSet<RobotId>,
-    told: impl Fn(&Happening) -> bool,
-) -> Result<(), Problem> {
-    let all = fleet.hear(what, LIMIT, |event| {
-        if told(&event.what) {
+    told: impl Fn(&EventKind) -> bool,
+) -> Result<(), BenchError> {
+    let all = fleet.wait_for_event(what, LIMIT, |event| {
+        if told(&event.kind) {
             robots.remove(&RobotId::from(event.node));
         }
         robots.is_empty().then_some(())
@@ -136,5 +136,5 @@ async fn all_say(
 
 /// Makes a request of whoever coordinates.
 async fn api(fleet: &Fleet, call: ApiCall, request: &Value) -> Option<Value> {
-    ask(&fleet.stage.bus(), &fleet.keys.write(&Key::Api(call)), request, LOOK).await
+    ask(&fleet.stage.bus(), &fleet.keys.write(&Key::Api(call)), request, QUERY_TIMEOUT).await
 }

@@ -8,18 +8,19 @@
 //! record of all answers. `tenders` and `conclude` are its two halves; `lean` is the same estimates and choice without
 //! tenders, refusals and record.
 
-use consort_actors::robot::{Bidder, Circumstance};
+use consort_actors::robot::{BidContext, Bidder};
 use consort_protocol::auction::{
-    AuctionId, Bid, CallForBids, Circumstances, Conclusion, Limits, Tender, conclude, select,
+    AuctionContext, AuctionId, AuctionOutcome, Bid, BidLimits, BidResponse, CallForBids, clear_auction,
+    optimal_assignment,
 };
 use consort_protocol::ensemble::Membership;
 use consort_protocol::ids::{PlaceId, RobotId, RoleId};
-use consort_protocol::knowledge::{Availability, Worker};
+use consort_protocol::knowledge::{Availability, RobotKnowledge};
 use consort_protocol::mission::{Domain, shipped};
 use consort_protocol::plan::divide_and_check;
 use consort_protocol::units::{BatteryShare, MetresPerSecond, Seconds, SharePerSecond};
 use consort_sim::map;
-use consort_skills::descriptor::{Context, DescriptorRegistry, Estimator};
+use consort_skills::descriptor::{DescriptorRegistry, EstimateContext, Estimator};
 use consort_skills::environment::{Environment, Routes};
 use consort_tests::slug;
 use criterion::{BenchmarkId, Criterion, criterion_group, criterion_main};
@@ -35,9 +36,9 @@ struct Scene {
     roles: BTreeSet<RoleId>,
     estimator: Arc<Estimator>,
     bidders: Vec<Bidder>,
-    circumstances: Vec<Circumstance<'static>>,
+    circumstances: Vec<BidContext<'static>>,
     expected: BTreeSet<RobotId>,
-    limits: Limits,
+    limits: BidLimits,
 }
 
 impl Scene {
@@ -51,7 +52,7 @@ impl Scene {
         let robot = |number: usize| slug::<RobotId>(&format!("robot-{number:04}"));
         let worker = |number: usize| {
             let place = &map.places()[number * 7 % map.places().len()];
-            Worker {
+            RobotKnowledge {
                 skills: SKILLS.into_iter().map(slug).collect(),
                 place: place.id.clone(),
                 pose: place.pose,
@@ -65,9 +66,9 @@ impl Scene {
         };
         let circumstance = |number: usize| {
             // Bidders live as long as the program does, and borrow what they know of themselves.
-            let worker: &'static Worker = Box::leak(Box::new(worker(number)));
+            let worker: &'static RobotKnowledge = Box::leak(Box::new(worker(number)));
             let membership = Membership { member: true, reason: "has the skills".to_owned(), age_ms: 0 };
-            Circumstance { worker, closed: &[], age_ms: 0, membership }
+            BidContext { worker, closed_lanes: &[], age_ms: 0, membership }
         };
         Scene {
             call: CallForBids {
@@ -80,34 +81,43 @@ impl Scene {
             estimator,
             circumstances: (0..workers).map(circumstance).collect(),
             expected: (0..workers).map(robot).collect(),
-            limits: Limits::default(),
+            limits: BidLimits::default(),
         }
     }
 
-    fn tenders(&self) -> Vec<Tender> {
+    fn tenders(&self) -> Vec<BidResponse> {
         let each = self.bidders.iter().zip(&self.circumstances);
-        each.map(|(bidder, circumstance)| bidder.tender(&self.call, circumstance)).collect()
+        each.map(|(bidder, circumstance)| bidder.respond(&self.call, circumstance)).collect()
     }
 
-    fn conclude(&self, tenders: &[Tender]) -> Conclusion {
+    fn clear_auction(&self, tenders: &[BidResponse]) -> AuctionOutcome {
         let taken = BTreeMap::new();
         let (expected, limits) = (&self.expected, &self.limits);
         let excluded = BTreeMap::new();
-        conclude(
+        clear_auction(
             &self.call,
             tenders,
-            &Circumstances { expected, taken: &taken, excluded: &excluded, limits, window_ms: 200, at_ms: 0 },
+            &AuctionContext {
+                invited: expected,
+                unavailable: &taken,
+                excluded: &excluded,
+                limits,
+                window_ms: 200,
+                at_ms: 0,
+            },
         )
     }
 
     /// The estimates and the choice alone.
     fn lean(&self) -> RobotId {
         let (role, plan) = self.call.roles.first_key_value().expect("there is r1");
-        let bid = |(robot, circumstance): (&RobotId, &Circumstance<'_>)| {
+        let bid = |(robot, circumstance): (&RobotId, &BidContext<'_>)| {
             let worker = circumstance.worker;
             let (place, speed, discharge) = (worker.place.clone(), worker.speed?, worker.discharge);
-            let parts =
-                self.estimator.price(plan, &Context { place, pose: None, speed, discharge, closed: vec![] }).ok()?;
+            let parts = self
+                .estimator
+                .price(plan, &EstimateContext { place, pose: None, speed, discharge, closed: vec![] })
+                .ok()?;
             let energy: f64 = parts.iter().map(|part| part.energy).sum();
             let bid = Bid {
                 robot: robot.clone(),
@@ -120,10 +130,10 @@ impl Scene {
                 age_ms: 0,
                 parts,
             };
-            bid.viable(&self.limits).is_ok().then_some(bid)
+            bid.check_viable(&self.limits).is_ok().then_some(bid)
         };
         let bids: Vec<Bid> = self.expected.iter().zip(&self.circumstances).filter_map(bid).collect();
-        let chosen = select(&self.roles, &bids).expect("somebody can do it");
+        let chosen = optimal_assignment(&self.roles, &bids).expect("somebody can do it");
         bids[chosen[role]].robot.clone()
     }
 }
@@ -133,12 +143,12 @@ fn coalition(criterion: &mut Criterion) {
     for workers in [6, 200, 1000] {
         let scene = Scene::new(workers);
         let tenders = scene.tenders();
-        let chosen = scene.conclude(&tenders).holders.expect("somebody can do it");
+        let chosen = scene.clear_auction(&tenders).holders.expect("somebody can do it");
         assert_eq!(chosen.into_values().collect::<Vec<_>>(), [scene.lean()], "both ways choose alike");
         let id = |name| BenchmarkId::new(name, workers);
-        group.bench_function(id("auction"), |bench| bench.iter(|| scene.conclude(black_box(&scene.tenders()))));
+        group.bench_function(id("auction"), |bench| bench.iter(|| scene.clear_auction(black_box(&scene.tenders()))));
         group.bench_function(id("tenders"), |bench| bench.iter(|| scene.tenders()));
-        group.bench_function(id("conclude"), |bench| bench.iter(|| scene.conclude(black_box(&tenders))));
+        group.bench_function(id("conclude"), |bench| bench.iter(|| scene.clear_auction(black_box(&tenders))));
         group.bench_function(id("lean"), |bench| bench.iter(|| scene.lean()));
     }
     group.finish();

@@ -11,7 +11,7 @@
 //! is its envelope, so that messages count as well as bytes), and draws `tests/figures/growth.svg`.
 
 use consort_protocol::ids::NodeId;
-use consort_tests::{Fleet, Member, slug};
+use consort_tests::{Fleet, RobotSpec, slug};
 use plotters::prelude::*;
 use serde_json::{Value, json};
 use std::collections::BTreeMap;
@@ -46,10 +46,10 @@ struct Figures {
 
 async fn measure(robots: usize) -> Figures {
     let name = |number: usize| -> &'static str { format!("robot-{number:03}").leak() };
-    let members = (0..robots).map(|n| Member::carrier(name(n), PLACES[n % PLACES.len()])).collect();
+    let members = (0..robots).map(|n| RobotSpec::carrier(name(n), PLACES[n % PLACES.len()])).collect();
     let mut fleet = Fleet::hospital(1, members, &["s1", "s2", "s3"], &[]).await;
     sleep(SETTLE).await;
-    let coordinator = fleet.coordinator().await;
+    let coordinator = fleet.wait_for_coordinator().await;
     let nodes: Vec<NodeId> = fleet.running().iter().map(|name| slug(name)).collect();
     let traffic = |fleet: &Fleet| nodes.iter().map(|node| fleet.network.traffic(node)).collect::<Vec<_>>();
     let before = traffic(&fleet);
@@ -67,7 +67,7 @@ async fn measure(robots: usize) -> Figures {
     let mut by_kind: BTreeMap<&'static str, (f64, f64)> = BTreeMap::new();
     for (traffic, sign) in after.iter().map(|after| (after, 1.0)).chain(before.iter().map(|before| (before, -1.0))) {
         for (kind, part) in traffic.iter() {
-            let (bytes, messages) = by_kind.entry(kind.word()).or_default();
+            let (bytes, messages) = by_kind.entry(kind.as_str()).or_default();
             *bytes += sign * rate(0, part.received) / nodes.len() as f64;
             *messages += sign * rate(0, part.messages_received) / nodes.len() as f64;
         }

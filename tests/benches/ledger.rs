@@ -19,11 +19,11 @@ mod support;
 use bytes::Bytes;
 use consort_actors::bus::zenoh_bus::Mode;
 use consort_actors::bus::{Encoding, SharedBus, ZenohBus, ZenohSettings};
-use consort_actors::replica::{Leadership, RaftId, Replica, ReplicaSettings, StoreIdentity};
-use consort_actors::store::{DurableStore, LEDGER, Owner};
+use consort_actors::raft::{LeadershipView, RaftId, RaftSettings, Replica, StoreIdentity};
+use consort_actors::store::{DurableStore, LEDGER_FILE, StoreOwner};
 use consort_protocol::codec;
 use consort_protocol::ids::{FleetId, MissionId, NodeId, RequestId};
-use consort_protocol::ledger::{Command, Ledger, Outcome, Submission};
+use consort_protocol::ledger::{Command, CommandOutcome, Ledger, Submission};
 use consort_protocol::mission::{Domain, shipped};
 use consort_protocol::plan::divide_and_check;
 use serde_json::{Value, json};
@@ -35,7 +35,7 @@ use std::process::ExitCode;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::Duration;
-use support::{Problem, figures, ms};
+use support::{BenchError, figures, ms};
 use tokio::runtime::{Builder, Runtime};
 use tokio::sync::watch;
 use tokio::task::JoinSet;
@@ -89,7 +89,7 @@ impl Drop for Voter {
     }
 }
 
-async fn measure(requests: usize, clients: usize) -> Result<Value, Problem> {
+async fn measure(requests: usize, clients: usize) -> Result<Value, BenchError> {
     let folder = Folder(std::env::temp_dir().join(format!("consort-ledger-{}", std::process::id())));
     let mut voters: BTreeMap<NodeId, Voter> = BTreeMap::new();
     for number in 1..=VOTERS {
@@ -104,7 +104,7 @@ async fn measure(requests: usize, clients: usize) -> Result<Value, Problem> {
     first.replica.bootstrap(members).await.map_err(|problem| problem.to_string())?;
     let began = Instant::now();
     let leader = loop {
-        let leads = |voter: &Voter| voter.replica.leadership().borrow().is_me;
+        let leads = |voter: &Voter| voter.replica.leadership().borrow().is_leader;
         match voters.iter().find(|(_, voter)| leads(voter)) {
             Some((name, _)) => break name.clone(),
             None if began.elapsed() > LIMIT => return Err("nobody leads".to_owned()),
@@ -123,7 +123,7 @@ async fn measure(requests: usize, clients: usize) -> Result<Value, Problem> {
     let rate = requests as f64 / took.as_secs_f64();
 
     let ledger =
-        fs::metadata(folder.0.join(leader.as_str()).join(LEDGER)).map_err(|problem| problem.to_string())?.len();
+        fs::metadata(folder.0.join(leader.as_str()).join(LEDGER_FILE)).map_err(|problem| problem.to_string())?.len();
     let entries = voters[&leader].replica.applied().borrow().index;
     drop(voters);
     let shared = requests as f64 / entries as f64;
@@ -157,24 +157,24 @@ fn rates(mut at: Vec<Duration>) -> Vec<f64> {
     parts.collect()
 }
 
-async fn start(name: NodeId, folder: PathBuf, connect: Vec<String>) -> Result<Voter, Problem> {
+async fn start(name: NodeId, folder: PathBuf, connect: Vec<String>) -> Result<Voter, BenchError> {
     let runtime = Builder::new_multi_thread().worker_threads(2).enable_all().build();
     let runtime = runtime.map_err(|problem| problem.to_string())?;
     let started = runtime.spawn(async move {
         let bus = ZenohBus::open(ZenohSettings { connect, ..ZenohSettings::default() }).await;
         let bus = bus.map_err(|problem| problem.to_string())?;
-        let endpoint = bus.listening().await.into_iter().next().ok_or("it listens nowhere")?;
+        let endpoint = bus.listen_addresses().await.into_iter().next().ok_or("it listens nowhere")?;
         let fleet = FleetId::new("bench").expect("a slug");
-        let owner = Owner { fleet: fleet.clone(), node: name.clone() };
+        let owner = StoreOwner { fleet: fleet.clone(), node: name.clone() };
         let fresh = StoreIdentity(u128::from(name.as_str().bytes().last().unwrap_or(0)));
         let store = DurableStore::open(&folder, &owner, fresh).map_err(|problem| problem.to_string())?;
         let shared: SharedBus = Arc::new(bus);
         let seed = u64::from(endpoint.bytes().last().unwrap_or(0));
-        let settings = ReplicaSettings::new(fleet, name.clone());
+        let settings = RaftSettings::new(fleet, name.clone());
         let replica = Replica::<Ledger>::start(settings, shared.clone(), Arc::new(store), seed).await;
         let replica = replica.map_err(|problem| problem.to_string())?;
         tokio::spawn(serve(shared, key(&name), replica.clone()));
-        Ok::<_, Problem>((replica, endpoint))
+        Ok::<_, BenchError>((replica, endpoint))
     });
     let (replica, endpoint) = started.await.map_err(|problem| problem.to_string())??;
     Ok(Voter { replica, endpoint, runtime: Some(runtime) })
@@ -185,7 +185,7 @@ fn key(voter: &NodeId) -> String {
 }
 
 /// Proposes what clients ask for.
-async fn serve(bus: SharedBus, key: String, replica: Replica<Ledger>) -> Result<(), Problem> {
+async fn serve(bus: SharedBus, key: String, replica: Replica<Ledger>) -> Result<(), BenchError> {
     let mut queries = bus.serve(&key).await.map_err(|problem| problem.to_string())?;
     while let Some(query) = queries.recv().await {
         let replica = replica.clone();
@@ -222,10 +222,10 @@ struct Answers {
 /// Has all requests answered.
 async fn ask_all(
     bus: SharedBus,
-    leaders: Vec<(NodeId, watch::Receiver<Leadership>)>,
+    leaders: Vec<(NodeId, watch::Receiver<LeadershipView>)>,
     requests: usize,
     clients: usize,
-) -> Result<Answers, Problem> {
+) -> Result<Answers, BenchError> {
     let template = shipped().get("lab-samples").ok_or("no such mission")?;
     let mission = template.instantiate(&BTreeMap::new(), &Domain::hospital()).map_err(|problem| problem.to_string())?;
     let division = divide_and_check(&mission).map_err(|problem| problem.to_string())?;
@@ -251,7 +251,7 @@ async fn ask_all(
                 answers.bytes += question.len();
                 // On a busy machine the lead may change; a request that is made again is done once.
                 let outcome = loop {
-                    let leader = leaders.iter().find(|(_, leadership)| leadership.borrow().is_me);
+                    let leader = leaders.iter().find(|(_, leadership)| leadership.borrow().is_leader);
                     let Some((name, _)) = leader else {
                         sleep(Duration::from_millis(5)).await;
                         continue;
@@ -268,13 +268,13 @@ async fn ask_all(
                 answers.latencies.push(ms(asked, Instant::now()));
                 answers.at.push(began.elapsed());
                 match outcome {
-                    Outcome::Submitted { mission, .. } => open = Some(mission),
+                    CommandOutcome::Submitted { mission, .. } => open = Some(mission),
                     // A repeated cancel finds it done.
-                    Outcome::Done | Outcome::Refused(_) if matches!(command, Command::Cancel { .. }) => {}
+                    CommandOutcome::Done | CommandOutcome::Refused(_) if matches!(command, Command::Cancel { .. }) => {}
                     other => return Err(format!("the ledger answered {other:?}")),
                 }
             }
-            Ok::<_, Problem>(answers)
+            Ok::<_, BenchError>(answers)
         });
     }
     let mut total = Answers::default();
@@ -288,14 +288,14 @@ async fn ask_all(
     Ok(Answers { took: began.elapsed(), ..total })
 }
 
-async fn ask(bus: &SharedBus, key: &str, question: Bytes) -> Result<Outcome, Problem> {
+async fn ask(bus: &SharedBus, key: &str, question: Bytes) -> Result<CommandOutcome, BenchError> {
     let mut replies = bus.query(key, question, LIMIT).await.map_err(|problem| problem.to_string())?;
     let reply = replies.recv().await.ok_or("no answer")?;
     codec::decode(&reply.payload?).map_err(|problem| problem.to_string())
 }
 
 /// How many times in a second each of three writers at once can write some bytes in place and bring them to disk.
-fn syncs_per_s(folder: &Path, bytes: usize) -> Result<f64, Problem> {
+fn syncs_per_s(folder: &Path, bytes: usize) -> Result<f64, BenchError> {
     let writers = (0..VOTERS).map(|writer| {
         let path = folder.join(format!("syncs-{writer}"));
         std::thread::spawn(move || -> std::io::Result<f64> {

@@ -15,13 +15,15 @@ mod support;
 use consort_protocol::codec;
 use consort_protocol::ids::NodeId;
 use consort_protocol::keys::{Key, Keys, RaftCall};
-use consort_protocol::knowledge::{Availability, Knowledge, Record, Stamp, Worker};
+use consort_protocol::knowledge::{Availability, Knowledge, Record, RecordStamp, RobotKnowledge};
 use consort_protocol::ledger::Command;
-use consort_protocol::message::{Beacon, Statement, Within};
-use consort_protocol::trust::{Act, Kind, NodeRole, OVERHEAD, Window, check, open, signed_part};
+use consort_protocol::message::{Beacon, ClusterEnvelope, RecordUpdate};
+use consort_protocol::trust::{
+    ENVELOPE_BYTES, MessageKind, NodeRole, Operation, ReplayWindow, authorize, decode_envelope, signed_part,
+};
 use consort_protocol::units::{BatteryShare, MetresPerSecond, SharePerSecond};
-use consort_protocol::versions::Versions;
-use consort_tests::Papers;
+use consort_protocol::versions::VersionRange;
+use consort_tests::Credentials;
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 use serde_json::{Value, json};
@@ -43,8 +45,8 @@ fn measure() -> Value {
     let node: NodeId = name("ada");
     let voters = ["ada", "aster", "basil", "clove", "fern"].map(name).into();
     let beacon = Beacon { node: node.clone(), term: 7, voters, since_ms: 100_000, cluster: None, wire: Some(2) };
-    let beacon = Within { cluster: None, said: codec::encode(&beacon).expect("a message") };
-    let worker = Worker {
+    let beacon = ClusterEnvelope { cluster: None, payload: codec::encode(&beacon).expect("a message") };
+    let worker = RobotKnowledge {
         skills: ["navigation", "approach_person", "authenticate_person", "operate_drawer"].map(name).into(),
         pose: Default::default(),
         place: name("IC Room 6"),
@@ -62,11 +64,11 @@ fn measure() -> Value {
         replica: Some(1),
         cluster: None,
         leaving: false,
-        speaks: Versions::OWN,
-        worker: Some(worker),
+        supported_versions: VersionRange::OWN,
+        robot: Some(worker),
     };
-    let stamp = Stamp { incarnation: 1_800_000_000_000, version: 9 };
-    let statement = Statement::Record(Record { owner: node.clone(), stamp, knowledge, proof: None });
+    let stamp = RecordStamp { incarnation: 1_800_000_000_000, version: 9 };
+    let statement = RecordUpdate::Record(Record { owner: node.clone(), stamp, knowledge, proof: None });
     // Entries as an append has them: each with its place in the log.
     let entries = |count: u64| -> Vec<(u64, u64, Command)> {
         let progress = || Command::Progress {
@@ -80,10 +82,10 @@ fn measure() -> Value {
     };
     let append = Key::Raft(1, RaftCall::Append);
     json!({
-        "beacon": costs(&Key::Beacon, Act::Publish, &beacon, written, read::<Within>),
-        "statement": costs(&Key::Knowledge(node), Act::Publish, &statement, stated, understood),
-        "append_of_1": costs(&append, Act::Ask, &entries(1), written, read::<Vec<(u64, u64, Command)>>),
-        "append_of_64": costs(&append, Act::Ask, &entries(64), written, read::<Vec<(u64, u64, Command)>>),
+        "beacon": costs(&Key::Beacon, Operation::Publish, &beacon, written, read::<ClusterEnvelope>),
+        "statement": costs(&Key::Knowledge(node), Operation::Publish, &statement, stated, understood),
+        "append_of_1": costs(&append, Operation::Query, &entries(1), written, read::<Vec<(u64, u64, Command)>>),
+        "append_of_64": costs(&append, Operation::Query, &entries(64), written, read::<Vec<(u64, u64, Command)>>),
     })
 }
 
@@ -106,41 +108,41 @@ fn read<T: DeserializeOwned>(bytes: &[u8]) {
     std::hint::black_box(codec::decode::<T>(bytes).expect("a message"));
 }
 
-fn stated(statement: &Statement) -> Vec<u8> {
-    codec::encode_for(Versions::OWN.newest, statement.clone()).expect("a message")
+fn stated(statement: &RecordUpdate) -> Vec<u8> {
+    codec::encode_for_version(VersionRange::OWN.newest, statement.clone()).expect("a message")
 }
 
 fn understood(bytes: &[u8]) {
-    std::hint::black_box(codec::decode_any::<Statement>(bytes).expect("a message"));
+    std::hint::black_box(codec::decode_any_version::<RecordUpdate>(bytes).expect("a message"));
 }
 
-fn costs<T>(key: &Key, act: Act, message: &T, write: impl Fn(&T) -> Vec<u8>, read: impl Fn(&[u8])) -> Value {
-    let papers = Papers::new(name("ward"), 1);
-    let ada = papers.of(&name("ada"), [NodeRole::Robot, NodeRole::Voter].into(), 1);
+fn costs<T>(key: &Key, act: Operation, message: &T, write: impl Fn(&T) -> Vec<u8>, read: impl Fn(&[u8])) -> Value {
+    let papers = Credentials::new(name("ward"), 1);
+    let ada = papers.keyring_of(&name("ada"), [NodeRole::Robot, NodeRole::Voter].into(), 1);
     let keys = Keys::new(&name("ward"));
     let key = keys.write(key);
-    let below = keys.below(&key).expect("a key of the fleet's").to_owned();
-    let kind = if act == Act::Publish { Kind::Publication } else { Kind::Question };
+    let below = keys.strip_fleet(&key).expect("a key of the fleet's").to_owned();
+    let kind = if act == Operation::Publish { MessageKind::Publication } else { MessageKind::Query };
     let payload = write(message);
-    let card = ada.card(ada.fingerprint()).expect("its own");
-    let seal = || ada.seal(kind, ada.number(), &key, &payload);
+    let card = ada.certificate(ada.fingerprint()).expect("its own");
+    let seal = || ada.sign_envelope(kind, ada.next_number(), &key, &payload);
     let sealing = least_us(|| {
         std::hint::black_box(seal());
     });
     let sealed = seal();
     let opening = least_us(|| {
-        let heard = open(kind, &sealed).expect("a seal");
-        let signed = signed_part(kind, heard.by, heard.number, &key, heard.payload);
-        assert!(card.signed(&signed, heard.signature));
-        check(&card.identity, act, &below, heard.payload).expect("ada may");
-        std::hint::black_box(Window::default().hear(heard.number));
+        let heard = decode_envelope(kind, &sealed).expect("a seal");
+        let signed = signed_part(kind, heard.signer, heard.number, &key, heard.payload);
+        assert!(card.verify(&signed, heard.signature));
+        authorize(&card.identity, act, &below, heard.payload).expect("ada may");
+        std::hint::black_box(ReplayWindow::default().accept(heard.number));
     });
     let plain = least_us(|| {
         read(&write(message));
     });
     let ratio = |part: f64| (part / plain * 10.0).round() / 10.0;
     json!({
-        "bytes": payload.len(), "sealed": payload.len() + OVERHEAD,
+        "bytes": payload.len(), "sealed": payload.len() + ENVELOPE_BYTES,
         "write_and_read_us": plain, "seal_us": sealing, "open_us": opening,
         "seal_ratio": ratio(sealing), "open_ratio": ratio(opening),
     })

@@ -14,8 +14,8 @@ mod support;
 
 use consort_actors::timing::Timing;
 use consort_nodes::config::{FleetConfig, StationConfig, WorldConfig};
-use consort_nodes::demo::{Cast, Stage};
-use consort_protocol::event::Happening;
+use consort_nodes::demo::{DemoFleet, DemoScenario};
+use consort_protocol::event::EventKind;
 use consort_protocol::ids::NodeId;
 use consort_protocol::keys::{ApiCall, Key};
 use rand::{RngExt, SeedableRng};
@@ -23,7 +23,7 @@ use rand_chacha::ChaCha8Rng;
 use serde_json::{Value, json};
 use std::process::ExitCode;
 use std::time::Duration;
-use support::{Fleet, Problem, acknowledged, ask, figures, in_fleet, lab_samples, ms};
+use support::{BenchError, Fleet, acknowledged, ask, figures, in_fleet, lab_samples, ms};
 use tokio::task::JoinSet;
 use tokio::time::{Instant, interval, sleep};
 
@@ -59,7 +59,7 @@ fn main() -> ExitCode {
     support::main("takeover", measure(end, timing, support::count(60)))
 }
 
-async fn measure(end: End, timing: Timing, kills: usize) -> Result<Value, Problem> {
+async fn measure(end: End, timing: Timing, kills: usize) -> Result<Value, BenchError> {
     let mut rng = ChaCha8Rng::seed_from_u64(1);
     let (mut elected, mut acknowledged) = (vec![], vec![]);
     while elected.len() < kills {
@@ -78,15 +78,15 @@ async fn measure(end: End, timing: Timing, kills: usize) -> Result<Value, Proble
     Ok(json!({ "nodes": STATIONS, "end": end, "timing": timing, "elected": elected, "acknowledged": acknowledged }))
 }
 
-fn stations(timing: Timing) -> Cast {
+fn stations(timing: Timing) -> DemoScenario {
     let name = |number: usize| NodeId::new(format!("station-{number}")).expect("a slug");
     let stations = (1..=STATIONS).map(|number| StationConfig::new(name(number))).collect();
     let fleet = FleetConfig { bootstrap_expect: STATIONS, timing, ..FleetConfig::default() };
     let (world, robots, requests) = (WorldConfig::default(), vec![], vec![]);
-    in_fleet(Cast { fleet: fleet.clone(), world, robots, stations, requests }, fleet)
+    in_fleet(DemoScenario { fleet: fleet.clone(), world, robots, stations, requests }, fleet)
 }
 
-async fn takeover(fleet: &mut Fleet, end: End, number: usize) -> Result<(f64, f64), Problem> {
+async fn takeover(fleet: &mut Fleet, end: End, number: usize) -> Result<(f64, f64), BenchError> {
     let deadline = Instant::now() + LIMIT;
     // On a busy machine a coordinator may doubt itself for a moment.
     let view = loop {
@@ -105,7 +105,7 @@ async fn takeover(fleet: &mut Fleet, end: End, number: usize) -> Result<(f64, f6
         End::Kill => fleet.stage.kill(&victim).await.map_err(|problem| problem.to_string())?,
         End::Freeze => fleet.stage.freeze(&victim).await.map_err(|problem| problem.to_string())?,
         End::Leave => {
-            if let Some(ended) = fleet.stage.tell_to_end(&victim) {
+            if let Some(ended) = fleet.stage.request_shutdown(&victim) {
                 leaving.spawn(ended);
             }
         }
@@ -128,8 +128,8 @@ async fn takeover(fleet: &mut Fleet, end: End, number: usize) -> Result<(f64, f6
             }
         }
     });
-    let next = fleet.hear(format!("a coordinator after {victim}"), LIMIT, |event| match event.what {
-        Happening::Elected { term: later, .. } if later > term && event.node != victim => Some(()),
+    let next = fleet.wait_for_event(format!("a coordinator after {victim}"), LIMIT, |event| match event.kind {
+        EventKind::Elected { term: later, .. } if later > term && event.node != victim => Some(()),
         _ => None,
     });
     let ((), elected) = next.await?;

@@ -2,11 +2,11 @@
 //!
 //! Hundreds of fleets, on all cores: some minutes on two. `consort chaos` runs as many as there is time for.
 
-mod mistakes;
+mod injected_bugs;
 mod seeds;
 
-use consort_protocol::mutants::{Mutant, choose};
-use consort_tests::chaos::{Many, Order, Outcome, Schedule};
+use consort_protocol::mutants::{Mutant, activate};
+use consort_tests::chaos::{RunConfig, RunOutcome, Schedule, SeedSweep};
 use std::thread;
 
 fn jobs() -> usize {
@@ -14,14 +14,14 @@ fn jobs() -> usize {
 }
 
 /// One run, perhaps of a fleet that makes a mistake.
-fn once(order: &Order, schedule: &Schedule, mutant: Option<Mutant>) -> Outcome {
+fn once(order: &RunConfig, schedule: &Schedule, mutant: Option<Mutant>) -> RunOutcome {
     let again = (order.clone(), schedule.clone());
     let mut outcome = None;
-    Many {
+    SeedSweep {
         seeds: order.seed..=order.seed,
         jobs: 1,
-        order: &move |_| again.clone(),
-        prepare: &|| choose(mutant).expect("tests are built with mutants"),
+        config: &move |_| again.clone(),
+        prepare: &|| activate(mutant).expect("tests are built with mutants"),
     }
     .run(|told| outcome = Some(told.clone()));
     outcome.expect("a run has an outcome")

@@ -1,24 +1,24 @@
 //! What must hold, held.
 
 use crate::{jobs, once};
-use consort_tests::chaos::{Cast, Kind, Many, Order, generate};
+use consort_tests::chaos::{ChaosFleet, FaultKind, RunConfig, SeedSweep, generate};
 
 /// Runs the first so many seeds, of open fleets or of closed ones.
 fn everything_holds(seeds: u64, minutes: f64, closed: bool) {
-    let order = |seed| Order { seed, nodes: 7, minutes, closed };
-    let cast = Cast::of(7);
+    let order = |seed| RunConfig { seed, nodes: 7, minutes, closed };
+    let cast = ChaosFleet::of(7);
     let mut missions = 0;
-    let found = Many {
+    let found = SeedSweep {
         seeds: 1..=seeds,
         jobs: jobs(),
-        order: &|seed| (order(seed), generate(seed, &cast, minutes, &Kind::FAULTS)),
+        config: &|seed| (order(seed), generate(seed, &cast, minutes, &FaultKind::FAULTS)),
         prepare: &|| (),
     }
     .run(|outcome| missions += outcome.tally.acknowledged);
     if let Some(outcome) = found
         && let Some(violation) = outcome.violation
     {
-        let schedule = generate(outcome.seed, &cast, minutes, &Kind::FAULTS);
+        let schedule = generate(outcome.seed, &cast, minutes, &FaultKind::FAULTS);
         let tale = violation.tale.join("\n");
         panic!("seed {}: {}: {}\n{tale}\n{schedule}", outcome.seed, violation.invariant, violation.why);
     }
@@ -37,11 +37,11 @@ fn everything_holds_where_words_are_sealed() {
 
 #[test]
 fn a_seed_is_the_same_run_each_time_to_the_byte() {
-    let cast = Cast::of(5);
+    let cast = ChaosFleet::of(5);
     let runs: Vec<_> = (11..=12)
         .map(|seed| {
-            let order = Order { seed, nodes: 5, minutes: 1.0, closed: seed == 12 };
-            let schedule = generate(seed, &cast, 1.0, &Kind::FAULTS);
+            let order = RunConfig { seed, nodes: 5, minutes: 1.0, closed: seed == 12 };
+            let schedule = generate(seed, &cast, 1.0, &FaultKind::FAULTS);
             let (one, other) = (once(&order, &schedule, None), once(&order, &schedule, None));
             assert_eq!(one, other, "seed {seed}");
             assert!(!one.digest.is_empty(), "seed {seed}: {:?}", one.violation);

@@ -110,12 +110,12 @@ impl Browser {
 
     /// Waits until an expression is true of the page.
     #[track_caller]
-    pub(crate) fn until(&self, what: &str, expression: &str) {
-        self.until_within(SOON, what, expression);
+    pub(crate) fn wait_until(&self, what: &str, expression: &str) {
+        self.wait_until_within(SOON, what, expression);
     }
 
     #[track_caller]
-    pub(crate) fn until_within(&self, limit: Duration, what: &str, expression: &str) {
+    pub(crate) fn wait_until_within(&self, limit: Duration, what: &str, expression: &str) {
         let seen = std::cell::Cell::new(false);
         // What is asked of an element that is not drawn yet is not true yet.
         let script = format!(
@@ -125,7 +125,7 @@ impl Browser {
             until(what, limit, || (self.value(&script) == true).then(|| seen.set(true)));
         }));
         if outcome.is_err() {
-            self.picture("failed");
+            self.screenshot("failed");
             panic!(
                 "not seen within {limit:?}: {what}: {expression}\n--- the page\n{}\n--- its console\n{:#?}",
                 self.text("body"),
@@ -178,7 +178,7 @@ impl Browser {
     }
 
     /// Leaves a picture of what is seen.
-    pub(crate) fn picture(&self, name: &str) {
+    pub(crate) fn screenshot(&self, name: &str) {
         let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join("dashboard");
         let picture = self.runtime.block_on(self.client.screenshot()).expect("a picture can be taken");
         fs::create_dir_all(&folder).expect("the folder can be made");
@@ -186,8 +186,8 @@ impl Browser {
     }
 
     /// The same, and for the documentation where that is asked for.
-    pub(crate) fn picture_for_readers(&self, name: &str) {
-        self.picture(name);
+    pub(crate) fn documentation_screenshot(&self, name: &str) {
+        self.screenshot(name);
         if std::env::var_os("CONSORT_PICTURES").is_some() {
             let docs = Path::new(env!("CARGO_MANIFEST_DIR")).join("docs");
             fs::create_dir_all(&docs).expect("the folder can be made");

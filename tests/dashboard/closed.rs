@@ -2,7 +2,7 @@
 //! has ended.
 
 use crate::browser::{Browser, SOON};
-use crate::fleet_on_show::{ENTER, check_access};
+use crate::demo_fleet::{ENTER, check_access};
 use crate::support::{Closed, Folder, example, until};
 use std::time::Duration;
 
@@ -23,20 +23,21 @@ fn a_closed_fleet_is_shown_to_whoever_has_a_token_for_as_long_as_that_is_good() 
         Some(said.lines().find_map(|line| line.strip_prefix("dashboard: "))?.to_owned())
     });
     browser.open(&url);
-    browser.until("it asks for a token", "document.querySelector('#admission').open");
+    browser.wait_until("it asks for a token", "document.querySelector('#admission').open");
     assert!(browser.text("#admission-why").contains("this fleet is closed"), "{}", browser.text("#admission"));
     assert_eq!(browser.value("consort.line.picture"), serde_json::Value::Null, "nothing is shown before");
     check_access(&browser, "it asks for a token");
-    browser.picture("admission");
+    browser.screenshot("admission");
     browser.press("abc");
     browser.press(ENTER);
-    browser.until("what is wrong", "/it is no token/.test(document.querySelector('#admission-problem').innerText)");
+    browser
+        .wait_until("what is wrong", "/it is no token/.test(document.querySelector('#admission-problem').innerText)");
     // What was typed stays, to be mended.
     browser.value("document.querySelector('#admission-token').value = ''");
     let brief = closed.token("read", &["--for", &format!("{}s", BRIEF.as_secs())]);
     browser.press(&brief);
     browser.press(ENTER);
-    browser.until("the robots", "document.querySelectorAll('#robots tbody tr').length === 2");
+    browser.wait_until("the robots", "document.querySelectorAll('#robots tbody tr').length === 2");
     assert_eq!(browser.text("#sign-out"), "Sign out read");
     assert_eq!(
         browser.value("document.querySelector('#new-mission').checkVisibility()"),
@@ -46,20 +47,20 @@ fn a_closed_fleet_is_shown_to_whoever_has_a_token_for_as_long_as_that_is_good() 
     assert_eq!(browser.value("document.cookie"), "", "no script reads the token");
 
     // It ends, and so does what is shown; a link brings the next one, which is good for more.
-    browser.until_within(BRIEF * 4, "it asks anew", "document.querySelector('#admission').open");
+    browser.wait_until_within(BRIEF * 4, "it asks anew", "document.querySelector('#admission').open");
     let link = closed.token("submit", &["--link", &url]);
     browser.open("about:blank");
     browser.open(&link);
-    browser.until("the robots again", "document.querySelectorAll('#robots tbody tr').length === 2");
+    browser.wait_until("the robots again", "document.querySelectorAll('#robots tbody tr').length === 2");
     assert_eq!(browser.value("location.hash"), "", "the token is not left in the address");
-    browser.until("who it is", "document.querySelector('#sign-out').innerText === 'Sign out submit'");
-    browser.until("who coordinates", "/term \\d/.test(document.querySelector('#coordinator').innerText)");
+    browser.wait_until("who it is", "document.querySelector('#sign-out').innerText === 'Sign out submit'");
+    browser.wait_until("who coordinates", "/term \\d/.test(document.querySelector('#coordinator').innerText)");
     browser.click("#new-mission");
-    browser.until("its parameters", "document.querySelectorAll('[data-parameter]').length === 2");
+    browser.wait_until("its parameters", "document.querySelectorAll('[data-parameter]').length === 2");
     browser.click("#order-send");
-    browser.until("it is acknowledged", "consort.line.picture.missions['lab-samples-1'] !== undefined");
+    browser.wait_until("it is acknowledged", "consort.line.picture.missions['lab-samples-1'] !== undefined");
 
     browser.click("#sign-out");
-    browser.until("it asks after that", "document.querySelector('#admission').open");
+    browser.wait_until("it asks after that", "document.querySelector('#admission').open");
     closed.fleet.stop();
 }

@@ -6,8 +6,8 @@
 
 mod browser;
 mod closed;
-mod door_and_rescue;
-mod fleet_on_show;
+mod demo_fleet;
+mod doors_and_interventions;
 mod many_robots;
 mod recording;
 #[path = "../processes/support/mod.rs"]

@@ -3,10 +3,10 @@
 use crate::browser::Browser;
 use crate::support::Folder;
 use consort_actors::clock::Clock;
-use consort_nodes::address::Taken;
-use consort_nodes::dashboard::{Board, Dashboard};
-use consort_nodes::floor;
-use consort_nodes::picture::{FloorPlan, Picture};
+use consort_nodes::address::BoundAddress;
+use consort_nodes::dashboard::{Dashboard, FramePublisher};
+use consort_nodes::fleet_model::{FleetModel, FloorPlan};
+use consort_nodes::map_loader;
 use consort_protocol::ids::NodeId;
 use consort_protocol::keys::Key;
 use consort_protocol::message::Beacon;
@@ -59,14 +59,14 @@ fn telemetry(index: usize, now_ms: u64) -> Telemetry {
     serde_json::from_value(telemetry).expect("a body's report")
 }
 
-fn report(board: &Board) {
+fn report(board: &FramePublisher) {
     let coordinator = NodeId::new(name(0)).expect("a slug");
     let beacon = Beacon { node: coordinator, term: 1, voters: [].into(), since_ms: 1000, cluster: None, wire: None };
-    board.with(|picture, now_ms| {
-        picture.take_beacon(&beacon, now_ms);
-        picture.take_links(3, now_ms);
+    board.with_model(|picture, now_ms| {
+        picture.apply_beacon(&beacon, now_ms);
+        picture.apply_links(3, now_ms);
         for index in 0..ROBOTS {
-            picture.take_body(&name(index), &telemetry(index, now_ms), now_ms);
+            picture.apply_telemetry(&name(index), &telemetry(index, now_ms), now_ms);
         }
     });
 }
@@ -112,14 +112,15 @@ fn two_hundred_robots_are_shown_and_drawn_in_every_frame() {
     let runtime =
         tokio::runtime::Builder::new_multi_thread().worker_threads(1).enable_all().build().expect("a runtime");
     let clock = runtime.block_on(async { Clock::real() });
-    let plan = FloorPlan::new(&floor::load("hospital").expect("a shipped map"));
-    let mut picture = Picture::new("many", "station-1", plan, clock.wall_ms());
-    picture.take_view(&Key::ViewFleet, &fleet(), clock.wall_ms());
-    let board = Arc::new(Board::new(picture, clock));
+    let plan = FloorPlan::new(&map_loader::load("hospital").expect("a shipped map"));
+    let mut picture = FleetModel::new("many", "station-1", plan, clock.wall_ms());
+    picture.apply_view(&Key::ViewFleet, &fleet(), clock.wall_ms());
+    let board = Arc::new(FramePublisher::new(picture, clock));
     report(&board);
     let dashboard = runtime.block_on(async {
-        let address = Taken::take("--dashboard", SocketAddr::from(([127, 0, 0, 1], 0))).await.expect("a free port");
-        Dashboard::show(address, Arc::clone(&board))
+        let address =
+            BoundAddress::bind("--dashboard", SocketAddr::from(([127, 0, 0, 1], 0))).await.expect("a free port");
+        Dashboard::serve_view_only(address, Arc::clone(&board))
     });
     runtime.spawn(async move {
         let mut ticks = tokio::time::interval(REPORTS);
@@ -133,12 +134,12 @@ fn two_hundred_robots_are_shown_and_drawn_in_every_frame() {
     browser.open("about:blank");
     let machine = measure(5);
     browser.open(&dashboard.url());
-    browser.until("all robots", &format!("document.querySelectorAll('#robots tbody tr').length === {ROBOTS}"));
+    browser.wait_until("all robots", &format!("document.querySelectorAll('#robots tbody tr').length === {ROBOTS}"));
     // Whatever is done once has been done.
-    browser.until("frames", "consort.drawn.frames > 100");
+    browser.wait_until("frames", "consort.drawn.frames > 100");
     let page = measure(10);
     eprintln!("an empty page, 5 s: {machine}\n{ROBOTS} robots at 5 Hz, 10 s: {page}");
-    browser.picture("many-robots");
+    browser.screenshot("many-robots");
 
     // How many frames a second there are is the machine's affair, and what else it is at. The page's are these, on any machine:
     let number = |key: &str| page[key].as_u64().unwrap_or_else(|| panic!("{key} in {page}"));

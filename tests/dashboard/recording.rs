@@ -1,7 +1,7 @@
 //! A fleet that loses its coordinator is recorded, and looked at afterwards.
 
 use crate::browser::{Browser, SOON};
-use crate::fleet_on_show::check_access;
+use crate::demo_fleet::check_access;
 use crate::support::{Client, Folder, Program, hospital, until};
 use serde_json::{Value, json};
 use std::time::Duration;
@@ -88,13 +88,13 @@ fn a_fleet_that_was_recorded_while_its_coordinator_died_is_looked_at_to_and_fro(
     let (_replay, url) = replay(&folder, "replay", &file);
     browser.open(&url);
     browser.value("window.loadedOnce = true");
-    browser.until(
+    browser.wait_until(
         "it says what it is",
         "/^Recording of taped, begun on .* nothing can be asked/.test(document.querySelector('#replay h2')?.innerText)",
     );
-    browser.until("it plays", "document.querySelector('#replay-play')?.innerText === 'Pause'");
+    browser.wait_until("it plays", "document.querySelector('#replay-play')?.innerText === 'Pause'");
     browser.press(" ");
-    browser.until("space stops it", "document.querySelector('#replay-play')?.innerText === 'Play'");
+    browser.wait_until("space stops it", "document.querySelector('#replay-play')?.innerText === 'Play'");
     let marks = browser.value("consort.line.picture.recording.marks");
     let marks = marks.as_array().expect("a list");
     let kinds: Vec<&str> = marks.iter().filter_map(|mark| mark["kind"].as_str()).collect();
@@ -107,46 +107,49 @@ fn a_fleet_that_was_recorded_while_its_coordinator_died_is_looked_at_to_and_fro(
 
     // The beginning: the first coordinator, and no mission.
     browser.press(HOME);
-    browser.until("the beginning", "consort.line.now() === consort.line.picture.recording.from_ms");
+    browser.wait_until("the beginning", "consort.line.now() === consort.line.picture.recording.from_ms");
     browser.press(RIGHT);
-    browser.until("five seconds on, or the end", "consort.line.now() >= Math.min(consort.line.picture.recording.from_ms + 5000, consort.line.picture.recording.to_ms)");
+    browser.wait_until("five seconds on, or the end", "consort.line.now() >= Math.min(consort.line.picture.recording.from_ms + 5000, consort.line.picture.recording.to_ms)");
     browser.press(HOME);
     browser.press(".");
-    browser.until("the takeover", &coordinates(&second));
-    browser.until("the mission runs", &format!("{MISSION} === 'running'"));
+    browser.wait_until("the takeover", &coordinates(&second));
+    browser.wait_until("the mission runs", &format!("{MISSION} === 'running'"));
     check_nothing_is_of_later(&browser);
     // A moment before, as a person with a mouse or a screen reader has it.
     let takeover_ms = marks[0]["at_ms"].as_u64().expect("an instant");
     slide(&browser, &format!("{takeover_ms} - consort.line.picture.recording.from_ms - 1"));
-    browser.until("who coordinated before", &coordinates(&first));
+    browser.wait_until("who coordinated before", &coordinates(&first));
     assert_eq!(browser.value("consort.line.now()"), takeover_ms - 1);
     check_nothing_is_of_later(&browser);
     browser.press(LEFT);
     let back = format!("Math.max({takeover_ms} - 1 - 5000, consort.line.picture.recording.from_ms)");
-    browser.until("five seconds back, or the beginning", &format!("consort.line.now() === {back}"));
+    browser.wait_until("five seconds back, or the beginning", &format!("consort.line.now() === {back}"));
     browser.press(".");
-    browser.until("the takeover again", &coordinates(&second));
+    browser.wait_until("the takeover again", &coordinates(&second));
     browser.press(&".".repeat(changes));
-    browser.until("the end of the mission", &format!("{MISSION} === 'completed'"));
-    browser.until("it is said", "/^lab-samples-1 completed, at /.test(document.querySelector('#announce').innerText)");
+    browser.wait_until("the end of the mission", &format!("{MISSION} === 'completed'"));
+    browser.wait_until(
+        "it is said",
+        "/^lab-samples-1 completed, at /.test(document.querySelector('#announce').innerText)",
+    );
     check_nothing_is_of_later(&browser);
     browser.press(",");
-    browser.until("back, it still runs", &format!("{MISSION} === 'running'"));
-    browser.until("and is drawn so", "document.querySelector('#missions tbody').innerText.includes('running')");
+    browser.wait_until("back, it still runs", &format!("{MISSION} === 'running'"));
+    browser.wait_until("and is drawn so", "document.querySelector('#missions tbody').innerText.includes('running')");
     browser.press(HOME);
-    browser.until("it was not yet asked for", &format!("{MISSION} === undefined"));
+    browser.wait_until("it was not yet asked for", &format!("{MISSION} === undefined"));
     check_nothing_is_of_later(&browser);
     assert_eq!(browser.value("window.loadedOnce"), true);
 
     slide(&browser, "slider.max * 0.5");
     let middle = "(consort.line.picture.recording.from_ms + consort.line.picture.recording.to_ms) / 2";
-    browser.until("the middle", &format!("Math.abs(consort.line.now() - {middle}) < 2"));
+    browser.wait_until("the middle", &format!("Math.abs(consort.line.now() - {middle}) < 2"));
     let said = browser.value("document.querySelector('#replay-slider').getAttribute('aria-valuetext')");
     assert!(said.as_str().expect("words").contains(" of "), "{said}");
     let drawn = "/ term [2-9]/.test(document.querySelector('#coordinator').innerText) && document.querySelector('#missions tbody').innerText.includes('/16')";
-    browser.until("all of it is drawn", drawn);
+    browser.wait_until("all of it is drawn", drawn);
     check_access(&browser, "a recording");
-    browser.picture_for_readers("replay");
+    browser.documentation_screenshot("replay");
     in_the_dark_and_on_a_phone(&browser);
 
     // Played to its end at a hundred times its speed, it stands still there.
@@ -156,11 +159,11 @@ fn a_fleet_that_was_recorded_while_its_coordinator_died_is_looked_at_to_and_fro(
     ))
     };
     set(json!({ "playing": true, "speed": 100.0 }));
-    browser.until(
+    browser.wait_until(
         "the end",
         "!consort.line.picture.recording.playing && consort.line.now() === consort.line.picture.recording.to_ms",
     );
-    browser.until("and its mission", &format!("{MISSION} === 'completed'"));
+    browser.wait_until("and its mission", &format!("{MISSION} === 'completed'"));
     browser.press(END);
     assert_eq!(browser.console(), Vec::<String>::new());
 
@@ -183,11 +186,11 @@ fn a_fleet_that_was_recorded_while_its_coordinator_died_is_looked_at_to_and_fro(
 
 fn in_the_dark_and_on_a_phone(browser: &Browser) {
     browser.prefers("dark");
-    browser.until("dark colours", "document.documentElement.dataset.theme === 'dark'");
+    browser.wait_until("dark colours", "document.documentElement.dataset.theme === 'dark'");
     check_access(browser, "a recording in the dark");
     browser.screen(360, 740);
     assert_eq!(browser.value("document.documentElement.scrollWidth"), 360, "nothing is wider than the phone");
-    browser.picture("replay-phone");
+    browser.screenshot("replay-phone");
     browser.screen(1440, 1000);
     browser.prefers("light");
 }
@@ -200,9 +203,9 @@ fn cut_short(folder: &Folder, browser: &Browser, file: &str) {
     let (replay, url) = replay(folder, "half", &half.display().to_string());
     assert!(replay.stderr().contains("half.mcap: it has no end"), "{}", replay.stderr());
     browser.open(&url);
-    browser.until(
+    browser.wait_until(
         "it says that it is not whole",
         "document.querySelector('#replay h2')?.innerText.includes('Not whole: it has no end')",
     );
-    browser.until("robots", "document.querySelectorAll('#robots tbody tr').length === 2");
+    browser.wait_until("robots", "document.querySelectorAll('#robots tbody tr').length === 2");
 }

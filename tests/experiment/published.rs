@@ -2,9 +2,9 @@
 
 use consort_sim::experiment::design::shipped;
 use consort_sim::experiment::policy::Policy;
-use consort_sim::experiment::reference;
-use consort_sim::experiment::travel::{Legs, Travel, TravelModel};
-use consort_tests::experiment::{Stage, run, trials};
+use consort_sim::experiment::published_format;
+use consort_sim::experiment::travel::{MeasuredLegs, TravelModel, TravelSettings};
+use consort_tests::experiment::{ExperimentSetup, run, trials};
 use serde_json::Value;
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -39,11 +39,12 @@ fn the_fleet_chooses_as_published() {
     design.repetitions = 1;
     // The choice is all that is looked at.
     design.limits.sim_s = 5.0;
-    let mut chosen = reference::scenarios(&scenarios, &design).unwrap();
+    let mut chosen = published_format::scenarios(&scenarios, &design).unwrap();
     chosen.retain(|scenario| selected.contains_key(&scenario.code));
     assert_eq!(chosen.len(), 27);
-    let map = reference::floor(&map, "hospital_map.json").unwrap();
-    let stage = Stage::set(design, chosen, map, TravelModel::Kinematic(Travel::default()), None).unwrap();
+    let map = published_format::published_map(&map, "hospital_map.json").unwrap();
+    let stage =
+        ExperimentSetup::new(design, chosen, map, TravelModel::Kinematic(TravelSettings::default()), None).unwrap();
     for outcome in run(&stage, &trials(&stage), 2, |_| ()) {
         let row = outcome.row;
         let robot = row.robots.split(' ').find_map(|pair| pair.strip_prefix("r1=")).unwrap_or_default().to_owned();
@@ -54,6 +55,6 @@ fn the_fleet_chooses_as_published() {
 #[test]
 fn the_published_legs_can_be_driven() {
     let Some(legs) = material("nav_legs.csv") else { return };
-    let legs = Legs::read(legs.as_bytes()).unwrap();
+    let legs = MeasuredLegs::read(legs.as_bytes()).unwrap();
     assert_eq!(TravelModel::Empirical(legs).describe(), "empirical, 2162 drives on 21 pairs of places");
 }

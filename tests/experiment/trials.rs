@@ -1,15 +1,15 @@
 //! What comes of trials.
 
-use consort_sim::experiment::design::{Design, Levels, scenarios, shipped};
+use consort_sim::experiment::design::{Design, FactorLevels, scenarios, shipped};
 use consort_sim::experiment::outcome::EndState;
 use consort_sim::experiment::policy::Policy;
 use consort_sim::experiment::results::{Treatment, TrialRow, write};
 use consort_sim::experiment::travel::TravelModel;
-use consort_tests::experiment::{Stage, run, trials};
+use consort_tests::experiment::{ExperimentSetup, run, trials};
 use std::collections::{BTreeMap, BTreeSet};
 
 /// A shipped design cut down to its first scenarios.
-pub(crate) fn thin(name: &str, scenarios_max: usize, change: impl FnOnce(&mut Design)) -> Stage {
+pub(crate) fn thin(name: &str, scenarios_max: usize, change: impl FnOnce(&mut Design)) -> ExperimentSetup {
     let mut design = shipped(name).unwrap().unwrap();
     change(&mut design);
     let mut chosen = scenarios(&design);
@@ -18,10 +18,10 @@ pub(crate) fn thin(name: &str, scenarios_max: usize, change: impl FnOnce(&mut De
     chosen = chosen.into_iter().step_by(step).take(scenarios_max).collect();
     let map = consort_sim::map::shipped(&design.map).unwrap();
     let travel = TravelModel::Kinematic(design.travel.clone());
-    Stage::set(design, chosen, map, travel, None).unwrap()
+    ExperimentSetup::new(design, chosen, map, travel, None).unwrap()
 }
 
-pub(crate) fn rows(stage: &Stage, jobs: usize) -> Vec<TrialRow> {
+pub(crate) fn rows(stage: &ExperimentSetup, jobs: usize) -> Vec<TrialRow> {
     run(stage, &trials(stage), jobs, |_| ()).into_iter().map(|outcome| outcome.row).collect()
 }
 
@@ -142,10 +142,10 @@ fn a_place_that_is_not_on_the_map_is_told_before_anything_runs() {
     let mut chosen = scenarios(&design);
     chosen.truncate(1);
     chosen[0].robots[0].place = "IC Rom 1".parse().unwrap();
-    chosen[0].levels = Levels::default();
+    chosen[0].levels = FactorLevels::default();
     let map = consort_sim::map::shipped("hospital").unwrap();
     let travel = TravelModel::Kinematic(design.travel.clone());
-    let problems = Stage::set(design, chosen, map, travel, None).err().unwrap();
+    let problems = ExperimentSetup::new(design, chosen, map, travel, None).err().unwrap();
     assert_eq!(
         problems.0,
         ["scenario aaaaa, r1: there is no place \"IC Rom 1\" on map hospital; did you mean \"IC Room 1\"?"]

@@ -1,7 +1,7 @@
 //! The topologies that are shipped, each through what it is meant to survive.
 
 use crate::lab::{inside, within};
-use crate::shipped::{LONG, Shipped};
+use crate::shipped_topology::{LONG, ShippedTopology};
 use serde_json::Value;
 use std::cell::RefCell;
 use std::process::{Child, Command};
@@ -24,9 +24,9 @@ fn coordinator(fleet: &Value) -> Option<String> {
 }
 
 /// Waits until so many are alive and somebody coordinates, as a node sees it, and says who.
-fn settled(shipped: &mut Shipped, count: usize, on: &str, more: &[&str]) -> String {
+fn settled(shipped: &mut ShippedTopology, count: usize, on: &str, more: &[&str]) -> String {
     let asked = [&["fleet", "--json"], more].concat();
-    shipped.awaits(&format!("{count} are there"), &asked, on, |fleet| {
+    shipped.wait_for_json(&format!("{count} are there"), &asked, on, |fleet| {
         (alive(fleet) == count).then(|| coordinator(fleet)).flatten()
     })
 }
@@ -35,7 +35,7 @@ fn settled(shipped: &mut Shipped, count: usize, on: &str, more: &[&str]) -> Stri
 fn one_network_loses_the_machine_that_coordinates() {
     inside("topologies::one_network_loses_the_machine_that_coordinates", &[], || {
         let stations = ["station-1", "station-2", "station-3"];
-        let mut shipped = Shipped::new(
+        let mut shipped = ShippedTopology::new(
             "lan",
             &[
                 ("10.0.0.1", "station-1.ward.example"),
@@ -56,7 +56,7 @@ fn one_network_loses_the_machine_that_coordinates() {
         let first = settled(&mut shipped, 6, "ada", &[]);
         assert!(stations.contains(&first.as_str()), "{first} coordinates");
         let mission = shipped.begin(&SUBMIT, "ada");
-        shipped.begins("ada", "navto_room");
+        shipped.wait_for_task("ada", "navto_room");
         shipped.unplug(&first, "lan");
         let ended = mission.end(LONG).expect(0);
         assert!(ended.stdout.ends_with(" completed\n"), "{}", ended.stdout);
@@ -68,9 +68,9 @@ fn one_network_loses_the_machine_that_coordinates() {
 }
 
 /// A site of so many nodes whose router is killed, and started again, while a mission runs.
-fn a_router_is_restarted(count: usize, start: impl Fn(&mut Shipped), kill: impl Fn(&mut Shipped)) {
+fn a_router_is_restarted(count: usize, start: impl Fn(&mut ShippedTopology), kill: impl Fn(&mut ShippedTopology)) {
     let stations = ["station-1", "station-2", "station-3"];
-    let mut shipped = Shipped::new(
+    let mut shipped = ShippedTopology::new(
         "site",
         &[
             ("10.0.0.1", "station-1.ward.example"),
@@ -98,9 +98,9 @@ fn a_router_is_restarted(count: usize, start: impl Fn(&mut Shipped), kill: impl 
     let coordinator = settled(&mut shipped, count, "ada", &[]);
     assert!(stations.contains(&coordinator.as_str()), "{coordinator} coordinates");
     let mission = shipped.begin(&SUBMIT, "ada");
-    shipped.begins("ada", "navto_room");
+    shipped.wait_for_task("ada", "navto_room");
     kill(&mut shipped);
-    shipped.linked("ada", &[]);
+    shipped.wait_for_links("ada", &[]);
     start(&mut shipped);
     let ended = mission.end(LONG).expect(0);
     assert!(ended.stdout.ends_with(" completed\n"), "{}", ended.stdout);
@@ -112,7 +112,7 @@ fn a_router_is_restarted(count: usize, start: impl Fn(&mut Shipped), kill: impl 
 #[test]
 fn a_site_gets_over_a_restart_of_its_router() {
     inside("topologies::a_site_gets_over_a_restart_of_its_router", &[], || {
-        let start = |shipped: &mut Shipped| shipped.start("station", "router", &[]);
+        let start = |shipped: &mut ShippedTopology| shipped.start("station", "router", &[]);
         a_router_is_restarted(7, start, |shipped| shipped.kill("router"));
     });
 }
@@ -125,7 +125,7 @@ fn a_site_gets_over_a_restart_of_a_router_of_zenohs_own() {
     inside("topologies::a_site_gets_over_a_restart_of_a_router_of_zenohs_own", &[ZENOHD], || {
         let stations = [1, 2, 3].map(|number| format!("--connect=tcp/station-{number}.ward.example:7447"));
         let running = RefCell::new(None);
-        let start = |_: &mut Shipped| {
+        let start = |_: &mut ShippedTopology| {
             let mut zenohd = Command::new(within("router")[0]);
             zenohd.args(&within("router")[1..]).args([ZENOHD, "--no-multicast-scouting", "--listen=tcp/0.0.0.0:7447"]);
             zenohd.args(&stations).env("RUST_LOG", "off");
@@ -139,7 +139,7 @@ fn a_site_gets_over_a_restart_of_a_router_of_zenohs_own() {
 }
 
 /// The certificates of the two sites, by the commands of the documentation.
-fn certify(shipped: &mut Shipped) {
+fn certify(shipped: &mut ShippedTopology) {
     let dir = shipped.path("certs").display().to_string();
     for line in documented("consort cert ") {
         let arguments = [&["cert", "--dir", &dir][..], &line.iter().map(String::as_str).collect::<Vec<_>>()].concat();
@@ -158,7 +158,7 @@ fn documented(command: &str) -> Vec<Vec<String>> {
 #[test]
 fn a_robot_roams_from_site_to_site_and_an_uplink_is_cut_while_it_works() {
     inside("topologies::a_robot_roams_from_site_to_site_and_an_uplink_is_cut_while_it_works", &[], || {
-        let mut shipped = Shipped::new(
+        let mut shipped = ShippedTopology::new(
             "sites",
             &[
                 ("10.1.0.1", "north-1.ward.example"),
@@ -189,17 +189,17 @@ fn a_robot_roams_from_site_to_site_and_an_uplink_is_cut_while_it_works() {
         let coordinator = settled(&mut shipped, 7, "gate-south", &by_kim);
         assert!(coordinator.starts_with("north-"), "{coordinator} coordinates");
         let mut mission = shipped.begin(&[&SUBMIT[..], &by_kim].concat(), "gate-south");
-        shipped.begins("ada", "navto_room");
+        shipped.wait_for_task("ada", "navto_room");
 
-        shipped.carry("ada", "north", "south", "10.2.0.2");
-        shipped.linked("ada", &["gate-south"]);
-        shipped.begins("ada", "approach_nurse");
+        shipped.move_to_network("ada", "north", "south", "10.2.0.2");
+        shipped.wait_for_links("ada", &["gate-south"]);
+        shipped.wait_for_task("ada", "approach_nurse");
 
         shipped.unplug("gate-south", "between");
-        shipped.linked("gate-south", &["ada"]);
+        shipped.wait_for_links("gate-south", &["ada"]);
         assert!(!mission.has_ended(), "{}{}", mission.stdout(), mission.stderr());
         shipped.plug("gate-south", "between");
-        shipped.linked("gate-south", &["ada", "north-1", "north-2"]);
+        shipped.wait_for_links("gate-south", &["ada", "north-1", "north-2"]);
         let ended = mission.end(LONG).expect(0);
         assert!(ended.stdout.ends_with(" completed\n"), "{}", ended.stdout);
         assert!(!shipped.log("ada").contains("suspend"), "{}", shipped.log("ada"));

@@ -39,13 +39,13 @@ fn load(address: String, acknowledged: Acknowledged, ended: Arc<AtomicBool>) {
 
 fn ledger(file: &Path) -> (Backup, Ledger) {
     let backup: Backup = serde_json::from_slice(&fs::read(file).expect("the copy was written")).expect("a copy");
-    let (ledger, _) = backup.open().expect("it is whole");
+    let (ledger, _) = backup.decode().expect("it is whole");
     (backup, ledger)
 }
 
 fn has_all(ledger: &Ledger, acknowledged: &[(String, String)]) {
     for (request, mission) in acknowledged {
-        let found = ledger.requested(&request.parse().expect("a name")).map(|entry| entry.id.as_str());
+        let found = ledger.mission_of_request(&request.parse().expect("a name")).map(|entry| entry.id.as_str());
         assert_eq!(found, Some(mission.as_str()), "{request} was acknowledged before the copy was asked for");
     }
 }
@@ -108,7 +108,7 @@ fn a_fleet_that_lost_all_its_disks_goes_on_from_a_copy_that_was_made_under_load(
     start_hospital(&mut fleet, SPEED);
     let mut client = Client::open(&fleet.address("world"), "backups");
     let (_, ledger) = ledger(Path::new(&file));
-    let under_way: Vec<String> = ledger.live().iter().map(|entry| entry.id.to_string()).collect();
+    let under_way: Vec<String> = ledger.active_missions().iter().map(|entry| entry.id.to_string()).collect();
     assert!(!under_way.is_empty(), "the first few were not withdrawn");
     let (request, mission) = acknowledged.lock().expect("nobody panics with it")[0].clone();
     assert_eq!(submit(&client, &request), mission, "a request that was acknowledged before is not a new one");

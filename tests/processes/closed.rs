@@ -6,13 +6,13 @@ use bytes::Bytes;
 use consort_actors::bus::zenoh_bus::{LinkTrust, Mode};
 use consort_actors::bus::{Bus, Delivery, Encoding, ZenohBus, ZenohSettings};
 use consort_actors::clock::Clock;
-use consort_actors::trust::SealedBus;
+use consort_actors::trust::SigningBus;
 use consort_nodes::config::trust_files;
 use consort_protocol::codec;
 use consort_protocol::ids::{FleetId, NodeId};
 use consort_protocol::keys::{Key, Keys};
-use consort_protocol::knowledge::Stamp;
-use consort_protocol::message::{Beacon, Statement, Within};
+use consort_protocol::knowledge::RecordStamp;
+use consort_protocol::message::{Beacon, ClusterEnvelope, RecordUpdate};
 use serde_json::{Value, json};
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
@@ -36,17 +36,17 @@ fn threads() -> tokio::runtime::Runtime {
 }
 
 /// A node's bus with its certificate, linked with one other: bare, and as nodes use it.
-async fn member(address: &str, certs: &Path) -> (ZenohBus, SealedBus) {
+async fn member(address: &str, certs: &Path) -> (ZenohBus, SigningBus) {
     let files = trust_files(certs);
     let links = Some(LinkTrust { files: files.clone(), fleet: ward() });
     let connect = vec![address.to_owned()];
-    let settings = ZenohSettings { mode: Mode::Client, connect, links, ..ZenohSettings::default() };
+    let settings = ZenohSettings { mode: Mode::Client, connect, link_trust: links, ..ZenohSettings::default() };
     let bus = ZenohBus::open(settings).await.expect("it is of the fleet");
     let clock = Clock::real();
     let life = clock.wall_ms();
     let keyring = files.open(&ward(), Duration::from_millis(life), life).expect("its files are right");
     let sealed =
-        SealedBus::open(Arc::new(bus.clone()), Keys::new(&ward()), Arc::new(keyring), files.revoked, clock).await;
+        SigningBus::open(Arc::new(bus.clone()), Keys::new(&ward()), Arc::new(keyring), files.revoked, clock).await;
     (bus, sealed.expect("it shows its certificate"))
 }
 
@@ -213,13 +213,14 @@ fn a_robot_that_speaks_in_the_name_of_others_is_not_listened_to_and_leaves_a_tra
     let eve = runtime.block_on(member(&closed.fleet.address("station-1"), &closed.of("eve")));
     let arm = NodeId::new("lab-arm").expect("a name");
     let knowledge = keys.write(&Key::Knowledge(arm.clone()));
-    let still = Statement::Still { stamp: Stamp { incarnation: u64::MAX, version: 1 }, since: 1, proof: None };
+    let still =
+        RecordUpdate::Refresh { stamp: RecordStamp { incarnation: u64::MAX, version: 1 }, since: 1, proof: None };
     let beacon = Beacon { node: arm, term: 1_000_000, voters: BTreeSet::new(), since_ms: 0, cluster: None, wire: None };
-    let beacon = Within { cluster: None, said: codec::encode(&beacon).expect("a beacon") };
+    let beacon = ClusterEnvelope { cluster: None, payload: codec::encode(&beacon).expect("a beacon") };
     let says = [
         (
             knowledge.clone(),
-            codec::encode_for(2, still).expect("a statement"),
+            codec::encode_for_version(2, still).expect("a statement"),
             "may not publish on wire/knowledge/lab-arm",
         ),
         (keys.write(&Key::Beacon), codec::encode(&beacon).expect("a message"), "may not publish on wire/beacon"),

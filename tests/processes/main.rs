@@ -5,21 +5,21 @@
 //! killed when its handle is dropped, also when a test fails.
 
 mod backups;
-mod by_hand;
 mod closed;
 mod crashes;
+mod decommission;
 mod demo;
 mod demo_on_virtual_time;
-mod departures;
+mod demo_shutdown;
+mod example_fleet;
 mod foreign_clients;
 mod full_disk;
-mod holder;
-mod interruption;
-mod mistakes;
+mod holder_loss;
+mod invalid_usage;
 mod recordings;
-mod rest;
 mod service;
 mod stock_client;
 mod support;
+mod terminal_ui;
 mod upgrade;
-mod watch;
+mod zenoh_rest;

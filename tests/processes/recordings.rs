@@ -1,7 +1,7 @@
 //! What is recorded of a world, however its process ends; and of a fleet, whoever dies: its coordinator, or the recorder.
 
 use crate::support::{Client, Folder, Program, hospital, until};
-use consort_nodes::recording::{MarkKind, Reel};
+use consort_nodes::recording::{RecordingReader, TimelineMarkKind};
 use std::fs;
 use std::path::Path;
 use std::time::Duration;
@@ -79,11 +79,11 @@ fn a_recorder_goes_on_when_the_coordinator_dies_to_which_it_was_linked_and_can_b
     });
     until("it has heard who coordinates now", long, || holds(&file, &format!(r#"{{"node":"{next}","term":"#)));
     recorder.kill();
-    let reel = Reel::open(&file).expect("what was heard is there");
-    assert!(reel.problem().is_some_and(|problem| problem.contains("it has no end")), "{:?}", reel.problem());
-    let changes = reel.marks().iter().filter(|mark| mark.kind == MarkKind::Coordinator);
+    let reel = RecordingReader::open(&file).expect("what was heard is there");
+    assert!(reel.damage().is_some_and(|problem| problem.contains("it has no end")), "{:?}", reel.damage());
+    let changes = reel.marks().iter().filter(|mark| mark.kind == TimelineMarkKind::Coordinator);
     assert!(changes.clone().any(|mark| mark.text.starts_with(&format!("{next} coordinates"))), "{:?}", reel.marks());
     let before = changes.clone().next().expect("there is one").at_ms - 1;
-    assert_eq!(reel.picture_at(before).coordinator().map(|now| now.node.as_str()), Some(coordinator.as_str()));
+    assert_eq!(reel.model_at(before).coordinator().map(|now| now.node.as_str()), Some(coordinator.as_str()));
     fleet.stop();
 }

@@ -10,13 +10,13 @@ use std::time::Duration;
 
 impl Fleet {
     /// Makes a request as any client would. `None` when nobody answered.
-    pub async fn ask(&self, call: ApiCall, payload: &Value) -> Option<Value> {
-        self.ask_in_words(call, &payload.to_string()).await
+    pub async fn request(&self, call: ApiCall, payload: &Value) -> Option<Value> {
+        self.request_raw(call, &payload.to_string()).await
     }
 
     /// Makes a request of any content. One who has not heard yet that somebody coordinates may put it off, while the one
     /// who does carries it out: as any client should, this one listens for a moment whether there is a better answer.
-    pub async fn ask_in_words(&self, call: ApiCall, payload: &str) -> Option<Value> {
+    pub async fn request_raw(&self, call: ApiCall, payload: &str) -> Option<Value> {
         let mut put_off = None;
         let mut replies = self.query(call, payload).await;
         let mut patience = Duration::from_secs(3);
@@ -32,7 +32,7 @@ impl Fleet {
     }
 
     /// Makes a request and gives all that answer it, in the order in which they do.
-    pub async fn voices(&self, call: ApiCall, payload: &Value) -> Vec<Value> {
+    pub async fn request_all(&self, call: ApiCall, payload: &Value) -> Vec<Value> {
         let mut replies = self.query(call, &payload.to_string()).await;
         let mut voices = vec![];
         while let Some(reply) = replies.recv().await {
@@ -45,7 +45,7 @@ impl Fleet {
         let key = self.keys.write(&Key::Api(call));
         let limit = Duration::from_secs(3);
         let payload = payload.to_owned().into();
-        let asked = match call.is_reading() {
+        let asked = match call.is_read_only() {
             true => self.client.query_nearest(&key, payload, limit).await,
             false => self.client.query(&key, payload, limit).await,
         };
@@ -53,9 +53,9 @@ impl Fleet {
     }
 
     /// Makes a request to which there must be an answer.
-    pub async fn answer(&self, call: ApiCall, payload: &Value) -> Value {
-        let answer = self.ask(call, payload).await;
-        answer.unwrap_or_else(|| panic!("seed {}: no answer to {payload}\n{}", self.seed, self.tale()))
+    pub async fn request_answered(&self, call: ApiCall, payload: &Value) -> Value {
+        let answer = self.request(call, payload).await;
+        answer.unwrap_or_else(|| panic!("seed {}: no answer to {payload}\n{}", self.seed, self.event_log_text()))
     }
 
     /// What is to be seen under a key expression below `view/`, and how often each key was answered.
@@ -78,7 +78,7 @@ impl Fleet {
     }
 
     /// Asks a node to leave for good. What it answers: once it has left, or why it stays.
-    pub async fn asked_to_leave(&self, name: &str) -> Value {
+    pub async fn request_leave(&self, name: &str) -> Value {
         let (key, limit) = (self.keys.write(&Key::Leave(slug(name))), Duration::from_secs(60));
         let mut replies = self.client.query(&key, vec![].into(), limit).await.expect("a virtual bus");
         let said = replies.recv().await.unwrap_or_else(|| panic!("seed {}: {name} does not answer", self.seed));
@@ -87,14 +87,14 @@ impl Fleet {
 
     /// Asks for lab samples from a room until somebody acknowledges it.
     pub async fn submit(&self, request: &str, room: &str) -> MissionId {
-        slug(self.submit_and_read(request, room).await["mission"].as_str().expect("an acknowledgement names it"))
+        slug(self.submit_with_reply(request, room).await["mission"].as_str().expect("an acknowledgement names it"))
     }
 
     /// As [`submit`](Fleet::submit), and gives the whole answer.
-    pub async fn submit_and_read(&self, request: &str, room: &str) -> Value {
+    pub async fn submit_with_reply(&self, request: &str, room: &str) -> Value {
         let asked = json!({ "mission": "lab-samples", "parameters": { "room": room }, "request": request });
-        self.seen(&format!("the acknowledgement of request {request}"), Duration::from_secs(300), async |fleet| {
-            fleet.ask(ApiCall::Submit, &asked).await.filter(|answer| answer["mission"].is_string())
+        self.poll_until(&format!("the acknowledgement of request {request}"), Duration::from_secs(300), async |fleet| {
+            fleet.request(ApiCall::Submit, &asked).await.filter(|answer| answer["mission"].is_string())
         })
         .await
     }
@@ -104,7 +104,12 @@ impl Fleet {
     ///
     /// # Panics
     /// When it has not within `limit`; the message tells what was awaited, the seed, and all that happened.
-    pub async fn seen<T>(&self, what: &str, limit: Duration, mut look: impl AsyncFnMut(&Fleet) -> Option<T>) -> T {
+    pub async fn poll_until<T>(
+        &self,
+        what: &str,
+        limit: Duration,
+        mut look: impl AsyncFnMut(&Fleet) -> Option<T>,
+    ) -> T {
         let deadline = self.elapsed() + limit;
         loop {
             if let Some(seen) = look(self).await {
@@ -114,14 +119,14 @@ impl Fleet {
                 self.elapsed() < deadline,
                 "seed {}: {what} was not to be seen within {limit:?}\n{}",
                 self.seed,
-                self.tale()
+                self.event_log_text()
             );
             tokio::time::sleep(Duration::from_millis(100)).await;
         }
     }
 
     /// The presence tokens that a client who comes now sees, without the fleet's prefix.
-    pub async fn present(&self) -> BTreeSet<String> {
+    pub async fn presence_tokens(&self) -> BTreeSet<String> {
         let mut tokens = self.client.watch(&self.keys.any_alive()).await.expect("a virtual bus");
         let mut present = BTreeSet::new();
         // What is there already is told within one crossing of the network.

@@ -5,8 +5,8 @@
 //! may be on a real disk whose cache has just been ordered to be flushed.
 
 use async_trait::async_trait;
-use consort_actors::replica::{Journal, Recorded, StoreIdentity};
-use consort_actors::store::{Notebook, Store};
+use consort_actors::raft::{LogStore, PersistentState, StoreIdentity};
+use consort_actors::store::{CheckpointStore, NodeStore};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
 use std::collections::VecDeque;
@@ -19,20 +19,20 @@ const QUICK: (Duration, Duration) = (Duration::from_micros(500), Duration::from_
 
 /// What becomes of writes that a crash meets on their way.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Torn {
+pub enum UnsyncedWrites {
     /// All of them made it.
-    Nothing,
+    AllKept,
     /// Some of the first made it, by chance; the rest is gone.
-    ByChance,
+    SomeLost,
 }
 
 /// A node's disk. Clones are the same disk; it outlives the node.
 #[derive(Clone)]
-pub struct Disk(Arc<Mutex<State>>);
+pub struct VirtualDisk(Arc<Mutex<State>>);
 
 struct State {
     identity: StoreIdentity,
-    journal: Recorded,
+    journal: PersistentState,
     page: Option<Vec<u8>>,
     /// Asked for and not there yet, with a running number.
     waiting: VecDeque<(u64, Write)>,
@@ -56,12 +56,12 @@ enum Write {
     Page(Option<Vec<u8>>),
 }
 
-impl Disk {
+impl VirtualDisk {
     /// An empty disk with a name of its own.
-    pub fn new(seed: u64) -> Disk {
-        Disk(Arc::new(Mutex::new(State {
+    pub fn new(seed: u64) -> VirtualDisk {
+        VirtualDisk(Arc::new(Mutex::new(State {
             identity: StoreIdentity::from_seed(seed),
-            journal: Recorded::default(),
+            journal: PersistentState::default(),
             page: None,
             waiting: VecDeque::new(),
             asked: 0,
@@ -73,11 +73,11 @@ impl Disk {
     }
 
     /// The memory of the node's next life. The former one's writes are void from now on.
-    pub fn store(&self) -> Store {
+    pub fn store(&self) -> NodeStore {
         let mut state = self.lock();
         state.life += 1;
         let end = Arc::new(End { disk: self.clone(), life: state.life });
-        Store { journal: end.clone(), notebook: end }
+        NodeStore { log_store: end.clone(), checkpoints: end }
     }
 
     /// From now on each write takes so long, from the shortest to the longest; `None` ends that.
@@ -86,11 +86,11 @@ impl Disk {
     }
 
     /// The node has crashed.
-    pub fn crash(&self, torn: Torn) {
+    pub fn crash(&self, torn: UnsyncedWrites) {
         let mut state = self.lock();
         let made_it = match torn {
-            Torn::Nothing => state.waiting.len(),
-            Torn::ByChance => {
+            UnsyncedWrites::AllKept => state.waiting.len(),
+            UnsyncedWrites::SomeLost => {
                 let most = state.waiting.len();
                 state.chance.random_range(0..=most)
             }
@@ -135,7 +135,7 @@ impl State {
 
 /// One life's end of a disk.
 struct End {
-    disk: Disk,
+    disk: VirtualDisk,
     life: u64,
 }
 
@@ -167,20 +167,20 @@ impl End {
 }
 
 #[async_trait]
-impl Journal for End {
+impl LogStore for End {
     fn identity(&self) -> StoreIdentity {
         self.disk.lock().identity
     }
 
-    async fn load(&self) -> io::Result<Recorded> {
+    async fn load(&self) -> io::Result<PersistentState> {
         Ok(self.state()?.journal.clone())
     }
 
-    async fn record_vote(&self, vote: Vec<u8>) -> io::Result<()> {
+    async fn save_vote(&self, vote: Vec<u8>) -> io::Result<()> {
         self.write(Write::Vote(vote)).await
     }
 
-    async fn record_committed(&self, committed: Option<Vec<u8>>) -> io::Result<()> {
+    async fn save_committed(&self, committed: Option<Vec<u8>>) -> io::Result<()> {
         // It may be lazy: it lands with whatever is written next.
         self.ask(Write::Committed(committed)).map(drop)
     }
@@ -197,13 +197,13 @@ impl Journal for End {
         self.write(Write::Purge(index, last)).await
     }
 
-    async fn keep_snapshot(&self, snapshot: Vec<u8>) -> io::Result<()> {
+    async fn save_snapshot(&self, snapshot: Vec<u8>) -> io::Result<()> {
         self.write(Write::Snapshot(snapshot)).await
     }
 }
 
 #[async_trait]
-impl Notebook for End {
+impl CheckpointStore for End {
     async fn read(&self) -> io::Result<Option<Vec<u8>>> {
         Ok(self.state()?.page.clone())
     }
@@ -225,19 +225,19 @@ mod tests {
     async fn what_was_acknowledged_survives_and_what_was_not_is_torn_off_in_order() {
         let mut kept = vec![];
         for seed in 0..20 {
-            let disk = Disk::new(seed);
+            let disk = VirtualDisk::new(seed);
             let store = disk.store();
-            store.journal.append(entry(1)).await.expect("a disk in good order");
+            store.log_store.append(entry(1)).await.expect("a disk in good order");
             for index in 2..=4 {
-                let journal = store.journal.clone();
+                let journal = store.log_store.clone();
                 tokio::spawn(async move { journal.append(entry(index)).await });
                 tokio::task::yield_now().await;
             }
-            disk.crash(Torn::ByChance);
-            let held: Vec<u64> = disk.store().journal.load().await.expect("readable").entries.into_keys().collect();
+            disk.crash(UnsyncedWrites::SomeLost);
+            let held: Vec<u64> = disk.store().log_store.load().await.expect("readable").entries.into_keys().collect();
             assert_eq!(held, (1..=held.len() as u64).collect::<Vec<_>>(), "seed {seed}: no gaps");
             kept.push(held.len());
-            assert!(store.journal.append(entry(9)).await.is_err(), "seed {seed}: the former life is over");
+            assert!(store.log_store.append(entry(9)).await.is_err(), "seed {seed}: the former life is over");
         }
         kept.sort_unstable();
         kept.dedup();
@@ -246,11 +246,11 @@ mod tests {
 
     #[tokio::test(flavor = "current_thread", start_paused = true)]
     async fn a_slow_disk_takes_its_time() {
-        let disk = Disk::new(1);
+        let disk = VirtualDisk::new(1);
         disk.set_slow(Some((Duration::from_millis(200), Duration::from_millis(300))));
         let before = tokio::time::Instant::now();
-        disk.store().notebook.write(Some(vec![7])).await.expect("a disk in good order");
+        disk.store().checkpoints.write(Some(vec![7])).await.expect("a disk in good order");
         assert!(before.elapsed() >= Duration::from_millis(200));
-        assert_eq!(disk.store().notebook.read().await.expect("readable"), Some(vec![7]));
+        assert_eq!(disk.store().checkpoints.read().await.expect("readable"), Some(vec![7]));
     }
 }

@@ -1,21 +1,21 @@
 //! A whole fleet in one process on virtual time.
 
-use crate::chronicle::{Chronicle, Entry};
-use crate::member::Member;
-use crate::papers::Papers;
+use crate::credentials::Credentials;
+use crate::event_log::{EventLog, Observation};
+use crate::robot_spec::RobotSpec;
 use crate::slug;
 use crate::ward::ward;
 use consort_actors::bus::{LinkModel, SharedBus, VirtualBus, VirtualNetwork};
 use consort_actors::clock::Clock;
-use consort_actors::node::{FleetSettings, HostPart, NodeHandle, NodeSettings, RobotPart};
-use consort_actors::store::Store;
-use consort_actors::trust::SealedBus;
-use consort_protocol::event::Happening;
+use consort_actors::node::{DriverServerPart, FleetSettings, NodeHandle, NodeSettings, RobotPart};
+use consort_actors::store::NodeStore;
+use consort_actors::trust::SigningBus;
+use consort_protocol::event::EventKind;
 use consort_protocol::ids::NodeId;
 use consort_protocol::keys::Keys;
 use consort_protocol::mission::Domain;
 use consort_sim::map;
-use consort_sim::world::{JournalEntry, Person, SharedWorld, World, WorldSetup};
+use consort_sim::world::{LoggedEvent, PersonSetup, SharedWorld, World, WorldSetup};
 use consort_skills::descriptor::DescriptorRegistry;
 use consort_skills::library::SkillLibrary;
 use serde_json::Value;
@@ -34,51 +34,51 @@ pub struct Fleet {
     /// The world its bodies are in.
     pub world: SharedWorld,
     /// All that happened.
-    pub chronicle: Chronicle,
+    pub event_log: EventLog,
     pub(crate) keys: Keys,
     settings: FleetSettings,
     /// World seconds in a second of the nodes' time.
     speed: f64,
-    members: BTreeMap<String, Member>,
+    members: BTreeMap<String, RobotSpec>,
     pub(crate) nodes: BTreeMap<String, NodeHandle>,
     /// A client's end of the network.
     pub client: VirtualBus,
     /// What happened in the world, as far as it was looked at.
-    pub(crate) journal: Vec<JournalEntry>,
+    pub(crate) journal: Vec<LoggedEvent>,
     lives: u64,
     /// What the latest life of each node left behind.
-    stores: BTreeMap<String, Store>,
-    adjust: Adjust,
+    stores: BTreeMap<String, NodeStore>,
+    adjust: AdjustNode,
     /// Those who write down what nodes believe.
     followers: BTreeMap<String, AbortHandle>,
     /// What nodes prove themselves with, if the fleet is closed.
-    pub papers: Option<Papers>,
+    pub credentials: Option<Credentials>,
     /// The buses on which nodes of a closed fleet seal what they say.
-    pub sealed: BTreeMap<String, Arc<SealedBus>>,
+    pub signing_buses: BTreeMap<String, Arc<SigningBus>>,
 }
 
 /// Changes what a node is to be, each time before it starts.
-pub type Adjust = Box<dyn FnMut(&mut NodeSettings)>;
+pub type AdjustNode = Box<dyn FnMut(&mut NodeSettings)>;
 
 /// All that a fleet begins with.
-pub(crate) struct Staging {
+pub(crate) struct FleetSetup {
     pub(crate) seed: u64,
     /// The robots' nodes; their bodies are in the world.
-    pub(crate) members: Vec<Member>,
+    pub(crate) members: Vec<RobotSpec>,
     pub(crate) stations: Vec<String>,
     pub(crate) world: SharedWorld,
     /// World seconds in a second of the nodes' time.
     pub(crate) speed: f64,
     /// Robots with one of these skills are asked for bids.
     pub(crate) skills: Vec<String>,
-    pub(crate) adjust: Adjust,
+    pub(crate) adjust: AdjustNode,
     /// Whether nodes have certificates, and seal what they say.
     pub(crate) closed: bool,
 }
 
 /// A nurse who waits in a room with one sample; both are called after the room.
-pub(crate) fn nurse_of(room: &str) -> Person {
-    Person {
+pub(crate) fn nurse_in(room: &str) -> PersonSetup {
+    PersonSetup {
         name: format!("nurse of {room}").as_str().into(),
         role: slug("nurse"),
         place: slug(room),
@@ -93,57 +93,57 @@ impl Fleet {
     ///
     /// The first voters are up to five, an odd number: the arm and the stations before the mobile robots, and by name.
     /// The first of them by name founds the ledger and, as a rule, is the first to coordinate.
-    pub async fn hospital(seed: u64, members: Vec<Member>, stations: &[&str], rooms: &[&str]) -> Fleet {
+    pub async fn hospital(seed: u64, members: Vec<RobotSpec>, stations: &[&str], rooms: &[&str]) -> Fleet {
         Fleet::adjusted_hospital(seed, members, stations, rooms, Box::new(|_| ())).await
     }
 
     /// The same, with nodes that are changed before they start.
     pub async fn adjusted_hospital(
         seed: u64,
-        members: Vec<Member>,
+        members: Vec<RobotSpec>,
         stations: &[&str],
         rooms: &[&str],
-        adjust: Adjust,
+        adjust: AdjustNode,
     ) -> Fleet {
-        Fleet::any_hospital(seed, members, stations, rooms, adjust, false).await
+        Fleet::hospital_with(seed, members, stations, rooms, adjust, false).await
     }
 
     /// The same, whose nodes have certificates and seal what they say.
-    pub async fn closed_hospital(seed: u64, members: Vec<Member>, stations: &[&str], rooms: &[&str]) -> Fleet {
-        Fleet::any_hospital(seed, members, stations, rooms, Box::new(|_| ()), true).await
+    pub async fn closed_hospital(seed: u64, members: Vec<RobotSpec>, stations: &[&str], rooms: &[&str]) -> Fleet {
+        Fleet::hospital_with(seed, members, stations, rooms, Box::new(|_| ()), true).await
     }
 
     /// The hospital, open or closed.
-    pub(crate) async fn any_hospital(
+    pub(crate) async fn hospital_with(
         seed: u64,
-        mut members: Vec<Member>,
+        mut members: Vec<RobotSpec>,
         stations: &[&str],
         rooms: &[&str],
-        adjust: Adjust,
+        adjust: AdjustNode,
         closed: bool,
     ) -> Fleet {
         if members.iter().all(|member| member.speed.is_some()) {
-            members.push(Member::arm("lab-arm", "Laboratory"));
+            members.push(RobotSpec::arm("lab-arm", "Laboratory"));
         }
         let map = map::shipped("hospital").expect("the shipped map is sound");
         let mut setup = WorldSetup::new(map, seed);
         for member in &members {
-            setup = setup.robot(member.body());
+            setup = setup.robot(member.robot_body());
         }
         for room in rooms {
-            setup = setup.person(nurse_of(room));
+            setup = setup.person(nurse_in(room));
         }
         let world = SharedWorld::new(World::new(setup).expect("the test's own world"));
         let stations = stations.iter().map(|station| (*station).to_owned()).collect();
         let skills = ["operate_drawer", "pick_up"].map(str::to_owned).to_vec();
-        Fleet::staged(Staging { seed, members, stations, world, speed: 10.0, skills, adjust, closed }).await
+        Fleet::from_setup(FleetSetup { seed, members, stations, world, speed: 10.0, skills, adjust, closed }).await
     }
 
     /// A fleet whose bodies are in this world.
-    pub(crate) async fn staged(staging: Staging) -> Fleet {
-        let Staging { seed, members, stations, world, speed, skills, adjust, closed } = staging;
+    pub(crate) async fn from_setup(staging: FleetSetup) -> Fleet {
+        let FleetSetup { seed, members, stations, world, speed, skills, adjust, closed } = staging;
         let network = VirtualNetwork::new(seed, LinkModel::LAN);
-        let present = members.iter().filter(|member| !member.late).count();
+        let present = members.iter().filter(|member| !member.starts_later).count();
         let skills: Vec<&str> = skills.iter().map(String::as_str).collect();
         let mut settings = ward(&skills, present + stations.len());
         let places = world.with(|world| world.map().topology().places);
@@ -153,7 +153,7 @@ impl Fleet {
             seed,
             network,
             world,
-            chronicle: Chronicle::new(),
+            event_log: EventLog::new(),
             keys: Keys::new(&settings.fleet),
             settings,
             speed,
@@ -165,17 +165,17 @@ impl Fleet {
             stores: BTreeMap::new(),
             adjust,
             followers: BTreeMap::new(),
-            papers: None,
-            sealed: BTreeMap::new(),
+            credentials: None,
+            signing_buses: BTreeMap::new(),
         };
-        fleet.papers = closed.then(|| Papers::new(fleet.settings.fleet.clone(), seed));
+        fleet.credentials = closed.then(|| Credentials::new(fleet.settings.fleet.clone(), seed));
         fleet.start_world().await;
         for station in &stations {
             fleet.start_station(station).await;
         }
-        let present = fleet.members.values().filter(|member| !member.late).map(|member| member.name.clone());
-        for name in present.collect::<Vec<_>>() {
-            fleet.start_robot(&name).await;
+        let present = fleet.members.values().filter(|member| !member.starts_later).map(|member| member.name.clone());
+        for parse_name in present.collect::<Vec<_>>() {
+            fleet.start_robot(&parse_name).await;
         }
         fleet
     }
@@ -183,8 +183,8 @@ impl Fleet {
     /// Starts the node that hosts the bodies and the people, for the first time or again. The world itself goes on in any
     /// case.
     pub async fn start_world(&mut self) {
-        let host = HostPart { world: Box::new(self.world.clone()), speed: self.speed };
-        let settings = NodeSettings { host: Some(host), ..self.node("world", false, None) };
+        let host = DriverServerPart { world: Box::new(self.world.clone()), speed: self.speed };
+        let settings = NodeSettings { driver_server: Some(host), ..self.node("world", false, None) };
         self.start(settings).await;
     }
 
@@ -208,7 +208,7 @@ impl Fleet {
             let map = world.map();
             let environment = map.environment().expect("the shipped map is sound");
             let mut library = SkillLibrary::standard(environment.clone());
-            if let Some(train) = member.trained {
+            if let Some(train) = member.customize_library {
                 train(&mut library);
             }
             RobotPart {
@@ -231,15 +231,15 @@ impl Fleet {
             node: slug(name),
             incarnation: self.lives,
             seed,
-            store: self.stores.entry(name.to_owned()).or_insert_with(|| Store::in_memory(seed)).clone(),
+            store: self.stores.entry(name.to_owned()).or_insert_with(|| NodeStore::in_memory(seed)).clone(),
             clock: Clock::virtual_at(0),
             may_vote,
             stationary,
             mains_powered: stationary,
             robot,
-            host: None,
-            observer: Some(Arc::new(self.chronicle.clone())),
-            notary: None,
+            driver_server: None,
+            observer: Some(Arc::new(self.event_log.clone())),
+            record_signer: None,
         }
     }
 
@@ -247,11 +247,11 @@ impl Fleet {
         (self.adjust)(&mut settings);
         let mut bus: SharedBus = Arc::new(self.network.bus(settings.node.clone()));
         let name = settings.node.to_string();
-        if let Some(papers) = &self.papers {
-            let keyring = papers.of(&settings.node, Papers::roles(&settings), settings.incarnation);
-            let sealed = papers.sealed(bus, keyring, settings.clock).await;
-            settings.notary = Some(sealed.notary());
-            self.sealed.insert(name.clone(), Arc::clone(&sealed));
+        if let Some(papers) = &self.credentials {
+            let keyring = papers.keyring_of(&settings.node, Credentials::roles(&settings), settings.incarnation);
+            let sealed = papers.signing_bus(bus, keyring, settings.clock).await;
+            settings.record_signer = Some(sealed.record_signer());
+            self.signing_buses.insert(name.clone(), Arc::clone(&sealed));
             bus = sealed;
         }
         let node = NodeHandle::start(settings, bus).await.expect("a virtual node starts");
@@ -259,19 +259,19 @@ impl Fleet {
     }
 
     /// Writes down from now on what a node believes of who leads, until it ends.
-    pub(crate) fn follow_beliefs(&mut self, name: &str) {
+    pub(crate) fn record_leadership(&mut self, name: &str) {
         let Some(replica) = self.nodes.get(name).and_then(|node| node.replica.as_ref()) else { return };
-        let (mut leadership, chronicle, node) = (replica.leadership(), self.chronicle.clone(), slug::<NodeId>(name));
+        let (mut leadership, chronicle, node) = (replica.leadership(), self.event_log.clone(), slug::<NodeId>(name));
         let follower = tokio::spawn(async move {
             let mut told = None;
             loop {
                 let (term, leads) = {
                     let now = leadership.borrow_and_update();
-                    (now.term, now.reign.filter(|_| now.is_me))
+                    (now.term, now.leader_id.filter(|_| now.is_leader))
                 };
                 if told != Some((term, leads)) {
                     told = Some((term, leads));
-                    chronicle.add(Entry::Believes { node: node.clone(), term, leads });
+                    chronicle.add(Observation::LeadershipChanged { node: node.clone(), term, leading_as: leads });
                 }
                 if leadership.changed().await.is_err() {
                     return;
@@ -292,13 +292,13 @@ impl Fleet {
     }
 
     /// What a robot has written down.
-    pub async fn notebook(&self, name: &str) -> Option<Vec<u8>> {
-        self.stores[name].notebook.read().await.expect("a notebook in memory")
+    pub async fn checkpoint(&self, name: &str) -> Option<Vec<u8>> {
+        self.stores[name].checkpoints.read().await.expect("a notebook in memory")
     }
 
     /// Puts something else there while the robot is not running.
-    pub async fn forge_notebook(&self, name: &str, page: Vec<u8>) {
-        self.stores[name].notebook.write(Some(page)).await.expect("a notebook in memory");
+    pub async fn overwrite_checkpoint(&self, name: &str, page: Vec<u8>) {
+        self.stores[name].checkpoints.write(Some(page)).await.expect("a notebook in memory");
     }
 
     /// Ends a node as SIGKILL would.
@@ -316,16 +316,16 @@ impl Fleet {
 
     /// Has a node leave for good, as `consort leave` does, and ends it once it has. What it said of it.
     pub async fn leave(&mut self, name: &str) -> Value {
-        let said = self.asked_to_leave(name).await;
+        let said = self.request_leave(name).await;
         let mut node = self.nodes.remove(name).expect("a node that runs");
-        node.ended_or_left().await.unwrap_or_else(|problem| panic!("seed {}: {problem}; {said}", self.seed));
-        node.end().await;
+        node.ended_or_decommissioned().await.unwrap_or_else(|problem| panic!("seed {}: {problem}; {said}", self.seed));
+        node.shut_down().await;
         self.gone(name, "left");
         said
     }
 
     fn gone(&mut self, name: &str, what: &'static str) {
-        self.chronicle.add(Entry::Done { node: slug(name), what });
+        self.event_log.add(Observation::TestAction { node: slug(name), action: what });
         if let Some(follower) = self.followers.remove(name) {
             follower.abort();
         }
@@ -334,7 +334,7 @@ impl Fleet {
 
     /// Kills whoever coordinates, and says who it was.
     pub async fn kill_coordinator(&mut self) -> NodeId {
-        let coordinator = self.coordinator().await;
+        let coordinator = self.wait_for_coordinator().await;
         self.kill(coordinator.as_str()).await;
         coordinator
     }
@@ -342,7 +342,7 @@ impl Fleet {
     /// Nodes that hear only one another, and whom nobody else hears, until the network is healed.
     pub fn cut_off(&self, names: &[&str]) {
         for name in names {
-            self.chronicle.add(Entry::Done { node: slug(name), what: "cut off" });
+            self.event_log.add(Observation::TestAction { node: slug(name), action: "cut off" });
         }
         self.network.partition([names.iter().map(|name| slug(name)).collect::<Vec<NodeId>>()]);
     }
@@ -350,19 +350,19 @@ impl Fleet {
     /// Ends all faults of the network.
     pub fn heal(&self) {
         self.network.heal();
-        self.chronicle.add(Entry::Done { node: slug("client"), what: "all faults healed" });
+        self.event_log.add(Observation::TestAction { node: slug("client"), action: "all faults healed" });
     }
 
     /// Lets virtual time pass until `done` says so. Looks whenever something happens, and every ten milliseconds.
     ///
     /// # Panics
     /// When it has not within `limit`; the message tells what was awaited, the seed, and what happened last.
-    pub async fn until(&mut self, what: &str, limit: Duration, mut done: impl FnMut(&Fleet) -> bool) {
+    pub async fn wait_until(&mut self, what: &str, limit: Duration, mut done: impl FnMut(&Fleet) -> bool) {
         let deadline = Instant::now() + limit;
-        let mut grown = self.chronicle.grown();
+        let mut grown = self.event_log.subscribe_len();
         loop {
             grown.mark_unchanged();
-            let news = self.world.with(World::drain_journal);
+            let news = self.world.with(World::drain_event_log);
             self.journal.extend(news);
             if done(self) {
                 return;
@@ -371,7 +371,15 @@ impl Fleet {
                 Instant::now() < deadline,
                 "seed {}: {what} has not happened within {limit:?}; the last that did:\n{}",
                 self.seed,
-                self.tale().lines().rev().take(60).collect::<Vec<_>>().into_iter().rev().collect::<Vec<_>>().join("\n")
+                self.event_log_text()
+                    .lines()
+                    .rev()
+                    .take(60)
+                    .collect::<Vec<_>>()
+                    .into_iter()
+                    .rev()
+                    .collect::<Vec<_>>()
+                    .join("\n")
             );
             // Whether it ends by news or by time, it is time to look.
             let _ = tokio::time::timeout(Duration::from_millis(10), grown.changed()).await;
@@ -379,9 +387,9 @@ impl Fleet {
     }
 
     /// Lets virtual time pass: at most so long, and no longer than a glance takes.
-    pub(crate) async fn watch(&mut self, at_most: Duration) {
+    pub(crate) async fn step(&mut self, at_most: Duration) {
         tokio::time::sleep(at_most.min(Duration::from_millis(50))).await;
-        let news = self.world.with(World::drain_journal);
+        let news = self.world.with(World::drain_event_log);
         self.journal.extend(news);
     }
 
@@ -389,30 +397,30 @@ impl Fleet {
     ///
     /// # Panics
     /// When it does.
-    pub async fn never(&mut self, what: &str, during: Duration, mut must_not: impl FnMut(&Fleet) -> bool) {
+    pub async fn assert_never(&mut self, what: &str, during: Duration, mut must_not: impl FnMut(&Fleet) -> bool) {
         let end = Instant::now() + during;
         let mut broken = false;
-        self.until(&format!("{during:?} without {what}"), during + Duration::from_secs(1), |fleet| {
+        self.wait_until(&format!("{during:?} without {what}"), during + Duration::from_secs(1), |fleet| {
             broken |= must_not(fleet);
             broken || Instant::now() >= end
         })
         .await;
-        assert!(!broken, "seed {}: {what} happened\n{}", self.seed, self.tale());
+        assert!(!broken, "seed {}: {what} happened\n{}", self.seed, self.event_log_text());
     }
 
     /// Waits until something of the kind happens that had not when this was called.
-    pub async fn next(&mut self, what: &str, limit: Duration, is: impl Fn(&Happening) -> bool) {
-        let before = self.chronicle.count(&is);
-        self.until(what, limit, |fleet| fleet.chronicle.count(&is) > before).await;
+    pub async fn wait_for_next(&mut self, what: &str, limit: Duration, is: impl Fn(&EventKind) -> bool) {
+        let before = self.event_log.count(&is);
+        self.wait_until(what, limit, |fleet| fleet.event_log.count(&is) > before).await;
     }
 
     /// How long the fleet has run, in virtual time.
     pub fn elapsed(&self) -> Duration {
-        self.chronicle.elapsed()
+        self.event_log.elapsed()
     }
 
     /// Everything that happened, a line each, for a person who looks for the reason.
-    pub fn tale(&self) -> String {
-        self.chronicle.tale()
+    pub fn event_log_text(&self) -> String {
+        self.event_log.to_text()
     }
 }

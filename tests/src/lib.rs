@@ -3,22 +3,22 @@
 pub mod behavior;
 pub mod chaos;
 mod checks;
-mod chronicle;
 mod client;
+mod credentials;
 pub mod disk;
+mod event_log;
 pub mod experiment;
 mod fleet;
-mod look;
-mod member;
-mod papers;
-mod stations;
+mod inspection;
+mod robot_spec;
+mod station_fleet;
 mod ward;
 
-pub use chronicle::{Chronicle, Entry, Spell};
-pub use fleet::{Adjust, Fleet};
-pub use member::Member;
-pub use papers::Papers;
-pub use stations::Stations;
+pub use credentials::Credentials;
+pub use event_log::{EventLog, Observation, RoleInterval};
+pub use fleet::{AdjustNode, Fleet};
+pub use robot_spec::RobotSpec;
+pub use station_fleet::StationFleet;
 
 use std::fmt;
 
@@ -28,7 +28,7 @@ pub fn slug<T: std::str::FromStr<Err: fmt::Debug>>(text: &str) -> T {
 }
 
 /// Tells a story once for each seed, each time on a paused runtime of its own: nothing of one run is left in the next.
-pub fn tell(seeds: impl IntoIterator<Item = u64>, story: impl AsyncFn(u64)) {
+pub fn for_each_seed(seeds: impl IntoIterator<Item = u64>, story: impl AsyncFn(u64)) {
     for seed in seeds {
         let mut builder = tokio::runtime::Builder::new_current_thread();
         let runtime = builder.enable_time().start_paused(true).build().expect("a runtime");

@@ -2,10 +2,10 @@
 
 use crate::slug;
 use consort_actors::autopilot::VOTERS;
-use consort_actors::coordinator::IntakeLimits;
+use consort_actors::coordinator::RequestLimits;
 use consort_actors::node::FleetSettings;
 use consort_actors::timing::Timing;
-use consort_protocol::auction::{Exact, Limits};
+use consort_protocol::auction::{BidLimits, OptimalAssignment};
 use consort_protocol::ensemble::{Ensemble, EnsembleSpec};
 use consort_protocol::ids::EnsembleId;
 use consort_protocol::lease::LeaseTerms;
@@ -23,16 +23,16 @@ pub(crate) fn ward(skills: &[&str], bootstrap_expect: usize) -> FleetSettings {
         fleet: slug("ward"),
         ensemble: Arc::new(Ensemble::compile(spec).expect("the tests' own ensemble")),
         domain: Arc::new(Domain::hospital()),
-        limits: Limits::default(),
-        intake: IntakeLimits::default(),
-        choice: Arc::new(Exact),
-        terms: LeaseTerms::default(),
-        window: Duration::from_millis(200),
-        stall_after: Duration::from_secs(15 * 60),
+        limits: BidLimits::default(),
+        request_limits: RequestLimits::default(),
+        allocator: Arc::new(OptimalAssignment),
+        lease_terms: LeaseTerms::default(),
+        bid_window: Duration::from_millis(200),
+        stall_timeout: Duration::from_secs(15 * 60),
         bootstrap_expect,
         timing: Timing::Lan,
         voters: VOTERS,
-        dead_after: Timing::Lan.times().dead_after,
-        map: Some(Arc::new(shipped("hospital").expect("it is shipped").show())),
+        dead_after: Timing::Lan.parameters().dead_after,
+        map: Some(Arc::new(shipped("hospital").expect("it is shipped").to_json())),
     }
 }

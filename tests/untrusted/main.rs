@@ -4,7 +4,7 @@
 //! and seeded changes of both. `CONSORT_UNTRUSTED_CASES` says how many changes, `CONSORT_UNTRUSTED_SEED` which;
 //! `CONSORT_UNTRUSTED_SEEDS=DIR` has the seeds written to a folder for each target, for `tests/fuzz/run.sh` to begin with.
 
-mod kept;
+mod golden_bytes;
 mod mutate;
 mod regressions;
 mod seeds;
@@ -80,7 +80,7 @@ fn number(variable: &str, otherwise: u64) -> u64 {
 
 fn try_out(name: &str) {
     let target = target(name);
-    let seeds = seeds::of(name);
+    let seeds = seeds::for_target(name);
     if let Ok(folder) = std::env::var("CONSORT_UNTRUSTED_SEEDS") {
         let folder = Path::new(&folder).join(name);
         fs::create_dir_all(&folder).expect("a folder");
@@ -134,7 +134,7 @@ impl Trial {
     fn case(&self, input: &[u8]) -> bool {
         input.clone_into(&mut self.last.lock().unwrap_or_else(PoisonError::into_inner));
         let began = Instant::now();
-        let read = (self.target.hit)(input);
+        let read = (self.target.run)(input);
         let took = began.elapsed();
         assert!(took < SOON, "it took {took:?}, where {SOON:?} are allowed");
         read

@@ -1,11 +1,11 @@
 //! What was found once, each by its name. What is small is kept in `tests/fuzz/corpus/` too.
 
 use super::{SOON, STACK};
-use consort_nodes::address::Taken;
-use consort_nodes::config::{FleetConfig, Problems, WorldConfig, from_text};
-use consort_nodes::dashboard::{Board, Dashboard};
-use consort_nodes::picture::{FloorPlan, Picture};
-use consort_nodes::recording::Reel;
+use consort_nodes::address::BoundAddress;
+use consort_nodes::config::{Diagnostics, FleetConfig, WorldConfig, from_text};
+use consort_nodes::dashboard::{Dashboard, FramePublisher};
+use consort_nodes::fleet_model::{FleetModel, FloorPlan};
+use consort_nodes::recording::RecordingReader;
 use consort_sim::map;
 use consort_skills::bt::xml::read_xml;
 use std::io::{Read, Write};
@@ -62,7 +62,7 @@ fn a_drawing_of_many_nodes_when_it_is_inflated() {
 #[test]
 fn a_file_of_many_keys_that_nobody_knows() {
     let text: String = (0..20_000).map(|nth| format!("a{nth} = 1\n")).collect();
-    let Problems(problems) = soon(|| from_text::<FleetConfig>(&text, "a.toml")).unwrap_err();
+    let Diagnostics(problems) = soon(|| from_text::<FleetConfig>(&text, "a.toml")).unwrap_err();
     assert_eq!(problems.len(), 50);
     assert!(problems[0].to_string().starts_with("a.toml:1:1: unknown key `a0` in a fleet file; allowed: name, "));
 }
@@ -81,9 +81,13 @@ fn a_web_socket_frame_that_says_it_is_large() {
     let runtime =
         tokio::runtime::Builder::new_multi_thread().worker_threads(1).enable_all().build().expect("a runtime");
     let dashboard = runtime.block_on(async {
-        let address = Taken::take("--dashboard", SocketAddr::from(([127, 0, 0, 1], 0))).await.expect("a free port");
-        let picture = Picture::new("ward", "ada", FloorPlan::default(), 1000);
-        Dashboard::show(address, Arc::new(Board::new(picture, consort_actors::clock::Clock::real())))
+        let address =
+            BoundAddress::bind("--dashboard", SocketAddr::from(([127, 0, 0, 1], 0))).await.expect("a free port");
+        let picture = FleetModel::new("ward", "ada", FloorPlan::default(), 1000);
+        Dashboard::serve_view_only(
+            address,
+            Arc::new(FramePublisher::new(picture, consort_actors::clock::Clock::real())),
+        )
     });
     let address = dashboard.address();
     let mut stream = TcpStream::connect(address).expect("the dashboard takes connections");
@@ -114,10 +118,10 @@ fn a_recording_with_a_record_that_is_longer_than_its_chunk() {
     let recording = include_bytes!("../fuzz/corpus/recording/chunk_whose_last_record_is_longer_than_it");
     let file = std::env::temp_dir().join(format!("consort-untrusted-long-{}.mcap", std::process::id()));
     std::fs::write(&file, recording).expect("a file");
-    let opened = soon(|| Reel::open(&file));
+    let opened = soon(|| RecordingReader::open(&file));
     std::fs::remove_file(&file).expect("the same file");
     let problem = match opened {
-        Ok(reel) => reel.problem().unwrap_or_default(),
+        Ok(reel) => reel.damage().unwrap_or_default(),
         Err(problem) => problem.to_string(),
     };
     assert!(problem.contains("it has no end"), "{problem:?}");

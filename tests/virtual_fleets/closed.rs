@@ -1,18 +1,18 @@
 //! Fleets whose nodes have certificates and seal what they say, and what somebody who has a robot's key can do there.
 
-use crate::usual::released;
+use crate::support::released;
 use bytes::Bytes;
 use consort_actors::bus::Bus as _;
 use consort_actors::bus::{Delivery, Encoding, SharedBus};
 use consort_actors::clock::Clock;
 use consort_protocol::codec;
-use consort_protocol::event::Happening;
+use consort_protocol::event::EventKind;
 use consort_protocol::ids::NodeId;
 use consort_protocol::keys::{BodyCall, Key, Keys};
-use consort_protocol::knowledge::{Availability, Digest, KnowledgeBase, Record, Scope, Stamp};
-use consort_protocol::message::{Beacon, Changed, Exchange, Statement, Within};
+use consort_protocol::knowledge::{Availability, Digest, DigestScope, KnowledgeBase, Record, RecordStamp};
+use consort_protocol::message::{Beacon, ClusterEnvelope, Exchange, MissionsChanged, RecordUpdate};
 use consort_protocol::trust::NodeRole;
-use consort_tests::{Fleet, Member, tell};
+use consort_tests::{Fleet, RobotSpec, for_each_seed};
 use serde::Serialize;
 use std::collections::BTreeSet;
 use std::sync::Arc;
@@ -24,33 +24,35 @@ const ROOM: &str = "IC Room 6";
 const SOON: Duration = Duration::from_secs(60);
 
 /// `fern` is far away and `gorse` near, so that `gorse` carries; the node of `fern` is not started where somebody else has her key.
-async fn closed(seed: u64, fern: Member) -> Fleet {
-    let robots = vec![fern, Member::carrier("gorse", "IC Room 4")];
+async fn closed(seed: u64, fern: RobotSpec) -> Fleet {
+    let robots = vec![fern, RobotSpec::carrier("gorse", "IC Room 4")];
     let mut fleet = Fleet::closed_hospital(seed, robots, &["aster", "basil", "clove"], &[ROOM]).await;
-    assert_eq!(fleet.coordinator().await.as_str(), "aster", "seed {seed}: who coordinates first");
+    assert_eq!(fleet.wait_for_coordinator().await.as_str(), "aster", "seed {seed}: who coordinates first");
     fleet
 }
 
 /// What nodes did not believe.
 fn refused(fleet: &Fleet) -> BTreeSet<String> {
-    fleet.sealed.values().flat_map(|bus| bus.refused()).collect()
+    fleet.signing_buses.values().flat_map(|bus| bus.rejections()).collect()
 }
 
 #[test]
 fn a_closed_fleet_carries_a_mission_through_the_death_of_its_coordinator() {
-    tell(SEEDS, async |seed| {
-        let mut fleet = closed(seed, Member::carrier("fern", "Dock")).await;
+    for_each_seed(SEEDS, async |seed| {
+        let mut fleet = closed(seed, RobotSpec::carrier("fern", "Dock")).await;
         let mission = fleet.submit("a", ROOM).await;
         fleet
-            .until("the first task", SOON, |fleet| fleet.happened(|what| matches!(what, Happening::TaskBegan { .. })))
+            .wait_until("the first task", SOON, |fleet| {
+                fleet.has_event(|what| matches!(what, EventKind::TaskBegan { .. }))
+            })
             .await;
         fleet.kill("aster").await;
-        fleet.coordinator().await;
+        fleet.wait_for_coordinator().await;
         fleet.start_station("aster").await;
-        fleet.completes(&mission).await;
-        fleet.each_task_once(&mission);
-        fleet.sample_delivered(ROOM);
-        fleet.one_role_one_robot();
+        fleet.assert_completes(&mission).await;
+        fleet.assert_each_task_once(&mission);
+        fleet.assert_sample_delivered(ROOM);
+        fleet.assert_exclusive_roles();
         assert_eq!(refused(&fleet), BTreeSet::new(), "seed {seed}: friends are taken for foes");
     });
 }
@@ -60,7 +62,7 @@ fn wire<T: Serialize>(said: &T) -> Bytes {
 }
 
 fn within<T: Serialize>(said: &T) -> Bytes {
-    wire(&Within { cluster: None, said: wire(said).to_vec() })
+    wire(&ClusterEnvelope { cluster: None, payload: wire(said).to_vec() })
 }
 
 /// Somebody with the key of a robot, at its place in the network.
@@ -75,7 +77,7 @@ struct Compromised {
 
 impl Compromised {
     async fn publish(&self, bus: &SharedBus, key: &str, payload: Bytes, beside: Bytes) {
-        bus.publish_with(key, payload, beside, Encoding::Wire, Delivery::Block).await.expect("a network");
+        bus.publish_with_attachment(key, payload, beside, Encoding::Wire, Delivery::Block).await.expect("a network");
     }
 
     /// Says again whatever is heard, there and on the keys of others.
@@ -83,20 +85,20 @@ impl Compromised {
         let mut heard = self.plain.subscribe("consort/ward/**").await.expect("a network");
         let mut said: BTreeSet<Bytes> = BTreeSet::new();
         while let Some(sample) = heard.recv().await {
-            let what: Bytes = [sample.key.as_bytes(), &sample.payload[..], &sample.beside[..]].concat().into();
+            let what: Bytes = [sample.key.as_bytes(), &sample.payload[..], &sample.attachment[..]].concat().into();
             if !said.insert(what) {
                 continue;
             }
             tokio::time::sleep(Duration::from_millis(50)).await;
-            self.publish(&self.plain, &sample.key, sample.payload.clone(), sample.beside.clone()).await;
+            self.publish(&self.plain, &sample.key, sample.payload.clone(), sample.attachment.clone()).await;
             self.did[0].fetch_add(1, Ordering::Relaxed);
             let moved = ["gorse", "lab-arm", "aster", "basil"].windows(2).find_map(|pair| {
                 let moved = sample.key.replace(pair[0], pair[1]);
                 (moved != sample.key).then_some(moved)
             });
             if let Some(moved) = moved {
-                said.insert([moved.as_bytes(), &sample.payload[..], &sample.beside[..]].concat().into());
-                self.publish(&self.plain, &moved, sample.payload, sample.beside).await;
+                said.insert([moved.as_bytes(), &sample.payload[..], &sample.attachment[..]].concat().into());
+                self.publish(&self.plain, &moved, sample.payload, sample.attachment).await;
                 self.did[1].fetch_add(1, Ordering::Relaxed);
             }
         }
@@ -105,9 +107,12 @@ impl Compromised {
     /// Says what only others may say, with the seal that it has.
     async fn claims(self: Arc<Self>) {
         let node = |name: &str| NodeId::new(name).expect("a name");
-        let still =
-            Statement::Still { stamp: Stamp { incarnation: u64::MAX, version: u64::MAX }, since: 1, proof: None };
-        let still = Bytes::from(codec::encode_for(2, still).expect("a message"));
+        let still = RecordUpdate::Refresh {
+            stamp: RecordStamp { incarnation: u64::MAX, version: u64::MAX },
+            since: 1,
+            proof: None,
+        };
+        let still = Bytes::from(codec::encode_for_version(2, still).expect("a message"));
         for round in 0.. {
             let term = 1_000_000 + round;
             for name in ["fern", "basil"] {
@@ -119,7 +124,7 @@ impl Compromised {
                     cluster: None,
                     wire: Some(200),
                 };
-                let changed = Changed { node: node(name), term };
+                let changed = MissionsChanged { node: node(name), term };
                 let event =
                     format!(r#"{{"node": "{name}", "sequence": 1, "at_ms": 1, "event": "elected", "term": {term}}}"#);
                 let body = Key::Body("gorse".parse().expect("a name"), BodyCall::State);
@@ -156,12 +161,12 @@ impl Compromised {
 
 #[test]
 fn whoever_has_the_key_of_a_robot_changes_nothing_of_others() {
-    tell(SEEDS, async |seed| {
-        let mut fleet = closed(seed, Member::carrier("fern", "Dock").late()).await;
-        let papers = fleet.papers.as_ref().expect("a closed fleet");
+    for_each_seed(SEEDS, async |seed| {
+        let mut fleet = closed(seed, RobotSpec::carrier("fern", "Dock").starting_later()).await;
+        let papers = fleet.credentials.as_ref().expect("a closed fleet");
         let plain: SharedBus = Arc::new(fleet.network.bus("fern".parse().expect("a name")));
-        let keyring = papers.of(&"fern".parse().expect("a name"), [NodeRole::Robot].into(), 1_000);
-        let sealed = papers.sealed(Arc::clone(&plain), keyring, Clock::virtual_at(0)).await;
+        let keyring = papers.keyring_of(&"fern".parse().expect("a name"), [NodeRole::Robot].into(), 1_000);
+        let sealed = papers.signing_bus(Arc::clone(&plain), keyring, Clock::virtual_at(0)).await;
         let fern = Arc::new(Compromised { sealed, plain, keys: fleet.keys().clone(), did: Default::default() });
         let mut tasks = tokio::task::JoinSet::new();
         tasks.spawn(Arc::clone(&fern).repeats());
@@ -172,21 +177,26 @@ fn whoever_has_the_key_of_a_robot_changes_nothing_of_others() {
             tasks.spawn(Arc::clone(&fern).answers(key, false));
             tasks.spawn(Arc::clone(&fern).answers(key, true));
         }
-        let elected = |what: &Happening| matches!(what, Happening::Elected { .. });
-        let before = fleet.chronicle.count(elected);
+        let elected = |what: &EventKind| matches!(what, EventKind::Elected { .. });
+        let before = fleet.event_log.count(elected);
         let mission = fleet.submit("a", ROOM).await;
-        fleet.completes(&mission).await;
-        fleet.each_task_once(&mission);
-        fleet.sample_delivered(ROOM);
-        fleet.one_role_one_robot();
+        fleet.assert_completes(&mission).await;
+        fleet.assert_each_task_once(&mission);
+        fleet.assert_sample_delivered(ROOM);
+        fleet.assert_exclusive_roles();
         assert_eq!(
             fleet.holder(&mission, "r1").map(|robot| robot.to_string()),
             Some("gorse".to_owned()),
             "seed {seed}"
         );
-        assert_eq!(fleet.chronicle.count(elected), before, "seed {seed}: nobody else coordinates\n{}", fleet.tale());
-        assert_eq!(fleet.chronicle.count(released), 0, "seed {seed}: nobody loses a role\n{}", fleet.tale());
-        assert_eq!(fleet.coordinator().await.as_str(), "aster", "seed {seed}");
+        assert_eq!(
+            fleet.event_log.count(elected),
+            before,
+            "seed {seed}: nobody else coordinates\n{}",
+            fleet.event_log_text()
+        );
+        assert_eq!(fleet.event_log.count(released), 0, "seed {seed}: nobody loses a role\n{}", fleet.event_log_text());
+        assert_eq!(fleet.wait_for_coordinator().await.as_str(), "aster", "seed {seed}");
         let did = fern.did.each_ref().map(|count| count.load(Ordering::Relaxed));
         assert!(did.iter().all(|count| *count > 10), "seed {seed}: repeated, moved, claimed, answered: {did:?}");
         let told = refused(&fleet);
@@ -209,35 +219,35 @@ fn whoever_has_the_key_of_a_robot_changes_nothing_of_others() {
 /// What a node knows of a robot: the record, as it was signed.
 fn record(fleet: &Fleet, at: &str, of: &str) -> Record {
     let heard = |base: &KnowledgeBase| base.get(&of.parse().expect("a name")).map(|heard| heard.record.clone());
-    fleet.heard(at).read(heard).expect("it is known")
+    fleet.knowledge(at).read(heard).expect("it is known")
 }
 
 #[test]
 fn whoever_hands_on_what_others_said_can_neither_change_it_nor_make_it_up() {
-    tell(SEEDS, async |seed| {
-        let mut fleet = closed(seed, Member::carrier("fern", "Dock").late()).await;
-        let papers = fleet.papers.as_ref().expect("a closed fleet");
+    for_each_seed(SEEDS, async |seed| {
+        let mut fleet = closed(seed, RobotSpec::carrier("fern", "Dock").starting_later()).await;
+        let papers = fleet.credentials.as_ref().expect("a closed fleet");
         let name: NodeId = "fern".parse().expect("a name");
         let plain: SharedBus = Arc::new(fleet.network.bus(name.clone()));
-        let keyring = papers.of(&name, [NodeRole::Robot].into(), 1_000);
-        let sealed = papers.sealed(plain, keyring, Clock::virtual_at(0)).await;
-        fleet.until("records are signed", SOON, |fleet| record(fleet, "gorse", "lab-arm").proof.is_some()).await;
+        let keyring = papers.keyring_of(&name, [NodeRole::Robot].into(), 1_000);
+        let sealed = papers.signing_bus(plain, keyring, Clock::virtual_at(0)).await;
+        fleet.wait_until("records are signed", SOON, |fleet| record(fleet, "gorse", "lab-arm").proof.is_some()).await;
 
         let said = record(&fleet, "gorse", "lab-arm");
-        let later = Stamp { incarnation: u64::MAX, version: 7 };
+        let later = RecordStamp { incarnation: u64::MAX, version: 7 };
         let mut broken = said.clone();
         broken.stamp = later;
-        broken.knowledge.worker.as_mut().expect("a robot").availability =
+        broken.knowledge.robot.as_mut().expect("a robot").availability =
             Availability::OutOfService { problem: "says fern".to_owned() };
-        let by_fern = Record { proof: Some(sealed.notary().sign(&broken)), ..broken.clone() };
+        let by_fern = Record { proof: Some(sealed.record_signer().sign(&broken)), ..broken.clone() };
         let renewed = Record { stamp: later, ..said.clone() };
         let unsigned = Record { proof: None, ..broken.clone() };
-        let malformed = |fleet: &Fleet| fleet.heard("gorse").counters().malformed;
+        let malformed = |fleet: &Fleet| fleet.knowledge("gorse").counters().malformed;
         let before = malformed(&fleet);
         let key = fleet.keys().write(&Key::Gossip("gorse".parse().expect("a name")));
         let hand_over = async |digest: Digest, records: Vec<Record>| {
-            let exchange = Exchange { sums: vec![], scope: Scope::ALL, digest, records };
-            let bytes = codec::encode_for(2, exchange).expect("a message");
+            let exchange = Exchange { sums: vec![], scope: DigestScope::ALL, digest, records };
+            let bytes = codec::encode_for_version(2, exchange).expect("a message");
             let mut answers = sealed.query(&key, bytes.into(), Duration::from_secs(1)).await.expect("a network");
             answers.recv().await.is_some_and(|answer| answer.payload.is_ok())
         };
@@ -249,13 +259,13 @@ fn whoever_hands_on_what_others_said_can_neither_change_it_nor_make_it_up() {
         // And that gorse itself had said something that nobody can go beyond.
         let own = Digest::from([("gorse".parse().expect("a name"), later)]);
         assert!(!hand_over(own, vec![]).await, "seed {seed}: what cannot be is not answered");
-        fleet.until("gorse has told of it", SOON, |fleet| malformed(fleet) == before + 4).await;
+        fleet.wait_until("gorse has told of it", SOON, |fleet| malformed(fleet) == before + 4).await;
         for of in ["lab-arm", "gorse"] {
             let known = record(&fleet, "gorse", of);
             assert!(known.stamp.incarnation < 100, "seed {seed}: {known:?}");
         }
         assert_eq!(record(&fleet, "gorse", "lab-arm").knowledge, said.knowledge, "seed {seed}");
         let mission = fleet.submit("a", ROOM).await;
-        fleet.completes(&mission).await;
+        fleet.assert_completes(&mission).await;
     });
 }

@@ -1,9 +1,9 @@
 //! Two halves of a fleet that founded a ledger each: nothing merges, both say so, and each goes on.
 
-use consort_protocol::event::Happening;
+use consort_protocol::event::EventKind;
 use consort_protocol::ids::{ClusterId, NodeId};
 use consort_protocol::keys::{ApiCall, Key};
-use consort_tests::{Stations, slug, tell};
+use consort_tests::{StationFleet, for_each_seed, slug};
 use rand::seq::SliceRandom as _;
 use rand::{RngExt as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;
@@ -17,22 +17,22 @@ const ONE: [&str; 3] = ["aster", "basil", "clove"];
 const OTHER: [&str; 3] = ["daisy", "elder", "fennel"];
 
 /// Both halves, which have not heard of each other.
-async fn halves(seed: u64) -> Stations {
-    let mut fleet = Stations::none(seed, 3);
+async fn halves(seed: u64) -> StationFleet {
+    let mut fleet = StationFleet::empty(seed, 3);
     fleet.network.partition([ONE.map(slug), OTHER.map(slug)]);
     for name in ONE.iter().chain(&OTHER) {
         fleet.start(name).await;
     }
-    fleet.until("two coordinators", |fleet| fleet.leaders().len() == 2).await;
-    fleet.until("two clusters", |fleet| clusters(fleet).len() == 2 && !clusters(fleet).contains(&None)).await;
+    fleet.wait_until("two coordinators", |fleet| fleet.leaders().len() == 2).await;
+    fleet.wait_until("two clusters", |fleet| clusters(fleet).len() == 2 && !clusters(fleet).contains(&None)).await;
     fleet
 }
 
-fn clusters(fleet: &Stations) -> BTreeSet<Option<ClusterId>> {
+fn clusters(fleet: &StationFleet) -> BTreeSet<Option<ClusterId>> {
     fleet.nodes.keys().map(|name| fleet.cluster(name)).collect()
 }
 
-fn missions(fleet: &Stations, names: &[&str]) -> Vec<Vec<String>> {
+fn missions(fleet: &StationFleet, names: &[&str]) -> Vec<Vec<String>> {
     let of = |name: &&str| {
         let replica = fleet.nodes[*name].replica.as_ref().expect("a copy");
         replica.read(|ledger| ledger.missions().map(|entry| entry.submission.request.to_string()).collect())
@@ -42,25 +42,25 @@ fn missions(fleet: &Stations, names: &[&str]) -> Vec<Vec<String>> {
 
 #[test]
 fn two_that_were_founded_apart_do_not_merge_and_both_say_so() {
-    tell(1..3, async |seed| {
+    for_each_seed(1..3, async |seed| {
         let mut fleet = halves(seed).await;
         fleet.submit("basil", "of-one").await;
         fleet.submit("elder", "of-the-other").await;
-        let own = |names: [&str; 3], fleet: &Stations| names.map(|name| fleet.cluster(name));
+        let own = |names: [&str; 3], fleet: &StationFleet| names.map(|name| fleet.cluster(name));
         let before = (own(ONE, &fleet), own(OTHER, &fleet));
-        let voters = |fleet: &Stations, name: &str| fleet.believed(name).voters;
+        let voters = |fleet: &StationFleet, name: &str| fleet.leadership_view(name).voters;
         let kept = (voters(&fleet, "aster"), voters(&fleet, "daisy"));
 
         fleet.network.heal();
-        let foreign = |fleet: &Stations| {
-            let told = fleet.happenings().into_iter().filter_map(|what| match what {
-                Happening::Foreign { cluster, foreign, .. } => Some((cluster, foreign)),
+        let foreign = |fleet: &StationFleet| {
+            let told = fleet.events().into_iter().filter_map(|what| match what {
+                EventKind::Foreign { cluster, foreign, .. } => Some((cluster, foreign)),
                 _ => None,
             });
             told.collect::<Vec<_>>()
         };
-        fleet.until("both say so", |fleet| foreign(fleet).len() >= 2).await;
-        fleet.pass(Duration::from_secs(60)).await;
+        fleet.wait_until("both say so", |fleet| foreign(fleet).len() >= 2).await;
+        fleet.advance(Duration::from_secs(60)).await;
         let told = foreign(&fleet);
         assert_eq!(told.len(), 2, "seed {seed}: {told:?}");
         assert_eq!(told[0].0, told[1].1, "seed {seed}");
@@ -72,11 +72,11 @@ fn two_that_were_founded_apart_do_not_merge_and_both_say_so() {
         // Each half still elects and commits by itself, with the other in reach.
         let leader = fleet.leaders().into_iter().find(|name| ONE.contains(&name.as_str())).expect("a leader of one");
         fleet.kill(&leader).await;
-        fleet.until("two coordinators again", |fleet| fleet.leaders().len() == 2).await;
+        fleet.wait_until("two coordinators again", |fleet| fleet.leaders().len() == 2).await;
         let cancel = json!({ "mission": "lab-samples-9" });
-        let answers = fleet.ask("fennel", &Key::Api(ApiCall::Cancel), &cancel, Duration::from_secs(1)).await;
+        let answers = fleet.query("fennel", &Key::Api(ApiCall::Cancel), &cancel, Duration::from_secs(1)).await;
         assert_eq!(answers.len(), 2, "seed {seed}: each answers for its own: {answers:?}");
-        let shown = fleet.ask("fennel", &Key::ViewCoordinator, &Value::Null, Duration::from_secs(1)).await;
+        let shown = fleet.query("fennel", &Key::ViewCoordinator, &Value::Null, Duration::from_secs(1)).await;
         for view in &shown {
             assert_eq!(view["foreign"].as_object().map(serde_json::Map::len), Some(1), "seed {seed}: {view}");
         }
@@ -85,15 +85,15 @@ fn two_that_were_founded_apart_do_not_merge_and_both_say_so() {
 
 #[test]
 fn a_node_that_hears_of_a_cluster_founds_none() {
-    tell(1..5, async |seed| {
-        let mut fleet = Stations::none(seed, 1);
+    for_each_seed(1..5, async |seed| {
+        let mut fleet = StationFleet::empty(seed, 1);
         fleet.start("aster").await;
-        fleet.coordinator().await;
+        fleet.wait_for_coordinator().await;
         let cluster = fleet.cluster("aster");
         for name in ["basil", "clove", "daisy", "elder"] {
             fleet.start(name).await;
         }
-        fleet.pass(Duration::from_secs(30)).await;
+        fleet.advance(Duration::from_secs(30)).await;
         assert_eq!(clusters(&fleet), BTreeSet::from([cluster]), "seed {seed}");
         assert_eq!(fleet.leaders(), ["aster"], "seed {seed}");
     });
@@ -101,16 +101,16 @@ fn a_node_that_hears_of_a_cluster_founds_none() {
 
 #[test]
 fn a_newcomer_that_two_clusters_court_belongs_to_one_of_them() {
-    tell(1..4, async |seed| {
+    for_each_seed(1..4, async |seed| {
         let mut fleet = halves(seed).await;
         fleet.network.heal();
         fleet.start("gorse").await;
         fleet.start("hyssop").await;
-        fleet.pass(Duration::from_secs(60)).await;
+        fleet.advance(Duration::from_secs(60)).await;
         let before = clusters(&fleet);
         assert_eq!(before.len(), 2, "seed {seed}: {before:?}");
         for name in ["gorse", "hyssop"] {
-            let believed = fleet.believed(name);
+            let believed = fleet.leadership_view(name);
             let votes: Vec<_> = believed.voters.values().map(ToString::to_string).collect();
             if votes.iter().any(|voter| voter == name) {
                 let with = votes.iter().filter(|voter| ONE.contains(&voter.as_str())).count();
@@ -125,9 +125,9 @@ const FIVE: [&str; 5] = ["aster", "basil", "clove", "daisy", "elder"];
 
 /// Five nodes that are started within milliseconds of one another, fixed and mobile ones, in an order and at distances in
 /// time that the seed draws. One after the other is linked to the rest, up to `link_up` after the first.
-async fn all_at_once(seed: u64, expect: usize, link_up: Duration) -> Stations {
+async fn all_at_once(seed: u64, expect: usize, link_up: Duration) -> StationFleet {
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
-    let mut fleet = Stations::none(seed, expect);
+    let mut fleet = StationFleet::empty(seed, expect);
     let mut names = FIVE;
     names.shuffle(&mut rng);
     let unlinked = |names: &[&str]| names.iter().map(|name| [slug(name)]).collect::<Vec<[NodeId; 1]>>();
@@ -156,17 +156,17 @@ async fn all_at_once(seed: u64, expect: usize, link_up: Duration) -> Stations {
 }
 
 /// Tells how long it takes until all belong to one cluster. Nobody may ever belong to another.
-async fn one_cluster(fleet: &Stations) -> Duration {
+async fn one_cluster(fleet: &StationFleet) -> Duration {
     let began = Instant::now();
-    let looks = |fleet: &Stations| {
+    let looks = |fleet: &StationFleet| {
         let known: Vec<ClusterId> = clusters(fleet).into_iter().flatten().collect();
         assert!(known.len() < 2, "seed {}: {known:?}", fleet.seed);
         (known.len(), clusters(fleet).contains(&None))
     };
-    fleet.until("all belong to one cluster", |fleet| looks(fleet) == (1, false)).await;
+    fleet.wait_until("all belong to one cluster", |fleet| looks(fleet) == (1, false)).await;
     let took = began.elapsed();
     let end = Instant::now() + Duration::from_secs(5);
-    fleet.until("nobody to found another", |fleet| looks(fleet) == (1, false) && Instant::now() >= end).await;
+    fleet.wait_until("nobody to found another", |fleet| looks(fleet) == (1, false) && Instant::now() >= end).await;
     took
 }
 
@@ -174,7 +174,7 @@ async fn one_cluster(fleet: &Stations) -> Duration {
 fn five_that_start_at_once_found_one_cluster_however_few_they_expect() {
     for expect in [1, 2, 5] {
         let took = RefCell::new(vec![]);
-        tell(0..60, async |seed| {
+        for_each_seed(0..60, async |seed| {
             let fleet = all_at_once(seed, expect, Duration::ZERO).await;
             let founded = one_cluster(&fleet).await;
             took.borrow_mut().push(founded);
@@ -189,7 +189,7 @@ fn five_that_start_at_once_found_one_cluster_however_few_they_expect() {
 #[test]
 fn five_whose_links_come_up_while_they_listen_found_one_cluster_however_few_they_expect() {
     for expect in [1, 2, 5] {
-        tell(100..160, async |seed| {
+        for_each_seed(100..160, async |seed| {
             let fleet = all_at_once(seed, expect, Duration::from_millis(550)).await;
             one_cluster(&fleet).await;
         });
@@ -199,9 +199,9 @@ fn five_whose_links_come_up_while_they_listen_found_one_cluster_however_few_they
 #[test]
 fn a_node_that_comes_while_another_founds_does_not_found_as_well() {
     // It would be the first of the two. It starts before the other has founded, and has listened until after.
-    tell(200..260, async |seed| {
+    for_each_seed(200..260, async |seed| {
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
-        let mut fleet = Stations::none(seed, 1);
+        let mut fleet = StationFleet::empty(seed, 1);
         fleet.start("elder").await;
         tokio::time::sleep(Duration::from_millis(rng.random_range(0..620))).await;
         fleet.network.partition([[slug("aster")]]);

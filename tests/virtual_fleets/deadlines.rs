@@ -1,10 +1,10 @@
 //! Which mission is served first, and until when.
 
-use consort_protocol::event::Happening;
+use consort_protocol::event::EventKind;
 use consort_protocol::ids::MissionId;
 use consort_protocol::keys::ApiCall;
 use consort_protocol::ledger::MissionState;
-use consort_tests::{Fleet, Member, slug, tell};
+use consort_tests::{Fleet, RobotSpec, for_each_seed, slug};
 use serde_json::{Value, json};
 use std::time::Duration;
 
@@ -16,15 +16,15 @@ async fn submit(fleet: &Fleet, request: &str, room: &str, more: Value) -> Missio
     for (name, value) in more.as_object().expect("a map") {
         asked[name] = value.clone();
     }
-    let answer = fleet.answer(ApiCall::Submit, &asked).await;
+    let answer = fleet.request_answered(ApiCall::Submit, &asked).await;
     slug(answer["mission"].as_str().unwrap_or_else(|| panic!("seed {}: {answer}", fleet.seed)))
 }
 
 /// In which order missions were begun.
 fn begun(fleet: &Fleet) -> Vec<MissionId> {
     let mut order: Vec<MissionId> = vec![];
-    for what in fleet.happenings() {
-        if let Happening::Awarded { mission, .. } = what
+    for what in fleet.events() {
+        if let EventKind::Awarded { mission, .. } = what
             && !order.contains(&mission)
         {
             order.push(mission);
@@ -35,70 +35,76 @@ fn begun(fleet: &Fleet) -> Vec<MissionId> {
 
 #[test]
 fn waiting_missions_are_served_by_priority_and_then_in_order_also_by_the_next_coordinator() {
-    tell([641, 642, 643], async |seed| {
-        let robots = vec![Member::carrier("amber", "PC Room 8").at_speed(1.5)];
+    for_each_seed([641, 642, 643], async |seed| {
+        let robots = vec![RobotSpec::carrier("amber", "PC Room 8").with_speed(1.5)];
         let mut fleet = Fleet::hospital(seed, robots, &["aba", "abb", "abc"], &ROOMS).await;
-        fleet.coordinator().await;
+        fleet.wait_for_coordinator().await;
         let first = submit(&fleet, "a", ROOMS[0], json!({})).await;
-        fleet.until("the first to begin", SOON, |fleet| fleet.holder(&first, "r1").is_some()).await;
+        fleet.wait_until("the first to begin", SOON, |fleet| fleet.holder(&first, "r1").is_some()).await;
         let later = submit(&fleet, "b", ROOMS[1], json!({ "priority": -5 })).await;
         let plain = submit(&fleet, "c", ROOMS[2], json!({})).await;
         let urgent = submit(&fleet, "d", ROOMS[3], json!({ "priority": 100 })).await;
         fleet.kill_coordinator().await;
-        fleet.coordinator().await;
+        fleet.wait_for_coordinator().await;
         for mission in [&first, &later, &plain, &urgent] {
-            fleet.completes(mission).await;
+            fleet.assert_completes(mission).await;
         }
-        assert_eq!(begun(&fleet), [first, urgent, plain, later], "seed {seed}\n{}", fleet.tale());
-        fleet.one_role_one_robot();
+        assert_eq!(begun(&fleet), [first, urgent, plain, later], "seed {seed}\n{}", fleet.event_log_text());
+        fleet.assert_exclusive_roles();
     });
 }
 
 #[test]
 fn of_two_missions_asked_for_at_one_moment_the_urgent_one_gets_the_robot() {
-    tell([651, 652, 653, 654], async |seed| {
-        let mut fleet = Fleet::hospital(seed, vec![Member::carrier("amber", "PC Room 8")], &["aba"], &ROOMS).await;
-        fleet.coordinator().await;
+    for_each_seed([651, 652, 653, 654], async |seed| {
+        let mut fleet = Fleet::hospital(seed, vec![RobotSpec::carrier("amber", "PC Room 8")], &["aba"], &ROOMS).await;
+        fleet.wait_for_coordinator().await;
         let plain = json!({ "mission": "lab-samples", "parameters": { "room": ROOMS[0] }, "request": "a" });
         let urgent =
             json!({ "mission": "lab-samples", "parameters": { "room": ROOMS[1] }, "request": "b", "priority": 1 });
-        let (plain, urgent) =
-            tokio::join!(fleet.answer(ApiCall::Submit, &plain), fleet.answer(ApiCall::Submit, &urgent));
+        let (plain, urgent) = tokio::join!(
+            fleet.request_answered(ApiCall::Submit, &plain),
+            fleet.request_answered(ApiCall::Submit, &urgent)
+        );
         let id = |answer: &Value| slug::<MissionId>(answer["mission"].as_str().expect("acknowledged"));
         let both = [id(&plain), id(&urgent)];
-        fleet.until("an award", SOON, |fleet| !begun(fleet).is_empty()).await;
-        assert_eq!(begun(&fleet)[0], both[1], "seed {seed}\n{}", fleet.tale());
+        fleet.wait_until("an award", SOON, |fleet| !begun(fleet).is_empty()).await;
+        assert_eq!(begun(&fleet)[0], both[1], "seed {seed}\n{}", fleet.event_log_text());
     });
 }
 
 #[test]
 fn past_its_deadline_a_mission_fails_with_what_it_had_waited_for_or_how_far_it_had_come() {
-    tell([661, 662], async |seed| {
-        let robots = vec![Member::carrier("amber", "Dock").at_speed(0.05)];
+    for_each_seed([661, 662], async |seed| {
+        let robots = vec![RobotSpec::carrier("amber", "Dock").with_speed(0.05)];
         let mut fleet = Fleet::hospital(seed, robots, &["aba"], &ROOMS).await;
-        fleet.coordinator().await;
+        fleet.wait_for_coordinator().await;
         let running = submit(&fleet, "a", ROOMS[0], json!({ "deadline_s": 12.5 })).await;
-        fleet.until("the first to begin", SOON, |fleet| fleet.holder(&running, "r1").is_some()).await;
+        fleet.wait_until("the first to begin", SOON, |fleet| fleet.holder(&running, "r1").is_some()).await;
         let waiting = submit(&fleet, "b", ROOMS[1], json!({ "deadline_s": 3 })).await;
-        let MissionState::Failed { cause } = fleet.end_of(&waiting).await else { panic!("seed {seed}: otherwise") };
+        let MissionState::Failed { cause } = fleet.wait_for_end(&waiting).await else {
+            panic!("seed {seed}: otherwise")
+        };
         assert_eq!(cause, "its deadline passed while it waited: no viable bid for lab_arm, r1", "seed {seed}");
         let at = fleet.elapsed();
-        let MissionState::Failed { cause } = fleet.end_of(&running).await else { panic!("seed {seed}: otherwise") };
+        let MissionState::Failed { cause } = fleet.wait_for_end(&running).await else {
+            panic!("seed {seed}: otherwise")
+        };
         assert_eq!(cause, "its deadline passed after 0 of 16 steps", "seed {seed}");
-        assert!(fleet.elapsed() - at > Duration::from_secs(7), "seed {seed}: too early\n{}", fleet.tale());
-        let halted = |what: &Happening| matches!(what, Happening::Halted { .. });
-        fleet.until("both robots to stop", SOON, |fleet| fleet.chronicle.count(halted) == 2).await;
-        fleet.comes_to_rest("amber").await;
+        assert!(fleet.elapsed() - at > Duration::from_secs(7), "seed {seed}: too early\n{}", fleet.event_log_text());
+        let halted = |what: &EventKind| matches!(what, EventKind::Halted { .. });
+        fleet.wait_until("both robots to stop", SOON, |fleet| fleet.event_log.count(halted) == 2).await;
+        fleet.wait_for_rest("amber").await;
         let place = fleet.position("amber");
-        fleet.never("a drive", Duration::from_secs(5), |fleet| fleet.position("amber") != place).await;
+        fleet.assert_never("a drive", Duration::from_secs(5), |fleet| fleet.position("amber") != place).await;
     });
 }
 
 #[test]
 fn a_priority_or_a_deadline_that_is_none_is_refused() {
-    tell([671], async |seed| {
+    for_each_seed([671], async |seed| {
         let mut fleet = Fleet::hospital(seed, vec![], &["aba"], &ROOMS).await;
-        fleet.coordinator().await;
+        fleet.wait_for_coordinator().await;
         for (more, says) in [
             (json!({ "priority": 101 }), "101 is no priority; allowed are -100 to 100"),
             (json!({ "deadline_s": 0 }), "deadline_s is 0; allowed are more than 0"),
@@ -106,7 +112,7 @@ fn a_priority_or_a_deadline_that_is_none_is_refused() {
         ] {
             let mut asked = json!({ "mission": "lab-samples" });
             asked.as_object_mut().expect("a map").extend(more.as_object().expect("a map").clone());
-            let answer = fleet.answer(ApiCall::Submit, &asked).await;
+            let answer = fleet.request_answered(ApiCall::Submit, &asked).await;
             assert!(answer["error"].as_str().is_some_and(|error| error.contains(says)), "seed {seed}: {answer}");
         }
     });

@@ -1,17 +1,17 @@
 //! One seed is one run.
 
 use consort_actors::bus::LinkModel;
-use consort_protocol::event::Happening;
-use consort_tests::{Entry, Fleet, Member, tell};
+use consort_protocol::event::EventKind;
+use consort_tests::{Fleet, Observation, RobotSpec, for_each_seed};
 use std::cell::RefCell;
 use std::time::Duration;
 
 /// A mission over bad links, with a takeover and a restart in it, in an open fleet or a closed one.
-async fn run(seed: u64, closed: bool) -> (Vec<(Duration, Entry)>, u64) {
+async fn run(seed: u64, closed: bool) -> (Vec<(Duration, Observation)>, u64) {
     let robots = vec![
-        Member::carrier("amber", "PC Room 8"),
-        Member::carrier("birch", "IC Room 4"),
-        Member::carrier("cedar", "Dock"),
+        RobotSpec::carrier("amber", "PC Room 8"),
+        RobotSpec::carrier("birch", "IC Room 4"),
+        RobotSpec::carrier("cedar", "Dock"),
     ];
     let mut fleet = match closed {
         true => Fleet::closed_hospital(seed, robots, &["aba", "abb"], &["IC Room 6"]).await,
@@ -24,20 +24,20 @@ async fn run(seed: u64, closed: bool) -> (Vec<(Duration, Entry)>, u64) {
         reordering_delay: Duration::from_millis(20),
         ..LinkModel::LAN
     });
-    fleet.coordinator().await;
+    fleet.wait_for_coordinator().await;
     let mission = fleet.submit("a", "IC Room 6").await;
-    let began = |what: &Happening| matches!(what, Happening::TaskBegan { .. });
-    fleet.until("the first task", Duration::from_secs(60), |fleet| fleet.happened(began)).await;
+    let began = |what: &EventKind| matches!(what, EventKind::TaskBegan { .. });
+    fleet.wait_until("the first task", Duration::from_secs(60), |fleet| fleet.has_event(began)).await;
     fleet.kill("aba").await;
-    fleet.coordinator().await;
+    fleet.wait_for_coordinator().await;
     fleet.start_station("aba").await;
-    fleet.end_of(&mission).await;
-    (fleet.chronicle.entries(), fleet.network.digest())
+    fleet.wait_for_end(&mission).await;
+    (fleet.event_log.entries(), fleet.network.digest())
 }
 
-fn alone(seed: u64, closed: bool) -> (Vec<(Duration, Entry)>, u64) {
+fn alone(seed: u64, closed: bool) -> (Vec<(Duration, Observation)>, u64) {
     let runs = RefCell::new(vec![]);
-    tell([seed], async |seed| {
+    for_each_seed([seed], async |seed| {
         let outcome = run(seed, closed).await;
         runs.borrow_mut().push(outcome);
     });

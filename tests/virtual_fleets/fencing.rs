@@ -1,16 +1,16 @@
 //! What is said under an award that is no longer in force is not listened to.
 
-use crate::usual::began;
-use consort_actors::allegiance::{Allegiance, ClusterBus};
+use crate::support::task_began;
 use consort_actors::bus::{Bus, Delivery, Encoding};
+use consort_actors::cluster_membership::{ClusterBus, ClusterMembership};
 use consort_protocol::codec;
-use consort_protocol::event::Happening;
+use consort_protocol::event::EventKind;
 use consort_protocol::ids::MissionId;
 use consort_protocol::keys::Key;
 use consort_protocol::lease::Epoch;
-use consort_protocol::message::Said;
+use consort_protocol::message::SignalHistory;
 use consort_protocol::plan::Signal;
-use consort_tests::{Fleet, Member, slug, tell};
+use consort_tests::{Fleet, RobotSpec, for_each_seed, slug};
 use std::collections::BTreeSet;
 use std::sync::Arc;
 use std::time::Duration;
@@ -23,25 +23,25 @@ fn picked_up() -> Signal {
     serde_json::from_value(signal).expect("a signal")
 }
 
-fn heard_it(what: &Happening) -> bool {
-    matches!(what, Happening::Heard { signal, .. } if *signal == picked_up())
+fn heard_it(what: &EventKind) -> bool {
+    matches!(what, EventKind::Heard { signal, .. } if *signal == picked_up())
 }
 
 /// Somebody says that the sample has been taken, while the carrier opens its drawer in the laboratory for that.
 async fn told_too_early(seed: u64, epoch: impl Fn(Epoch) -> Epoch) -> (Fleet, MissionId) {
-    let mut fleet = Fleet::hospital(seed, vec![Member::carrier("gorse", "IC Room 4")], &["aster"], &[ROOM]).await;
-    fleet.coordinator().await;
+    let mut fleet = Fleet::hospital(seed, vec![RobotSpec::carrier("gorse", "IC Room 4")], &["aster"], &[ROOM]).await;
+    fleet.wait_for_coordinator().await;
     let mission = fleet.submit("a", ROOM).await;
-    let opens = began("open_drawer_lab");
-    fleet.until("the drawer to be opened", SOON, |fleet| fleet.happened(&opens)).await;
+    let opens = task_began("open_drawer_lab");
+    fleet.wait_until("the drawer to be opened", SOON, |fleet| fleet.has_event(&opens)).await;
     let held = fleet.ledger(|ledger| ledger.mission(&mission)?.roles.get(&slug("lab_arm"))?.holder.clone());
     let epoch = epoch(held.flatten().expect("the arm holds its role").epoch);
-    let said = Said { mission: mission.clone(), epoch, signals: BTreeSet::from([picked_up()]) };
+    let said = SignalHistory { mission: mission.clone(), epoch, signals: BTreeSet::from([picked_up()]) };
     let key = fleet.keys().write(&Key::Signal(mission.clone(), slug("r1")));
     let bytes = codec::encode(&said).expect("one signal fits a message").into();
     // Somebody of the same cluster: it is the epoch alone that tells them apart.
-    let allegiance = Allegiance::default();
-    allegiance.keep(fleet.ledger(|ledger| ledger.cluster()).flatten().expect("a ledger that was founded"));
+    let allegiance = ClusterMembership::default();
+    allegiance.set_from_ledger(fleet.ledger(|ledger| ledger.cluster()).flatten().expect("a ledger that was founded"));
     let client = ClusterBus::new(Arc::new(fleet.client.clone()), fleet.keys().clone(), allegiance);
     client.publish(&key, bytes, Encoding::Wire, Delivery::Drop).await.expect("a virtual bus");
     (fleet, mission)
@@ -49,34 +49,34 @@ async fn told_too_early(seed: u64, epoch: impl Fn(Epoch) -> Epoch) -> (Fleet, Mi
 
 #[test]
 fn a_signal_of_an_older_award_is_ignored_counted_and_told_of_once() {
-    tell([401, 402], async |seed| {
+    for_each_seed([401, 402], async |seed| {
         let (mut fleet, mission) = told_too_early(seed, |held| Epoch { index: held.index - 1, ..held }).await;
-        fleet.completes(&mission).await;
+        fleet.assert_completes(&mission).await;
         let counts: Vec<u64> = fleet
-            .happenings()
+            .events()
             .iter()
             .filter_map(|what| match what {
-                Happening::Outdated { signal, count, .. } if *signal == picked_up() => Some(*count),
+                EventKind::Outdated { signal, count, .. } if *signal == picked_up() => Some(*count),
                 _ => None,
             })
             .collect();
-        assert_eq!(counts, [1], "seed {seed}\n{}", fleet.tale());
+        assert_eq!(counts, [1], "seed {seed}\n{}", fleet.event_log_text());
         let taken =
-            |what: &Happening| matches!(what, Happening::TaskEnded { task, .. } if task.as_str() == "pick_up_sample");
-        let (taken, heard) = (fleet.chronicle.times(taken), fleet.chronicle.times(heard_it));
-        assert!(taken.len() == 1 && heard.len() == 1 && taken <= heard, "seed {seed}\n{}", fleet.tale());
-        fleet.each_task_once(&mission);
-        fleet.sample_delivered(ROOM);
+            |what: &EventKind| matches!(what, EventKind::TaskEnded { task, .. } if task.as_str() == "pick_up_sample");
+        let (taken, heard) = (fleet.event_log.times(taken), fleet.event_log.times(heard_it));
+        assert!(taken.len() == 1 && heard.len() == 1 && taken <= heard, "seed {seed}\n{}", fleet.event_log_text());
+        fleet.assert_each_task_once(&mission);
+        fleet.assert_sample_delivered(ROOM);
     });
 }
 
 #[test]
 fn the_same_signal_of_the_award_in_force_would_be_believed() {
-    tell([403], async |seed| {
+    for_each_seed([403], async |seed| {
         let (mut fleet, _) = told_too_early(seed, |held| held).await;
-        fleet.until("the carrier to believe it", SOON, |fleet| fleet.happened(heard_it)).await;
+        fleet.wait_until("the carrier to believe it", SOON, |fleet| fleet.has_event(heard_it)).await;
         let taken =
-            |what: &Happening| matches!(what, Happening::TaskEnded { task, .. } if task.as_str() == "pick_up_sample");
-        assert!(!fleet.happened(taken), "seed {seed}\n{}", fleet.tale());
+            |what: &EventKind| matches!(what, EventKind::TaskEnded { task, .. } if task.as_str() == "pick_up_sample");
+        assert!(!fleet.has_event(taken), "seed {seed}\n{}", fleet.event_log_text());
     });
 }

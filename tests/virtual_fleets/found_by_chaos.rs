@@ -1,11 +1,11 @@
 //! What chaos found, each as the few steps that it takes. Every one of these did not hold once.
 
-use consort_tests::chaos::{Order, Schedule, run};
+use consort_tests::chaos::{RunConfig, Schedule, run};
 
 /// Everything holds under this schedule.
 fn holds(seed: u64, minutes: f64, schedule: &str) {
     let schedule: Schedule = serde_json::from_str(schedule).expect("a schedule");
-    let outcome = run(&Order { seed, nodes: 7, minutes, closed: false }, &schedule);
+    let outcome = run(&RunConfig { seed, nodes: 7, minutes, closed: false }, &schedule);
     if let Some(violation) = outcome.violation {
         let tale = violation.tale.join("\n");
         panic!("seed {seed}: {}: {}\n{tale}\n{schedule}", violation.invariant, violation.why);

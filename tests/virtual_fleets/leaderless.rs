@@ -1,7 +1,7 @@
 //! Requests that come while nobody coordinates.
 
 use consort_protocol::keys::ApiCall;
-use consort_tests::{Fleet, Member, slug, tell};
+use consort_tests::{Fleet, RobotSpec, for_each_seed, slug};
 use serde_json::json;
 use std::time::Duration;
 use tokio::time::Instant;
@@ -10,10 +10,10 @@ const ROOM: &str = "IC Room 6";
 
 #[test]
 fn a_request_in_a_leaderless_second_is_answered_at_once_by_one_voice_and_done_once_when_made_again() {
-    tell([621, 622, 623, 624], async |seed| {
-        let robots = vec![Member::carrier("fern", "Dock"), Member::carrier("gorse", "IC Room 4")];
+    for_each_seed([621, 622, 623, 624], async |seed| {
+        let robots = vec![RobotSpec::carrier("fern", "Dock"), RobotSpec::carrier("gorse", "IC Room 4")];
         let mut fleet = Fleet::hospital(seed, robots, &["aster", "basil", "clove"], &[ROOM]).await;
-        fleet.coordinator().await;
+        fleet.wait_for_coordinator().await;
         // Nobody is elected until the others reach one another, however soon they cease to believe in the last.
         let names = ["aster", "basil", "clove", "fern", "gorse", "lab-arm"];
         for (from, to) in names.iter().flat_map(|from| names.iter().map(move |to| (*from, *to))) {
@@ -26,8 +26,8 @@ fn a_request_in_a_leaderless_second_is_answered_at_once_by_one_voice_and_done_on
         let mut put_off = 0;
         let mission = loop {
             let at = Instant::now();
-            let answer = fleet.ask(ApiCall::Submit, &asked).await;
-            assert!(fleet.elapsed() < Duration::from_secs(60), "seed {seed}: never\n{}", fleet.tale());
+            let answer = fleet.request(ApiCall::Submit, &asked).await;
+            assert!(fleet.elapsed() < Duration::from_secs(60), "seed {seed}: never\n{}", fleet.event_log_text());
             let Some(voice) = answer else { continue };
             if let Some(mission) = voice["mission"].as_str() {
                 break mission.to_owned();
@@ -43,26 +43,26 @@ fn a_request_in_a_leaderless_second_is_answered_at_once_by_one_voice_and_done_on
             fleet.network.heal();
             tokio::time::sleep(Duration::from_millis(20)).await;
         };
-        assert!(put_off > 0, "seed {seed}: nobody said that nobody coordinates\n{}", fleet.tale());
+        assert!(put_off > 0, "seed {seed}: nobody said that nobody coordinates\n{}", fleet.event_log_text());
         let missions = fleet.ledger(|ledger| ledger.missions().count());
         assert_eq!(missions, Some(1), "seed {seed}: done once");
-        fleet.completes(&mission.parse().expect("an id")).await;
+        fleet.assert_completes(&mission.parse().expect("an id")).await;
     });
 }
 
 #[test]
 fn without_a_quorum_it_is_said_how_many_voters_are_reachable() {
-    tell([631, 632], async |seed| {
-        let robots = vec![Member::carrier("fern", "Dock").late()];
+    for_each_seed([631, 632], async |seed| {
+        let robots = vec![RobotSpec::carrier("fern", "Dock").starting_later()];
         let mut fleet = Fleet::hospital(seed, robots, &["aster", "basil"], &[ROOM]).await;
-        fleet.coordinator().await;
+        fleet.wait_for_coordinator().await;
         for gone in ["aster", "basil"] {
             fleet.kill(gone).await;
         }
         let expected = "no coordinator yet (no quorum: 1 of 3 voters reachable): retry after 300 ms";
         let mut said = String::new();
         for _ in 0..400 {
-            let voices = fleet.voices(ApiCall::Cancel, &json!({ "mission": "lab-samples-9" })).await;
+            let voices = fleet.request_all(ApiCall::Cancel, &json!({ "mission": "lab-samples-9" })).await;
             assert!(voices.len() <= 1, "seed {seed}: {voices:?}");
             if let Some(error) = voices.first().and_then(|voice| voice["error"].as_str()) {
                 said = error.to_owned();
@@ -72,6 +72,6 @@ fn without_a_quorum_it_is_said_how_many_voters_are_reachable() {
             }
             tokio::time::sleep(Duration::from_millis(50)).await;
         }
-        assert_eq!(said, expected, "seed {seed}\n{}", fleet.tale());
+        assert_eq!(said, expected, "seed {seed}\n{}", fleet.event_log_text());
     });
 }

@@ -1,16 +1,16 @@
 //! What people are asked to do, and what is said for them, while robots are lost and replaced.
 
-use crate::usual::began;
+use crate::support::task_began;
 use consort_actors::bus::Bus;
 use consort_protocol::codec;
 use consort_protocol::ids::MissionId;
 use consort_protocol::keys::{ApiCall, Key};
-use consort_protocol::lease::{Ending, Epoch};
+use consort_protocol::lease::{EndReason, Epoch};
 use consort_protocol::ledger::{Branch, MissionState};
-use consort_protocol::message::{Report, ReportAnswer, Within};
-use consort_sim::world::{Deed, Keeper};
-use consort_skills::actions::BodyHost;
-use consort_tests::{Fleet, Member, slug, tell};
+use consort_protocol::message::{ClusterEnvelope, Report, ReportReply};
+use consort_sim::world::{PersonAction, SampleHolder};
+use consort_skills::actions::RobotBackend;
+use consort_tests::{Fleet, RobotSpec, for_each_seed, slug};
 use serde_json::{Value, json};
 use std::collections::BTreeSet;
 use std::time::Duration;
@@ -20,7 +20,7 @@ const OTHER: &str = "PC Room 2";
 const SOON: Duration = Duration::from_secs(60);
 
 async fn submit(fleet: &mut Fleet, mission: Value) -> MissionId {
-    let answer = fleet.answer(ApiCall::Submit, &json!({ "mission": mission, "request": "a" })).await;
+    let answer = fleet.request_answered(ApiCall::Submit, &json!({ "mission": mission, "request": "a" })).await;
     slug(answer["mission"].as_str().unwrap_or_else(|| panic!("{answer}")))
 }
 
@@ -34,21 +34,25 @@ fn a_nurse_who_is_called_away_and_comes_back_costs_no_mission() {
         ("open_drawer_for_nurse", 100.0, true),
         ("authenticate_nurse", 0.0, false),
     ] {
-        tell([721, 722], async |seed| {
+        for_each_seed([721, 722], async |seed| {
             let mut fleet =
-                Fleet::hospital(seed, vec![Member::carrier("amber", "IC Room 4")], &["post"], &[ROOM]).await;
+                Fleet::hospital(seed, vec![RobotSpec::carrier("amber", "IC Room 4")], &["post"], &[ROOM]).await;
             let mission = fleet.submit("a", ROOM).await;
-            fleet.until("the meeting", SOON, |fleet| fleet.happened(began(task))).await;
-            fleet.world.with(|world| world.has_person_do(&nurse, Deed::WalksAway, None));
+            fleet.wait_until("the meeting", SOON, |fleet| fleet.has_event(task_began(task))).await;
+            fleet.world.with(|world| world.trigger_person_action(&nurse, PersonAction::WalksAway, None));
             if comes_back {
                 // The world runs ten times as fast as the nodes.
                 let away = Duration::from_secs_f64(away_s / 10.0);
-                fleet.never("an end", away, |fleet| fleet.state_of(&mission).is_some_and(|state| state.is_end())).await;
-                fleet.world.with(|world| world.has_person_come_back(&nurse));
-                fleet.completes(&mission).await;
-                fleet.each_task_once(&mission);
+                fleet
+                    .assert_never("an end", away, |fleet| {
+                        fleet.mission_state(&mission).is_some_and(|state| state.is_final())
+                    })
+                    .await;
+                fleet.world.with(|world| world.return_person(&nurse));
+                fleet.assert_completes(&mission).await;
+                fleet.assert_each_task_once(&mission);
             } else {
-                let end = fleet.end_of(&mission).await;
+                let end = fleet.wait_for_end(&mission).await;
                 let MissionState::Failed { cause } = &end else { panic!("seed {seed}: {task}: {end:?}") };
                 assert!(cause.contains("has walked away; waited for 120 s"), "seed {seed}: {cause}");
             }
@@ -72,11 +76,11 @@ fn meeting(role: &str, room: &str, mark: &str) -> Vec<Value> {
 /// first is reported once more.
 #[test]
 fn what_a_nurse_did_before_is_not_taken_for_what_she_does_in_the_recovery_branch() {
-    tell([711, 712], async |seed| {
-        let robots = vec![Member::carrier("amber", "IC Room 4"), Member::carrier("birch", "Dock")];
+    for_each_seed([711, 712], async |seed| {
+        let robots = vec![RobotSpec::carrier("amber", "IC Room 4"), RobotSpec::carrier("birch", "Dock")];
         let stations = ["post-1", "post-2", "post-3"];
         let mut fleet = Fleet::hospital(seed, robots, &stations, &[ROOM, OTHER]).await;
-        fleet.coordinator().await;
+        fleet.wait_for_coordinator().await;
         let mut tasks = meeting("r1", ROOM, "");
         tasks[3]["acquires"] = json!({ "sample": "r1" });
         tasks.push(
@@ -89,9 +93,9 @@ fn what_a_nurse_did_before_is_not_taken_for_what_she_does_in_the_recovery_branch
             "recovery": { "task": "again", "method": "sequential", "tasks": meeting("r2", OTHER, "-2") },
         });
         let mission = submit(&mut fleet, mission).await;
-        fleet.until("the way to the laboratory", SOON, |fleet| fleet.happened(began("navto_lab"))).await;
+        fleet.wait_until("the way to the laboratory", SOON, |fleet| fleet.has_event(task_began("navto_lab"))).await;
         fleet.kill("amber").await;
-        fleet.until("another way to a room", SOON, |fleet| fleet.happened(began("navto_room-2"))).await;
+        fleet.wait_until("another way to a room", SOON, |fleet| fleet.has_event(task_began("navto_room-2"))).await;
 
         let report = Report {
             robot: slug("client"),
@@ -101,30 +105,30 @@ fn what_a_nurse_did_before_is_not_taken_for_what_she_does_in_the_recovery_branch
             epoch: Epoch::default(),
             branch: Branch::Main,
             ended: BTreeSet::from([0, 1, 2]),
-            at: None,
+            current_task: None,
             place: None,
-            resumes: false,
+            from_checkpoint: false,
             failure: None,
         };
         let said = codec::encode(&report).expect("a small message");
-        let said = codec::encode(&Within { cluster: None, said }).expect("a small message");
-        let coordinator = fleet.coordinator().await;
+        let said = codec::encode(&ClusterEnvelope { cluster: None, payload: said }).expect("a small message");
+        let coordinator = fleet.wait_for_coordinator().await;
         let key = fleet.keys().write(&Key::Report(coordinator));
         let mut replies = fleet.client.query(&key, said.into(), SOON).await.expect("a bus");
         let reply = replies.recv().await.expect("an answer").payload.expect("no refusal");
-        let (epoch, reason) = (Epoch::default(), Ending::Replaced);
-        let answer: ReportAnswer = codec::decode(&reply).expect("an answer");
-        assert_eq!(answer, ReportAnswer::Ended { epoch, reason, current: None }, "seed {seed}");
+        let (epoch, reason) = (Epoch::default(), EndReason::Replaced);
+        let answer: ReportReply = codec::decode(&reply).expect("an answer");
+        assert_eq!(answer, ReportReply::Ended { epoch, reason, current: None }, "seed {seed}");
 
-        let MissionState::NeedsRescue { cause, .. } = fleet.end_of(&mission).await else {
-            panic!("seed {seed}: it ended otherwise\n{}", fleet.tale())
+        let MissionState::NeedsRescue { cause, .. } = fleet.wait_for_end(&mission).await else {
+            panic!("seed {seed}: it ended otherwise\n{}", fleet.event_log_text())
         };
         assert!(cause.starts_with("the recovery branch was carried out; the sample is with amber"), "{cause}");
-        let tasks = fleet.tasks(&mission);
-        let story = format!("seed {seed}: {tasks:?}\n{}", fleet.tale());
+        let tasks = fleet.task_counts(&mission);
+        let story = format!("seed {seed}: {tasks:?}\n{}", fleet.event_log_text());
         assert_eq!((tasks["deposit"], tasks["deposit-2"], tasks["close-2"]), ((1, 1), (1, 1), (1, 1)), "{story}");
-        assert_eq!(fleet.keeper(ROOM), Keeper::Drawer(slug("amber")), "{story}");
-        assert_eq!(fleet.keeper(OTHER), Keeper::Drawer(slug("birch")), "{story}");
+        assert_eq!(fleet.sample_holder(ROOM), SampleHolder::Drawer(slug("amber")), "{story}");
+        assert_eq!(fleet.sample_holder(OTHER), SampleHolder::Drawer(slug("birch")), "{story}");
     });
 }
 
@@ -146,22 +150,24 @@ fn at_her_leisure(room: &str) -> Value {
 /// Nobody can take the role at first. She was asked at once, into the drawer of nobody; the answer failed the mission.
 #[test]
 fn a_nurse_is_asked_to_meet_a_robot_once_there_is_one_to_be_met() {
-    tell([731, 732], async |seed| {
-        let robots = vec![Member::carrier("gorse", "IC Room 4").able_to("wait")];
+    for_each_seed([731, 732], async |seed| {
+        let robots = vec![RobotSpec::carrier("gorse", "IC Room 4").with_skill("wait")];
         let mut fleet = Fleet::hospital(seed, robots, &["aster", "basil", "clove"], &[ROOM]).await;
-        fleet.coordinator().await;
+        fleet.wait_for_coordinator().await;
         fleet.kill("gorse").await;
         let mission = submit(&mut fleet, at_her_leisure(ROOM)).await;
-        let asked = |fleet: &Fleet| fleet.happened(began("deposit"));
-        fleet.never("that she is asked for nobody", Duration::from_secs(10), asked).await;
-        assert_eq!(fleet.state(&mission).as_deref(), Some("pending"), "seed {seed}\n{}", fleet.tale());
+        let asked = |fleet: &Fleet| fleet.has_event(task_began("deposit"));
+        fleet.assert_never("that she is asked for nobody", Duration::from_secs(10), asked).await;
+        assert_eq!(fleet.state(&mission).as_deref(), Some("pending"), "seed {seed}\n{}", fleet.event_log_text());
         fleet.start_robot("gorse").await;
-        fleet.until("that she is asked", SOON, asked).await;
+        fleet.wait_until("that she is asked", SOON, asked).await;
         fleet
-            .until("that gorse has the sample", SOON, |fleet| fleet.keeper(ROOM) == Keeper::Drawer(slug("gorse")))
+            .wait_until("that gorse has the sample", SOON, |fleet| {
+                fleet.sample_holder(ROOM) == SampleHolder::Drawer(slug("gorse"))
+            })
             .await;
-        let tasks = fleet.tasks(&mission);
-        assert_eq!(tasks["deposit"], (1, 1), "seed {seed}: {tasks:?}\n{}", fleet.tale());
+        let tasks = fleet.task_counts(&mission);
+        assert_eq!(tasks["deposit"], (1, 1), "seed {seed}: {tasks:?}\n{}", fleet.event_log_text());
     });
 }
 
@@ -169,23 +175,23 @@ fn a_nurse_is_asked_to_meet_a_robot_once_there_is_one_to_be_met() {
 /// she was to hand her sample to the next robot for the mission that was over, and had none for its own.
 #[test]
 fn what_a_nurse_was_asked_for_a_mission_that_is_over_is_withdrawn_though_whoever_asked_is_gone() {
-    tell([741, 742], async |seed| {
-        let robots = vec![Member::carrier("amber", "IC Room 4").able_to("wait")];
+    for_each_seed([741, 742], async |seed| {
+        let robots = vec![RobotSpec::carrier("amber", "IC Room 4").with_skill("wait")];
         let mut fleet = Fleet::hospital(seed, robots, &["post-1", "post-2", "post-3"], &[ROOM]).await;
-        fleet.coordinator().await;
+        fleet.wait_for_coordinator().await;
         let mission = submit(&mut fleet, at_her_leisure(ROOM)).await;
-        fleet.until("that she is asked", SOON, |fleet| fleet.happened(began("deposit"))).await;
-        let asks = |fleet: &Fleet| fleet.world.with(|world| world.asks());
-        fleet.until("that she has heard", SOON, move |fleet| !asks(fleet).is_empty()).await;
+        fleet.wait_until("that she is asked", SOON, |fleet| fleet.has_event(task_began("deposit"))).await;
+        let asks = |fleet: &Fleet| fleet.world.with(|world| world.open_person_requests());
+        fleet.wait_until("that she has heard", SOON, move |fleet| !asks(fleet).is_empty()).await;
         fleet.kill("world").await;
-        let answer = fleet.answer(ApiCall::Cancel, &json!({ "mission": mission, "by": "a nurse" })).await;
+        let answer = fleet.request_answered(ApiCall::Cancel, &json!({ "mission": mission, "by": "a nurse" })).await;
         assert_eq!(answer["state"]["canceled"]["by"], "a nurse", "seed {seed}: {answer}");
         assert_eq!(asks(&fleet).len(), 1, "seed {seed}: she was told by nobody");
         fleet.start_world().await;
-        fleet.until("that she is told", Duration::from_secs(10), move |fleet| asks(fleet).is_empty()).await;
+        fleet.wait_until("that she is told", Duration::from_secs(10), move |fleet| asks(fleet).is_empty()).await;
 
         let next = fleet.submit("b", ROOM).await;
-        fleet.completes(&next).await;
-        assert_eq!(fleet.tasks(&next)["deposit"], (1, 1), "seed {seed}\n{}", fleet.tale());
+        fleet.assert_completes(&next).await;
+        assert_eq!(fleet.task_counts(&next)["deposit"], (1, 1), "seed {seed}\n{}", fleet.event_log_text());
     });
 }

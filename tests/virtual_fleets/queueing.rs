@@ -1,9 +1,9 @@
 //! More missions than robots.
 
-use consort_protocol::event::Happening;
+use consort_protocol::event::EventKind;
 use consort_protocol::ids::MissionId;
 use consort_protocol::ledger::Ledger;
-use consort_tests::{Fleet, Member, tell};
+use consort_tests::{Fleet, RobotSpec, for_each_seed};
 use std::collections::BTreeMap;
 use std::time::Duration;
 
@@ -13,19 +13,19 @@ const ROOMS: [&str; 3] = ["IC Room 6", "PC Room 8", "PC Room 2"];
 
 async fn fleet(seed: u64) -> Fleet {
     let robots = vec![
-        Member::carrier("amber", "PC Room 8"),
-        Member::carrier("birch", "IC Room 4"),
-        Member::arm("lab-arm-1", "Laboratory"),
-        Member::arm("lab-arm-2", "Laboratory"),
+        RobotSpec::carrier("amber", "PC Room 8"),
+        RobotSpec::carrier("birch", "IC Room 4"),
+        RobotSpec::arm("lab-arm-1", "Laboratory"),
+        RobotSpec::arm("lab-arm-2", "Laboratory"),
     ];
     let mut fleet = Fleet::hospital(seed, robots, &["aba"], &ROOMS).await;
-    fleet.coordinator().await;
+    fleet.wait_for_coordinator().await;
     fleet
 }
 
 /// The robots that hold a role, each as often as it does.
 fn holding(ledger: &Ledger) -> Vec<String> {
-    let live = ledger.live().into_iter();
+    let live = ledger.active_missions().into_iter();
     let held = live.flat_map(|entry| entry.holders().into_values().filter(|robot| ledger.held_by(robot).is_some()));
     held.map(|robot| robot.to_string()).collect()
 }
@@ -36,7 +36,7 @@ fn completed(fleet: &Fleet, missions: &[MissionId]) -> usize {
 
 #[test]
 fn three_missions_share_two_carriers_and_none_holds_two_roles() {
-    tell(SEEDS, async |seed| {
+    for_each_seed(SEEDS, async |seed| {
         let mut fleet = fleet(seed).await;
         let mut missions = vec![];
         for (request, room) in ["a", "b", "c"].into_iter().zip(ROOMS) {
@@ -47,7 +47,7 @@ fn three_missions_share_two_carriers_and_none_holds_two_roles() {
         // The third waits, and both the list and the mission say for what.
         let why =
             |fleet: &Fleet| fleet.ledger(|ledger| ledger.mission(&third)?.auction.as_ref()?.failure.clone()).flatten();
-        fleet.until("the reason", SOON, |fleet| why(fleet).is_some()).await;
+        fleet.wait_until("the reason", SOON, |fleet| why(fleet).is_some()).await;
         let views = fleet.view("missions").await;
         let listed = views["missions"]["missions"].as_array().expect("a list");
         let shown: Vec<_> = listed.iter().map(|brief| brief["mission"].as_str().expect("an id").to_owned()).collect();
@@ -58,7 +58,7 @@ fn three_missions_share_two_carriers_and_none_holds_two_roles() {
         let mut twice = vec![];
         let mut first_end = None;
         fleet
-            .until("all three to end", Duration::from_secs(120), |fleet| {
+            .wait_until("all three to end", Duration::from_secs(120), |fleet| {
                 if let Some(mut holding) = fleet.ledger(holding) {
                     let all = holding.len();
                     holding.sort();
@@ -74,17 +74,23 @@ fn three_missions_share_two_carriers_and_none_holds_two_roles() {
                 done == 3
             })
             .await;
-        assert!(twice.is_empty(), "seed {seed}: {twice:?}\n{}", fleet.tale());
-        fleet.one_role_one_robot();
+        assert!(twice.is_empty(), "seed {seed}: {twice:?}\n{}", fleet.event_log_text());
+        fleet.assert_exclusive_roles();
 
-        let awarded = |what: &Happening| matches!(what, Happening::Awarded { mission, .. } if *mission == third);
-        let [started] = fleet.chronicle.times(awarded)[..] else { panic!("seed {seed}: one award\n{}", fleet.tale()) };
+        let awarded = |what: &EventKind| matches!(what, EventKind::Awarded { mission, .. } if *mission == third);
+        let [started] = fleet.event_log.times(awarded)[..] else {
+            panic!("seed {seed}: one award\n{}", fleet.event_log_text())
+        };
         let waited = started.checked_sub(first_end.expect("seen")).expect("the third came last");
-        assert!(waited < Duration::from_secs(1), "seed {seed}: {waited:?} after a robot was free\n{}", fleet.tale());
+        assert!(
+            waited < Duration::from_secs(1),
+            "seed {seed}: {waited:?} after a robot was free\n{}",
+            fleet.event_log_text()
+        );
 
         for (mission, room) in missions.iter().zip(ROOMS) {
-            fleet.each_task_once(mission);
-            fleet.sample_delivered(room);
+            fleet.assert_each_task_once(mission);
+            fleet.assert_sample_delivered(room);
         }
         // One of the carriers won, finished, and won again.
         let mut wins: BTreeMap<String, usize> = BTreeMap::new();
@@ -98,20 +104,20 @@ fn three_missions_share_two_carriers_and_none_holds_two_roles() {
 
 #[test]
 fn a_waiting_mission_survives_the_coordinator() {
-    tell(SEEDS, async |seed| {
+    for_each_seed(SEEDS, async |seed| {
         let mut fleet = fleet(seed).await;
         let mut missions = vec![];
         for (request, room) in ["a", "b", "c"].into_iter().zip(ROOMS) {
             missions.push(fleet.submit(request, room).await);
         }
-        let began = |what: &Happening| matches!(what, Happening::TaskBegan { .. });
-        fleet.until("the first task", SOON, |fleet| fleet.happened(began)).await;
+        let began = |what: &EventKind| matches!(what, EventKind::TaskBegan { .. });
+        fleet.wait_until("the first task", SOON, |fleet| fleet.has_event(began)).await;
         assert_eq!(fleet.kill_coordinator().await.as_str(), "aba", "seed {seed}");
         for (mission, room) in missions.iter().zip(ROOMS) {
-            fleet.completes(mission).await;
-            fleet.each_task_once(mission);
-            fleet.sample_delivered(room);
+            fleet.assert_completes(mission).await;
+            fleet.assert_each_task_once(mission);
+            fleet.assert_sample_delivered(room);
         }
-        fleet.one_role_one_robot();
+        fleet.assert_exclusive_roles();
     });
 }

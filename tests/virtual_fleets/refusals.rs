@@ -1,11 +1,11 @@
 //! Why a robot does not get a role is said, to people and programs.
 
 use consort_actors::node::NodeSettings;
-use consort_protocol::auction::{AuctionRecord, RefusalReason, Unviable, Verdict};
-use consort_protocol::event::Happening;
+use consort_protocol::auction::{AuctionRecord, BidVerdict, RefusalReason, ViabilityError};
+use consort_protocol::event::EventKind;
 use consort_protocol::keys::ApiCall;
 use consort_protocol::mission::Domain;
-use consort_tests::{Fleet, Member, slug, tell};
+use consort_tests::{Fleet, RobotSpec, for_each_seed, slug};
 use serde_json::json;
 use std::sync::Arc;
 use std::time::Duration;
@@ -14,21 +14,21 @@ const SEEDS: [u64; 2] = [111, 112];
 const ROOM: &str = "IC Room 6";
 const SOON: Duration = Duration::from_secs(60);
 
-fn called(what: &Happening) -> bool {
-    matches!(what, Happening::Called { .. })
+fn called(what: &EventKind) -> bool {
+    matches!(what, EventKind::Called { .. })
 }
 
 /// The records of all auctions that were closed, in order.
 fn records(fleet: &Fleet) -> Vec<AuctionRecord> {
     let closed = |what| match what {
-        Happening::Closed { record, .. } => Some(record),
+        EventKind::Closed { record, .. } => Some(record),
         _ => None,
     };
-    fleet.happenings().into_iter().filter_map(closed).collect()
+    fleet.events().into_iter().filter_map(closed).collect()
 }
 
 /// What came of a robot's answer for the role of the carrier.
-fn verdict(record: &AuctionRecord, robot: &str) -> Verdict {
+fn verdict(record: &AuctionRecord, robot: &str) -> BidVerdict {
     let is = |robot_is: &str, role: &str| robot_is == robot && role == "r1";
     let entry = record.entries.iter().find(|entry| is(entry.robot.as_str(), entry.role.as_str()));
     entry.unwrap_or_else(|| panic!("nothing of {robot} in {record:?}")).verdict.clone()
@@ -36,49 +36,49 @@ fn verdict(record: &AuctionRecord, robot: &str) -> Verdict {
 
 #[test]
 fn every_reason_is_in_the_events_and_in_the_view() {
-    tell(SEEDS, async |seed| {
+    for_each_seed(SEEDS, async |seed| {
         let able = ["navigation", "operate_drawer", "approach_robot"];
         let robots = vec![
-            Member::carrier("amber", "IC Room 4"),
-            Member::carrier("birch", "Dock").charged(0.1),
-            Member::carrier("cedar", "Dock").able(&able),
-            Member::carrier("dogwood", "Dock"),
-            Member::carrier("elm", "Dock"),
+            RobotSpec::carrier("amber", "IC Room 4"),
+            RobotSpec::carrier("birch", "Dock").with_charge(0.1),
+            RobotSpec::carrier("cedar", "Dock").with_skills(&able),
+            RobotSpec::carrier("dogwood", "Dock"),
+            RobotSpec::carrier("elm", "Dock"),
         ];
         let mut fleet = Fleet::hospital(seed, robots, &["aba", "abb"], &[ROOM, "PC Room 8"]).await;
-        assert_eq!(fleet.coordinator().await.as_str(), "aba", "seed {seed}: who coordinates");
+        assert_eq!(fleet.wait_for_coordinator().await.as_str(), "aba", "seed {seed}: who coordinates");
         fleet.submit("a", ROOM).await;
-        fleet.until("the first award", SOON, |fleet| records(fleet).len() == 1).await;
-        fleet.network.mute(slug("elm"));
+        fleet.wait_until("the first award", SOON, |fleet| records(fleet).len() == 1).await;
+        fleet.network.block_outgoing(slug("elm"));
         fleet.submit("b", "PC Room 8").await;
-        fleet.until("the second auction", SOON, |fleet| records(fleet).len() == 2).await;
+        fleet.wait_until("the second auction", SOON, |fleet| records(fleet).len() == 2).await;
 
         let record = records(&fleet).remove(1);
         let lacks = ["approach_person", "authenticate_person"].into_iter().map(slug).collect();
         assert_eq!(
             verdict(&record, "amber"),
-            Verdict::Refused { reason: RefusalReason::Busy { mission: slug("lab-samples-1"), role: slug("r1") } },
+            BidVerdict::Refused { reason: RefusalReason::Busy { mission: slug("lab-samples-1"), role: slug("r1") } },
             "seed {seed}"
         );
         assert!(
-            matches!(verdict(&record, "birch"), Verdict::Unviable { why: Unviable::LowCharge { .. }, .. }),
+            matches!(verdict(&record, "birch"), BidVerdict::Unviable { why: ViabilityError::LowCharge { .. }, .. }),
             "seed {seed}: {record:?}"
         );
         assert_eq!(
             verdict(&record, "cedar"),
-            Verdict::Refused { reason: RefusalReason::MissingSkills { skills: lacks } },
+            BidVerdict::Refused { reason: RefusalReason::MissingSkills { skills: lacks } },
             "seed {seed}"
         );
-        assert!(matches!(verdict(&record, "dogwood"), Verdict::Viable { .. }), "seed {seed}: {record:?}");
+        assert!(matches!(verdict(&record, "dogwood"), BidVerdict::Viable { .. }), "seed {seed}: {record:?}");
         assert_eq!(
             verdict(&record, "elm"),
-            Verdict::Refused { reason: RefusalReason::Silent { window_ms: 200 } },
+            BidVerdict::Refused { reason: RefusalReason::Silent { window_ms: 200 } },
             "seed {seed}"
         );
         // The view shows the very same record, and that of the first auction.
         let newest =
             |fleet: &Fleet| fleet.ledger(|ledger| ledger.mission(&slug("lab-samples-2"))?.auction.clone()).flatten();
-        fleet.until("the record in the ledger", SOON, |fleet| newest(fleet).is_some()).await;
+        fleet.wait_until("the record in the ledger", SOON, |fleet| newest(fleet).is_some()).await;
         let view = fleet.view("auctions").await.remove("auctions").expect("a view");
         let mut shown = view["auctions"].as_array().expect("a list").iter();
         let mut shown = shown.find(|shown| shown["auction"]["mission"] == "lab-samples-2").expect("the second").clone();
@@ -94,38 +94,41 @@ fn every_reason_is_in_the_events_and_in_the_view() {
 
 #[test]
 fn a_place_to_which_a_robot_knows_no_way_is_a_refusal_with_the_task_and_no_bid() {
-    tell(SEEDS, async |seed| {
-        let robots = vec![Member::carrier("amber", "IC Room 4")];
+    for_each_seed(SEEDS, async |seed| {
+        let robots = vec![RobotSpec::carrier("amber", "IC Room 4")];
         // Whoever admits the mission knows of an attic, as with a newer map, or of no map at all; the robot does not.
         let adjust = Box::new(|node: &mut NodeSettings| node.fleet.domain = Arc::new(Domain::hospital()));
         let mut fleet = Fleet::adjusted_hospital(seed, robots, &["aba"], &[ROOM], adjust).await;
-        fleet.coordinator().await;
+        fleet.wait_for_coordinator().await;
         let asked = json!({ "mission": "lab-samples", "parameters": { "room": "Attic" } });
-        fleet.answer(ApiCall::Submit, &asked).await;
-        fleet.until("an auction", SOON, |fleet| !records(fleet).is_empty()).await;
+        fleet.request_answered(ApiCall::Submit, &asked).await;
+        fleet.wait_until("an auction", SOON, |fleet| !records(fleet).is_empty()).await;
         let verdict = verdict(&records(&fleet)[0], "amber");
-        let Verdict::Refused { reason: RefusalReason::NotFeasible { task, problem } } = verdict else {
+        let BidVerdict::Refused { reason: RefusalReason::NotFeasible { task, problem } } = verdict else {
             panic!("seed {seed}: {verdict:?}")
         };
         assert_eq!(task.as_str(), "navto_room", "seed {seed}");
         assert!(problem.contains("Attic"), "seed {seed}: {problem}");
         assert!(
-            !fleet.happened(|what| matches!(what, Happening::Bid { bid, .. } if bid.role.as_str() == "r1")),
+            !fleet.has_event(|what| matches!(what, EventKind::Bid { bid, .. } if bid.role.as_str() == "r1")),
             "seed {seed}\n{}",
-            fleet.tale()
+            fleet.event_log_text()
         );
     });
 }
 
 #[test]
 fn a_mission_that_nobody_can_do_is_tried_ever_more_rarely_and_awarded_to_one_who_joins() {
-    tell(SEEDS, async |seed| {
-        let robots = vec![Member::carrier("amber", "IC Room 4").charged(0.1), Member::carrier("birch", "Dock").late()];
+    for_each_seed(SEEDS, async |seed| {
+        let robots = vec![
+            RobotSpec::carrier("amber", "IC Room 4").with_charge(0.1),
+            RobotSpec::carrier("birch", "Dock").starting_later(),
+        ];
         let mut fleet = Fleet::hospital(seed, robots, &["aba"], &[ROOM]).await;
-        fleet.coordinator().await;
+        fleet.wait_for_coordinator().await;
         let mission = fleet.submit("a", ROOM).await;
-        fleet.until("seven rounds", SOON, |fleet| fleet.chronicle.count(called) == 7).await;
-        let calls = fleet.chronicle.times(called);
+        fleet.wait_until("seven rounds", SOON, |fleet| fleet.event_log.count(called) == 7).await;
+        let calls = fleet.event_log.times(called);
         let pauses: Vec<Duration> = calls.windows(2).map(|pair| pair[1] - pair[0]).collect();
         for (pause, least_ms) in pauses.iter().zip([250, 500, 1000, 2000, 4000, 5000]) {
             let least = Duration::from_millis(least_ms);
@@ -136,17 +139,17 @@ fn a_mission_that_nobody_can_do_is_tried_ever_more_rarely_and_awarded_to_one_who
         let brief = &views["missions"]["missions"][0];
         assert_eq!(brief["state"], "pending", "seed {seed}");
         assert_eq!(brief["why_pending"], "no viable bid for r1", "seed {seed}");
-        let deferred = fleet.happened(|what| matches!(what, Happening::Awarded { .. }));
-        assert!(!deferred, "seed {seed}\n{}", fleet.tale());
+        let deferred = fleet.has_event(|what| matches!(what, EventKind::Awarded { .. }));
+        assert!(!deferred, "seed {seed}\n{}", fleet.event_log_text());
 
         fleet.start_robot("birch").await;
         let joined = fleet.elapsed();
-        fleet.completes(&mission).await;
+        fleet.assert_completes(&mission).await;
         assert_eq!(fleet.holder(&mission, "r1").expect("who did it").as_str(), "birch", "seed {seed}");
-        let [awarded] = fleet.chronicle.times(|what| matches!(what, Happening::Awarded { .. }))[..] else {
-            panic!("seed {seed}: one award\n{}", fleet.tale())
+        let [awarded] = fleet.event_log.times(|what| matches!(what, EventKind::Awarded { .. }))[..] else {
+            panic!("seed {seed}: one award\n{}", fleet.event_log_text())
         };
         assert!(awarded - joined < Duration::from_secs(6), "seed {seed}: {:?}", awarded - joined);
-        fleet.each_task_once(&mission);
+        fleet.assert_each_task_once(&mission);
     });
 }

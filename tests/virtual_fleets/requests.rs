@@ -1,11 +1,11 @@
 //! What clients ask for, and what they get.
 
-use crate::usual::{began, fleet};
+use crate::support::{fleet, task_began};
 use consort_actors::node::NodeSettings;
-use consort_protocol::event::Happening;
+use consort_protocol::event::EventKind;
 use consort_protocol::keys::ApiCall;
-use consort_protocol::lease::Ending;
-use consort_tests::{Fleet, Member, tell};
+use consort_protocol::lease::EndReason;
+use consort_tests::{Fleet, RobotSpec, for_each_seed};
 use serde_json::{Value, json};
 use std::time::Duration;
 
@@ -15,9 +15,12 @@ const SOON: Duration = Duration::from_secs(60);
 
 /// Nobody can do it: all carriers are nearly empty.
 async fn tired_fleet(seed: u64) -> Fleet {
-    let robots = vec![Member::carrier("fern", "Dock").charged(0.1), Member::carrier("gorse", "IC Room 4").charged(0.1)];
+    let robots = vec![
+        RobotSpec::carrier("fern", "Dock").with_charge(0.1),
+        RobotSpec::carrier("gorse", "IC Room 4").with_charge(0.1),
+    ];
     let mut fleet = Fleet::hospital(seed, robots, &["aster"], &[ROOM]).await;
-    fleet.coordinator().await;
+    fleet.wait_for_coordinator().await;
     fleet
 }
 
@@ -27,86 +30,86 @@ fn missions(fleet: &Fleet) -> Option<usize> {
 
 #[test]
 fn a_repeated_request_gets_the_first_answer_again_whoever_coordinates() {
-    tell(SEEDS, async |seed| {
+    for_each_seed(SEEDS, async |seed| {
         let mut fleet = fleet(seed, ROOM).await;
-        let first = fleet.submit_and_read("my-7", ROOM).await;
+        let first = fleet.submit_with_reply("my-7", ROOM).await;
         assert_eq!(first, json!({ "mission": "lab-samples-1", "again": false }), "seed {seed}");
         let again = json!({ "mission": "lab-samples-1", "again": true });
-        assert_eq!(fleet.submit_and_read("my-7", ROOM).await, again, "seed {seed}");
+        assert_eq!(fleet.submit_with_reply("my-7", ROOM).await, again, "seed {seed}");
         fleet.kill("aster").await;
-        assert_eq!(fleet.submit_and_read("my-7", ROOM).await, again, "seed {seed}: after a takeover");
+        assert_eq!(fleet.submit_with_reply("my-7", ROOM).await, again, "seed {seed}: after a takeover");
         assert_eq!(missions(&fleet), Some(1), "seed {seed}");
-        fleet.completes(&"lab-samples-1".parse().expect("an id")).await;
-        assert_eq!(fleet.submit_and_read("my-7", ROOM).await, again, "seed {seed}: after the end");
+        fleet.assert_completes(&"lab-samples-1".parse().expect("an id")).await;
+        assert_eq!(fleet.submit_with_reply("my-7", ROOM).await, again, "seed {seed}: after the end");
         assert_eq!(missions(&fleet), Some(1), "seed {seed}");
     });
 }
 
 #[test]
 fn a_fleet_takes_on_so_many_missions_and_no_more_until_one_has_ended() {
-    tell(SEEDS, async |seed| {
-        let robots = vec![Member::carrier("fern", "Dock").charged(0.1)];
-        let adjust = Box::new(|settings: &mut NodeSettings| settings.fleet.intake.missions = 2);
+    for_each_seed(SEEDS, async |seed| {
+        let robots = vec![RobotSpec::carrier("fern", "Dock").with_charge(0.1)];
+        let adjust = Box::new(|settings: &mut NodeSettings| settings.fleet.request_limits.missions_max = 2);
         let mut fleet = Fleet::adjusted_hospital(seed, robots, &["aster"], &[ROOM], adjust).await;
-        fleet.coordinator().await;
+        fleet.wait_for_coordinator().await;
         for (request, mission) in [("a", "lab-samples-1"), ("b", "lab-samples-2")] {
-            assert_eq!(fleet.submit_and_read(request, ROOM).await["mission"], mission, "seed {seed}");
+            assert_eq!(fleet.submit_with_reply(request, ROOM).await["mission"], mission, "seed {seed}");
         }
         let asked = json!({ "mission": "lab-samples", "parameters": { "room": ROOM }, "request": "c" });
-        let refused = fleet.ask(ApiCall::Submit, &asked).await.expect("an answer");
+        let refused = fleet.request(ApiCall::Submit, &asked).await.expect("an answer");
         let says = "2 missions are under way, as many as this fleet takes on at once";
         assert_eq!(refused, json!({ "error": says, "retry_after_ms": 300 }), "seed {seed}");
         let again = json!({ "mission": "lab-samples-2", "again": true });
-        assert_eq!(fleet.submit_and_read("b", ROOM).await, again, "seed {seed}: what was taken on is answered again");
-        fleet.ask(ApiCall::Cancel, &json!({ "mission": "lab-samples-1", "by": "Nia" })).await.expect("an answer");
-        assert_eq!(fleet.submit_and_read("c", ROOM).await["mission"], "lab-samples-3", "seed {seed}");
+        assert_eq!(fleet.submit_with_reply("b", ROOM).await, again, "seed {seed}: what was taken on is answered again");
+        fleet.request(ApiCall::Cancel, &json!({ "mission": "lab-samples-1", "by": "Nia" })).await.expect("an answer");
+        assert_eq!(fleet.submit_with_reply("c", ROOM).await["mission"], "lab-samples-3", "seed {seed}");
     });
 }
 
 #[test]
 fn who_asks_without_end_is_told_when_to_ask_again_and_is_served_then() {
-    tell(SEEDS, async |seed| {
-        let robots = vec![Member::carrier("fern", "Dock").charged(0.1)];
-        let adjust = Box::new(|settings: &mut NodeSettings| settings.fleet.intake.requests_per_s = 1);
+    for_each_seed(SEEDS, async |seed| {
+        let robots = vec![RobotSpec::carrier("fern", "Dock").with_charge(0.1)];
+        let adjust = Box::new(|settings: &mut NodeSettings| settings.fleet.request_limits.requests_per_s = 1);
         let mut fleet = Fleet::adjusted_hospital(seed, robots, &["aster"], &[ROOM], adjust).await;
-        fleet.coordinator().await;
+        fleet.wait_for_coordinator().await;
         let asked = json!({ "mission": "lab-samples", "parameters": { "room": ROOM }, "request": "a" });
         let mut refused = None;
         for _ in 0..20 {
-            let answer = fleet.ask(ApiCall::Submit, &asked).await.expect("an answer");
+            let answer = fleet.request(ApiCall::Submit, &asked).await.expect("an answer");
             refused = answer["retry_after_ms"].as_u64().or(refused);
         }
         let after = refused.expect("twenty in an instant are more than five");
         assert!((1..=1000).contains(&after), "seed {seed}: {after}");
         tokio::time::sleep(Duration::from_millis(after)).await;
-        let answer = fleet.ask(ApiCall::Submit, &asked).await.expect("an answer");
+        let answer = fleet.request(ApiCall::Submit, &asked).await.expect("an answer");
         assert_eq!(answer, json!({ "mission": "lab-samples-1", "again": true }), "seed {seed}");
     });
 }
 
 #[test]
 fn an_answer_that_was_lost_with_its_coordinator_is_given_by_the_next() {
-    tell(SEEDS, async |seed| {
+    for_each_seed(SEEDS, async |seed| {
         let mut fleet = fleet(seed, ROOM).await;
         fleet.network.cut("aster".parse().expect("a name"), "client".parse().expect("a name"));
         let asked = json!({ "mission": "lab-samples", "parameters": { "room": ROOM }, "request": "my-7" });
-        let answer = fleet.ask(ApiCall::Submit, &asked).await;
+        let answer = fleet.request(ApiCall::Submit, &asked).await;
         assert_eq!(answer, None, "seed {seed}: the answer was lost");
         assert_eq!(missions(&fleet), Some(1), "seed {seed}: and the mission committed");
         fleet.kill("aster").await;
         fleet.heal();
-        let answer = fleet.submit_and_read("my-7", ROOM).await;
+        let answer = fleet.submit_with_reply("my-7", ROOM).await;
         assert_eq!(answer, json!({ "mission": "lab-samples-1", "again": true }), "seed {seed}");
         assert_eq!(missions(&fleet), Some(1), "seed {seed}");
         let mission = "lab-samples-1".parse().expect("an id");
-        fleet.completes(&mission).await;
-        fleet.each_task_once(&mission);
+        fleet.assert_completes(&mission).await;
+        fleet.assert_each_task_once(&mission);
     });
 }
 
 #[test]
 fn a_request_that_cannot_be_understood_says_what_would_be_and_changes_nothing() {
-    tell(SEEDS, async |seed| {
+    for_each_seed(SEEDS, async |seed| {
         let fleet = fleet(seed, ROOM).await;
         let cases: [(ApiCall, &str, &[&str]); 10] = [
             (ApiCall::Submit, "{", &["an example is", "lab-samples"]),
@@ -143,7 +146,7 @@ fn a_request_that_cannot_be_understood_says_what_would_be_and_changes_nothing() 
             (ApiCall::Get, r#"{"mission": "lab-samples-9"}"#, &["no mission lab-samples-9"]),
         ];
         for (call, payload, says) in cases {
-            let answer = fleet.ask_in_words(call, payload).await;
+            let answer = fleet.request_raw(call, payload).await;
             let answer = answer.unwrap_or_else(|| panic!("seed {seed}: no answer to {payload}"));
             let error = answer["error"].as_str().unwrap_or_else(|| panic!("seed {seed}: {payload} got {answer}"));
             for part in says {
@@ -151,38 +154,42 @@ fn a_request_that_cannot_be_understood_says_what_would_be_and_changes_nothing() 
             }
         }
         assert_eq!(missions(&fleet), Some(0), "seed {seed}");
-        assert!(!fleet.happened(|what| matches!(what, Happening::Submitted { .. })), "seed {seed}\n{}", fleet.tale());
+        assert!(
+            !fleet.has_event(|what| matches!(what, EventKind::Submitted { .. })),
+            "seed {seed}\n{}",
+            fleet.event_log_text()
+        );
     });
 }
 
 #[test]
 fn a_mission_canceled_while_it_waits_is_never_begun() {
-    tell(SEEDS, async |seed| {
+    for_each_seed(SEEDS, async |seed| {
         let mut fleet = tired_fleet(seed).await;
         let mission = fleet.submit("a", ROOM).await;
-        let answer = fleet.answer(ApiCall::Cancel, &json!({ "mission": mission, "by": "a nurse" })).await;
+        let answer = fleet.request_answered(ApiCall::Cancel, &json!({ "mission": mission, "by": "a nurse" })).await;
         let state = json!({ "canceled": { "by": "a nurse" } });
         assert_eq!(answer, json!({ "mission": mission, "state": state }), "seed {seed}");
-        assert_eq!(fleet.end_of(&mission).await.word(), "canceled", "seed {seed}");
-        let called = |what: &Happening| matches!(what, Happening::Called { .. });
-        let calls = fleet.chronicle.count(called);
-        fleet.never("a call", Duration::from_secs(10), |fleet| fleet.chronicle.count(called) > calls).await;
-        assert!(fleet.tasks(&mission).is_empty(), "seed {seed}\n{}", fleet.tale());
+        assert_eq!(fleet.wait_for_end(&mission).await.as_str(), "canceled", "seed {seed}");
+        let called = |what: &EventKind| matches!(what, EventKind::Called { .. });
+        let calls = fleet.event_log.count(called);
+        fleet.assert_never("a call", Duration::from_secs(10), |fleet| fleet.event_log.count(called) > calls).await;
+        assert!(fleet.task_counts(&mission).is_empty(), "seed {seed}\n{}", fleet.event_log_text());
     });
 }
 
 #[test]
 fn a_mission_canceled_under_way_stops_its_robots_and_frees_them() {
-    tell(SEEDS, async |seed| {
+    for_each_seed(SEEDS, async |seed| {
         let mut fleet = fleet(seed, ROOM).await;
         let mission = fleet.submit("a", ROOM).await;
-        let began = began("navto_room");
-        fleet.until("the way to the room", SOON, |fleet| fleet.happened(&began)).await;
+        let began = task_began("navto_room");
+        fleet.wait_until("the way to the room", SOON, |fleet| fleet.has_event(&began)).await;
         let robot = fleet.holder(&mission, "r1").expect("held").to_string();
-        fleet.answer(ApiCall::Cancel, &json!({ "mission": mission })).await;
-        let halted = |what: &Happening| matches!(what, Happening::Halted { reason: Ending::Canceled, .. });
-        fleet.until("both to halt", Duration::from_secs(2), |fleet| fleet.chronicle.count(halted) == 2).await;
-        fleet.comes_to_rest(&robot).await;
+        fleet.request_answered(ApiCall::Cancel, &json!({ "mission": mission })).await;
+        let halted = |what: &EventKind| matches!(what, EventKind::Halted { reason: EndReason::Canceled, .. });
+        fleet.wait_until("both to halt", Duration::from_secs(2), |fleet| fleet.event_log.count(halted) == 2).await;
+        fleet.wait_for_rest(&robot).await;
         let place = fleet.position(&robot);
         for who in [robot.as_str(), "lab-arm"] {
             let name = format!("robot/{who}");
@@ -190,34 +197,38 @@ fn a_mission_canceled_under_way_stops_its_robots_and_frees_them() {
                 let views = fleet.view(&name).await;
                 (views[&name]["robot"]["availability"] == "free").then_some(())
             };
-            fleet.seen(&format!("{who} free"), Duration::from_secs(3), free).await;
+            fleet.poll_until(&format!("{who} free"), Duration::from_secs(3), free).await;
         }
         assert_eq!(fleet.position(&robot), place, "seed {seed}: it stands still");
-        let begun = fleet.tasks(&mission);
-        fleet.never("anything of the mission", Duration::from_secs(10), |fleet| fleet.tasks(&mission) != begun).await;
+        let begun = fleet.task_counts(&mission);
+        fleet
+            .assert_never("anything of the mission", Duration::from_secs(10), |fleet| {
+                fleet.task_counts(&mission) != begun
+            })
+            .await;
 
         // Once more is an error, and changes nothing.
-        let answer = fleet.answer(ApiCall::Cancel, &json!({ "mission": mission, "by": "a late one" })).await;
+        let answer = fleet.request_answered(ApiCall::Cancel, &json!({ "mission": mission, "by": "a late one" })).await;
         let error = answer["error"].as_str().expect("an error");
         assert!(error.contains(mission.as_str()) && error.contains("canceled"), "seed {seed}: {error}");
-        let got = fleet.answer(ApiCall::Get, &json!({ "mission": mission })).await;
+        let got = fleet.request_answered(ApiCall::Get, &json!({ "mission": mission })).await;
         assert_eq!(got["detail"], json!({ "canceled": { "by": "a client" } }), "seed {seed}");
     });
 }
 
 #[test]
 fn missions_can_be_listed_and_looked_at_one_by_one() {
-    tell(SEEDS, async |seed| {
+    for_each_seed(SEEDS, async |seed| {
         let mut fleet = fleet(seed, ROOM).await;
-        assert_eq!(fleet.answer(ApiCall::List, &Value::Null).await["missions"], json!([]), "seed {seed}");
+        assert_eq!(fleet.request_answered(ApiCall::List, &Value::Null).await["missions"], json!([]), "seed {seed}");
         let mission = fleet.submit("my-7", ROOM).await;
-        fleet.completes(&mission).await;
-        let list = fleet.answer(ApiCall::List, &Value::Null).await;
+        fleet.assert_completes(&mission).await;
+        let list = fleet.request_answered(ApiCall::List, &Value::Null).await;
         let brief = &list["missions"][0];
         assert_eq!(brief["mission"], json!(mission), "seed {seed}: {list}");
         assert_eq!((&brief["state"], &brief["done"]), (&json!("completed"), &brief["steps"]), "seed {seed}");
         assert_eq!(brief["holders"], json!({ "lab_arm": "lab-arm", "r1": "gorse" }), "seed {seed}");
-        let got = fleet.answer(ApiCall::Get, &json!({ "mission": mission })).await;
+        let got = fleet.request_answered(ApiCall::Get, &json!({ "mission": mission })).await;
         assert_eq!((&got["request"], &got["number"]), (&json!("my-7"), &json!(1)), "seed {seed}");
         let ageless = |view: &Value| {
             let mut view = view.clone();
@@ -230,7 +241,7 @@ fn missions_can_be_listed_and_looked_at_one_by_one() {
             ageless(&got),
             "seed {seed}: both ways of looking agree"
         );
-        let answer = fleet.answer(ApiCall::Cancel, &json!({ "mission": mission })).await;
+        let answer = fleet.request_answered(ApiCall::Cancel, &json!({ "mission": mission })).await;
         let error = answer["error"].as_str().expect("an error");
         assert!(error.contains("completed"), "seed {seed}: {error}");
     });

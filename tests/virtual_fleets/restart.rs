@@ -1,10 +1,10 @@
 //! A robot's node that crashes and comes back goes on where it was, if its role is still its own.
 
-use crate::usual::{began, released};
-use consort_protocol::event::Happening;
+use crate::support::{released, task_began};
+use consort_protocol::event::EventKind;
 use consort_protocol::ids::MissionId;
-use consort_sim::world::{Happening as InWorld, JournalEntry, Keeper};
-use consort_tests::{Fleet, Member, slug, tell};
+use consort_sim::world::{LoggedEvent, SampleHolder, WorldEvent as InWorld};
+use consort_tests::{Fleet, RobotSpec, for_each_seed, slug};
 use std::cell::Cell;
 use std::collections::BTreeMap;
 use std::time::Duration;
@@ -12,85 +12,85 @@ use std::time::Duration;
 const ROOM: &str = "IC Room 6";
 const SOON: Duration = Duration::from_secs(60);
 
-fn resumed(what: &Happening) -> bool {
-    matches!(what, Happening::Resumed { .. })
+fn resumed(what: &EventKind) -> bool {
+    matches!(what, EventKind::Resumed { .. })
 }
 
 /// `gorse` is near and wins; the ledger is kept by the stations and the arm.
 async fn under_way(seed: u64, others: &[&'static str], task: &'static str) -> (Fleet, MissionId) {
-    let mut robots = vec![Member::carrier("gorse", "IC Room 4")];
-    robots.extend(others.iter().map(|name| Member::carrier(name, "Dock")));
+    let mut robots = vec![RobotSpec::carrier("gorse", "IC Room 4")];
+    robots.extend(others.iter().map(|name| RobotSpec::carrier(name, "Dock")));
     let mut fleet = Fleet::hospital(seed, robots, &["aster", "basil", "clove", "dill"], &[ROOM]).await;
-    fleet.coordinator().await;
+    fleet.wait_for_coordinator().await;
     let mission = fleet.submit("a", ROOM).await;
-    fleet.until(task, SOON, |fleet| fleet.happened(began(task))).await;
+    fleet.wait_until(task, SOON, |fleet| fleet.has_event(task_began(task))).await;
     assert_eq!(fleet.holder(&mission, "r1").expect("held").as_str(), "gorse", "seed {seed}");
     (fleet, mission)
 }
 
 /// The mission was completed by those who began it, and nothing was done twice but what a crash had broken off.
 fn done_once(fleet: &Fleet, mission: &MissionId, begun_twice: &[&str]) {
-    let story = fleet.tale();
-    let tasks: BTreeMap<String, (usize, usize)> = fleet.tasks(mission);
+    let story = fleet.event_log_text();
+    let tasks: BTreeMap<String, (usize, usize)> = fleet.task_counts(mission);
     for (task, (began, ended)) in &tasks {
         let expected = if begun_twice.contains(&task.as_str()) { 2 } else { 1 };
         assert_eq!((*began, *ended), (expected, 1), "seed {}: {task}\n{story}", fleet.seed);
     }
-    assert!(!fleet.happened(released), "seed {}\n{story}", fleet.seed);
-    fleet.sample_delivered(ROOM);
-    fleet.one_role_one_robot();
+    assert!(!fleet.has_event(released), "seed {}\n{story}", fleet.seed);
+    fleet.assert_sample_delivered(ROOM);
+    fleet.assert_exclusive_roles();
 }
 
 /// Waits until a robot's notebook is empty.
 async fn page_torn_out(fleet: &Fleet, robot: &str) {
     let what = format!("the empty notebook of {robot}");
-    fleet.seen(&what, SOON, async |fleet| fleet.notebook(robot).await.is_none().then_some(())).await;
+    fleet.poll_until(&what, SOON, async |fleet| fleet.checkpoint(robot).await.is_none().then_some(())).await;
 }
 
 #[test]
 fn a_carrier_that_is_back_within_its_lease_goes_on_with_the_sample_in_its_drawer() {
-    tell([301, 302, 303], async |seed| {
+    for_each_seed([301, 302, 303], async |seed| {
         let (mut fleet, mission) = under_way(seed, &["fern"], "navto_lab").await;
         fleet.kill("gorse").await;
         // From at once, while its body still drives, to after its body was found undriven.
         tokio::time::sleep(Duration::from_millis(50 + (seed - 301) * 1500)).await;
         fleet.restart("gorse").await;
-        fleet.completes(&mission).await;
+        fleet.assert_completes(&mission).await;
         done_once(&fleet, &mission, &["navto_lab"]);
-        assert_eq!(fleet.chronicle.count(resumed), 1, "seed {seed}\n{}", fleet.tale());
+        assert_eq!(fleet.event_log.count(resumed), 1, "seed {seed}\n{}", fleet.event_log_text());
         page_torn_out(&fleet, "gorse").await;
     });
 }
 
 #[test]
 fn a_robot_that_is_back_too_late_learns_that_the_role_is_gone_and_is_free_for_the_next() {
-    tell([311, 312], async |seed| {
+    for_each_seed([311, 312], async |seed| {
         let (mut fleet, mission) = under_way(seed, &["fern"], "navto_room").await;
         fleet.kill("gorse").await;
         fleet
-            .until("fern to take over", SOON, |fleet| {
-                fleet.spells_of(&mission, "r1").last().is_some_and(|spell| spell.robot.as_str() == "fern")
+            .wait_until("fern to take over", SOON, |fleet| {
+                fleet.role_intervals_of(&mission, "r1").last().is_some_and(|spell| spell.robot.as_str() == "fern")
             })
             .await;
         fleet.restart("gorse").await;
         let halted = |fleet: &Fleet| {
-            let entries = fleet.chronicle.entries();
+            let entries = fleet.event_log.entries();
             let gorse = entries.iter().filter(|(_, entry)| entry.node().as_str() == "gorse");
-            gorse.filter_map(|(_, entry)| entry.happening()).any(|what| matches!(what, Happening::Halted { .. }))
+            gorse.filter_map(|(_, entry)| entry.event_kind()).any(|what| matches!(what, EventKind::Halted { .. }))
         };
-        fleet.until("gorse to learn it", SOON, halted).await;
+        fleet.wait_until("gorse to learn it", SOON, halted).await;
         page_torn_out(&fleet, "gorse").await;
         let place = fleet.position("gorse");
-        fleet.completes(&mission).await;
-        assert_eq!(fleet.position("gorse"), place, "seed {seed}: it stood still\n{}", fleet.tale());
-        fleet.sample_delivered(ROOM);
-        fleet.one_role_one_robot();
-        assert_eq!(fleet.chronicle.count(resumed), 0, "seed {seed}\n{}", fleet.tale());
-        let doers = &fleet.chronicle.doers(&mission)["navto_room"];
+        fleet.assert_completes(&mission).await;
+        assert_eq!(fleet.position("gorse"), place, "seed {seed}: it stood still\n{}", fleet.event_log_text());
+        fleet.assert_sample_delivered(ROOM);
+        fleet.assert_exclusive_roles();
+        assert_eq!(fleet.event_log.count(resumed), 0, "seed {seed}\n{}", fleet.event_log_text());
+        let doers = &fleet.event_log.task_executors(&mission)["navto_room"];
         assert_eq!(*doers, (vec!["gorse".to_owned(), "fern".into()], vec!["fern".into()]), "seed {seed}");
 
         let next = fleet.submit("b", ROOM).await;
-        fleet.until("an award", SOON, |fleet| fleet.holder(&next, "r1").is_some()).await;
+        fleet.wait_until("an award", SOON, |fleet| fleet.holder(&next, "r1").is_some()).await;
         assert_eq!(fleet.holder(&next, "r1").expect("held").as_str(), "gorse", "seed {seed}: the nearest again");
     });
 }
@@ -99,23 +99,23 @@ fn a_robot_that_is_back_too_late_learns_that_the_role_is_gone_and_is_free_for_th
 fn a_page_that_cannot_be_read_is_torn_out_and_the_robot_treated_as_one_that_forgot() {
     let pages: [&[u8]; 3] = [&[], &[99, 1, 2, 3], &[2, 1, 255, 255, 255]];
     for (page, seed) in pages.into_iter().zip(321..) {
-        tell([seed], async |seed| {
+        for_each_seed([seed], async |seed| {
             let (mut fleet, mission) = under_way(seed, &[], "navto_room").await;
             fleet.kill("gorse").await;
-            fleet.forge_notebook("gorse", page.to_vec()).await;
+            fleet.overwrite_checkpoint("gorse", page.to_vec()).await;
             fleet.restart("gorse").await;
-            fleet.until("the role to be released", SOON, |fleet| fleet.happened(released)).await;
-            fleet.completes(&mission).await;
-            assert_eq!(fleet.chronicle.count(resumed), 0, "seed {seed}\n{}", fleet.tale());
-            fleet.sample_delivered(ROOM);
-            fleet.one_role_one_robot();
+            fleet.wait_until("the role to be released", SOON, |fleet| fleet.has_event(released)).await;
+            fleet.assert_completes(&mission).await;
+            assert_eq!(fleet.event_log.count(resumed), 0, "seed {seed}\n{}", fleet.event_log_text());
+            fleet.assert_sample_delivered(ROOM);
+            fleet.assert_exclusive_roles();
         });
     }
 }
 
 #[test]
 fn a_robot_that_asks_whether_its_role_is_still_its_own_is_not_free() {
-    tell([331], async |seed| {
+    for_each_seed([331], async |seed| {
         let (mut fleet, mission) = under_way(seed, &[], "navto_room").await;
         fleet.kill("gorse").await;
         // It finds nobody whom it could ask.
@@ -128,40 +128,46 @@ fn a_robot_that_asks_whether_its_role_is_still_its_own_is_not_free() {
         };
         use consort_protocol::knowledge::Availability;
         let held = Availability::Holding { mission: mission.clone(), role: slug("r1"), suspended: true };
-        fleet.until("it to say that it holds a role", SOON, |fleet| says(fleet) == Some(held.clone())).await;
-        fleet.never("something else", Duration::from_secs(20), |fleet| says(fleet) != Some(held.clone())).await;
-        assert!(fleet.position("gorse") == place && !fleet.happened(resumed), "seed {seed}\n{}", fleet.tale());
+        fleet.wait_until("it to say that it holds a role", SOON, |fleet| says(fleet) == Some(held.clone())).await;
+        fleet.assert_never("something else", Duration::from_secs(20), |fleet| says(fleet) != Some(held.clone())).await;
+        assert!(
+            fleet.position("gorse") == place && !fleet.has_event(resumed),
+            "seed {seed}\n{}",
+            fleet.event_log_text()
+        );
         fleet.heal();
-        fleet.completes(&mission).await;
-        fleet.sample_delivered(ROOM);
-        fleet.one_role_one_robot();
+        fleet.assert_completes(&mission).await;
+        fleet.assert_sample_delivered(ROOM);
+        fleet.assert_exclusive_roles();
     });
 }
 
 /// Kills `robot` after the `nth` happening since the request and brings it back; false when the mission was over before.
 async fn interrupted(seed: u64, nth: usize, robot: &'static str, away: Duration) -> bool {
-    let robots = vec![Member::carrier("gorse", "PC Room 8").at_speed(1.5)];
+    let robots = vec![RobotSpec::carrier("gorse", "PC Room 8").with_speed(1.5)];
     let room = "PC Room 8";
     let mut fleet = Fleet::hospital(seed, robots, &["aster", "basil", "clove", "dill"], &[room]).await;
-    fleet.coordinator().await;
-    let before = fleet.chronicle.len();
+    fleet.wait_for_coordinator().await;
+    let before = fleet.event_log.len();
     let mission = fleet.submit("a", room).await;
-    let over = |fleet: &Fleet| fleet.state_of(&mission).is_some_and(|state| state.is_end());
-    fleet.until(&format!("{nth} things"), SOON, |fleet| fleet.chronicle.len() >= before + nth || over(fleet)).await;
+    let over = |fleet: &Fleet| fleet.mission_state(&mission).is_some_and(|state| state.is_final());
+    fleet
+        .wait_until(&format!("{nth} things"), SOON, |fleet| fleet.event_log.len() >= before + nth || over(fleet))
+        .await;
     if over(&fleet) {
         return false;
     }
     fleet.kill(robot).await;
     tokio::time::sleep(away).await;
     fleet.restart(robot).await;
-    fleet.completes(&mission).await;
-    let story = format!("seed {seed}: {robot} killed after {nth} things\n{}", fleet.tale());
-    let tasks = fleet.tasks(&mission);
+    fleet.assert_completes(&mission).await;
+    let story = format!("seed {seed}: {robot} killed after {nth} things\n{}", fleet.event_log_text());
+    let tasks = fleet.task_counts(&mission);
     let again = tasks.values().filter(|(began, _)| *began > 1).count();
     assert!(again <= 1 && tasks.values().all(|(began, _)| *began <= 2), "{tasks:?}\n{story}");
     assert!(tasks.values().all(|(_, ended)| *ended == 1), "{tasks:?}\n{story}");
-    fleet.sample_delivered(room);
-    fleet.one_role_one_robot();
+    fleet.assert_sample_delivered(room);
+    fleet.assert_exclusive_roles();
     true
 }
 
@@ -170,7 +176,7 @@ fn at_any_step(step: usize, seed: impl Fn(u64) -> u64, story: impl AsyncFn(u64, 
     for (kills, nth) in (0..).step_by(step).enumerate() {
         let (number, went_on) = (nth as u64, Cell::new(true));
         let away = Duration::from_millis(40 + (number * 379) % 3000);
-        tell([seed(number)], async |seed| went_on.set(story(seed, nth, away).await));
+        for_each_seed([seed(number)], async |seed| went_on.set(story(seed, nth, away).await));
         if !went_on.get() {
             return kills;
         }
@@ -196,21 +202,23 @@ fn an_arm_may_crash_at_any_step() {
 fn what_the_body_did_while_its_robot_was_dead_is_not_done_again() {
     // From the moment at which the arm reaches into the drawer until the lease is all but over.
     for (seed, away_ms) in [(371, 0), (372, 150), (373, 700), (374, 3200)] {
-        tell([seed], async |seed| {
+        for_each_seed([seed], async |seed| {
             let (mut fleet, mission) = under_way(seed, &["fern"], "pick_up_sample").await;
-            let reaches = |entry: &JournalEntry| matches!(&entry.what, InWorld::GoalBegan { robot, .. } if *robot == slug("lab-arm"));
-            fleet.until("the arm to reach into the drawer", SOON, |fleet| fleet.journal().iter().any(reaches)).await;
+            let reaches = |entry: &LoggedEvent| matches!(&entry.event, InWorld::GoalStarted { robot, .. } if *robot == slug("lab-arm"));
+            fleet
+                .wait_until("the arm to reach into the drawer", SOON, |fleet| fleet.journal().iter().any(reaches))
+                .await;
             fleet.kill("lab-arm").await;
             if away_ms > 0 {
-                let taken = |fleet: &Fleet| fleet.keeper(ROOM) == Keeper::Arm(slug("lab-arm"));
-                fleet.until("the arm to have the sample", SOON, taken).await;
+                let taken = |fleet: &Fleet| fleet.sample_holder(ROOM) == SampleHolder::Arm(slug("lab-arm"));
+                fleet.wait_until("the arm to have the sample", SOON, taken).await;
                 tokio::time::sleep(Duration::from_millis(away_ms)).await;
             }
             fleet.restart("lab-arm").await;
-            fleet.completes(&mission).await;
+            fleet.assert_completes(&mission).await;
             done_once(&fleet, &mission, &["pick_up_sample"]);
-            let failed = |what: &Happening| matches!(what, Happening::TaskRetried { .. });
-            assert!(!fleet.happened(failed), "seed {seed}\n{}", fleet.tale());
+            let failed = |what: &EventKind| matches!(what, EventKind::TaskRetried { .. });
+            assert!(!fleet.has_event(failed), "seed {seed}\n{}", fleet.event_log_text());
         });
     }
 }
@@ -219,26 +227,28 @@ fn what_the_body_did_while_its_robot_was_dead_is_not_done_again() {
 /// mission was over before.
 async fn world_interrupted(seed: u64, nth: usize, away: Duration) -> bool {
     let room = "PC Room 8";
-    let robots = vec![Member::carrier("gorse", room).at_speed(1.5)];
+    let robots = vec![RobotSpec::carrier("gorse", room).with_speed(1.5)];
     let mut fleet = Fleet::hospital(seed, robots, &["aster", "basil", "clove", "dill"], &[room]).await;
-    fleet.coordinator().await;
-    let before = fleet.chronicle.len();
+    fleet.wait_for_coordinator().await;
+    let before = fleet.event_log.len();
     let mission = fleet.submit("a", room).await;
-    let over = |fleet: &Fleet| fleet.state_of(&mission).is_some_and(|state| state.is_end());
-    fleet.until(&format!("{nth} things"), SOON, |fleet| fleet.chronicle.len() >= before + nth || over(fleet)).await;
+    let over = |fleet: &Fleet| fleet.mission_state(&mission).is_some_and(|state| state.is_final());
+    fleet
+        .wait_until(&format!("{nth} things"), SOON, |fleet| fleet.event_log.len() >= before + nth || over(fleet))
+        .await;
     if over(&fleet) {
         return false;
     }
     fleet.kill("world").await;
     tokio::time::sleep(away).await;
     fleet.start_world().await;
-    fleet.completes(&mission).await;
-    let story = format!("seed {seed}: the world's node killed after {nth} things\n{}", fleet.tale());
-    let tasks = fleet.tasks(&mission);
+    fleet.assert_completes(&mission).await;
+    let story = format!("seed {seed}: the world's node killed after {nth} things\n{}", fleet.event_log_text());
+    let tasks = fleet.task_counts(&mission);
     assert!(tasks.values().all(|(_, ended)| (1..=2).contains(ended)), "{tasks:?}\n{story}");
-    assert!(!fleet.happened(released), "{story}");
-    fleet.sample_delivered(room);
-    fleet.one_role_one_robot();
+    assert!(!fleet.has_event(released), "{story}");
+    fleet.assert_sample_delivered(room);
+    fleet.assert_exclusive_roles();
     true
 }
 

@@ -1,10 +1,10 @@
 //! A skill that panics takes nothing down with it.
 
-use consort_protocol::event::Happening;
-use consort_skills::bt::{Instant, LeafContext, Manifest, NodeKind};
+use consort_protocol::event::EventKind;
+use consort_skills::bt::{LeafContext, NodeKind, NodeManifest, SyncLeaf};
 use consort_skills::library::SkillLibrary;
 use consort_skills::skill::TaskContext;
-use consort_tests::{Fleet, Member, tell};
+use consort_tests::{Fleet, RobotSpec, for_each_seed};
 use std::cell::Cell;
 
 const ROOM: &str = "IC Room 6";
@@ -13,8 +13,8 @@ const ROOM: &str = "IC Room 6";
 fn stumbles_twice(library: &mut SkillLibrary) {
     library
         .extend(|registry| {
-            registry.register(Manifest::new("Stumble", NodeKind::Action, []), |_: &TaskContext| {
-                Box::new(Instant(|_: &mut LeafContext<'_, '_>| {
+            registry.register(NodeManifest::new("Stumble", NodeKind::Action, []), |_: &TaskContext| {
+                Box::new(SyncLeaf(|_: &mut LeafContext<'_, '_>| {
                     let left = STUMBLES.with(|stumbles| stumbles.replace(stumbles.get().saturating_sub(1)));
                     assert_eq!(left, 0, "nobody stands there");
                     Ok(true)
@@ -38,39 +38,41 @@ thread_local! {
 
 #[test]
 fn a_skill_that_panics_each_time_costs_its_robot_the_role_and_nobody_anything_else() {
-    tell([101, 102], async |seed| {
+    for_each_seed([101, 102], async |seed| {
         STUMBLES.with(|stumbles| stumbles.set(2));
-        let robots =
-            vec![Member::carrier("gorse", "IC Room 4").trained(stumbles_twice), Member::carrier("fern", "Dock")];
+        let robots = vec![
+            RobotSpec::carrier("gorse", "IC Room 4").with_library(stumbles_twice),
+            RobotSpec::carrier("fern", "Dock"),
+        ];
         let mut fleet = Fleet::hospital(seed, robots, &["aster"], &[ROOM, "IC Room 5"]).await;
-        fleet.coordinator().await;
+        fleet.wait_for_coordinator().await;
         let mission = fleet.submit("a", ROOM).await;
-        fleet.completes(&mission).await;
+        fleet.assert_completes(&mission).await;
         let causes: Vec<String> = fleet
-            .happenings()
+            .events()
             .into_iter()
             .filter_map(|what| match what {
-                Happening::Released { cause, .. } => Some(cause),
+                EventKind::Released { cause, .. } => Some(cause),
                 _ => None,
             })
             .collect();
-        let [cause] = &causes[..] else { panic!("seed {seed}: {causes:?}\n{}", fleet.tale()) };
+        let [cause] = &causes[..] else { panic!("seed {seed}: {causes:?}\n{}", fleet.event_log_text()) };
         for part in ["gorse as r1 could not do approach_nurse", "crashed", "nobody stands there"] {
             assert!(cause.contains(part), "seed {seed}: {cause:?} without {part:?}");
         }
-        let failed = |what: &Happening| matches!(what, Happening::TaskFailed { .. });
-        let retried = |what: &Happening| matches!(what, Happening::TaskRetried { .. });
-        let counts = (fleet.chronicle.count(failed), fleet.chronicle.count(retried));
-        assert_eq!(counts, (1, 1), "seed {seed}\n{}", fleet.tale());
+        let failed = |what: &EventKind| matches!(what, EventKind::TaskFailed { .. });
+        let retried = |what: &EventKind| matches!(what, EventKind::TaskRetried { .. });
+        let counts = (fleet.event_log.count(failed), fleet.event_log.count(retried));
+        assert_eq!(counts, (1, 1), "seed {seed}\n{}", fleet.event_log_text());
         assert_eq!(fleet.holder(&mission, "r1").expect("who did it").as_str(), "fern", "seed {seed}");
-        fleet.one_role_one_robot();
-        fleet.sample_delivered(ROOM);
+        fleet.assert_exclusive_roles();
+        fleet.assert_sample_delivered(ROOM);
 
         // The node has not noticed: the same robot takes the next mission and carries it out.
         let next = fleet.submit("b", "IC Room 5").await;
-        fleet.completes(&next).await;
+        fleet.assert_completes(&next).await;
         assert_eq!(fleet.holder(&next, "r1").expect("who did it").as_str(), "gorse", "seed {seed}");
-        fleet.each_task_once(&next);
-        fleet.sample_delivered("IC Room 5");
+        fleet.assert_each_task_once(&next);
+        fleet.assert_sample_delivered("IC Room 5");
     });
 }

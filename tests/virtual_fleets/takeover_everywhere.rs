@@ -1,7 +1,7 @@
 //! The coordinator is killed after the n-th thing that happens, for every fifth n.
 
 use consort_protocol::ledger::MissionState;
-use consort_tests::{Fleet, Member, tell};
+use consort_tests::{Fleet, RobotSpec, for_each_seed};
 use std::cell::RefCell;
 use std::time::Duration;
 
@@ -9,29 +9,29 @@ const ROOM: &str = "PC Room 8";
 
 /// Kills the coordinator after the `nth` happening since the request. `None` when the mission was over before.
 async fn killed_after(seed: u64, nth: usize, stations: &[&'static str]) -> Option<(Fleet, String, MissionState)> {
-    let robots = vec![Member::carrier("amber", "PC Room 8"), Member::carrier("birch", "PC Room 2")];
-    let robots = robots.into_iter().map(|robot| robot.at_speed(1.5)).collect();
+    let robots = vec![RobotSpec::carrier("amber", "PC Room 8"), RobotSpec::carrier("birch", "PC Room 2")];
+    let robots = robots.into_iter().map(|robot| robot.with_speed(1.5)).collect();
     let mut fleet = Fleet::hospital(seed, robots, stations, &[ROOM]).await;
-    let coordinator = fleet.coordinator().await.to_string();
-    let before = fleet.chronicle.len();
+    let coordinator = fleet.wait_for_coordinator().await.to_string();
+    let before = fleet.event_log.len();
     let mission = fleet.submit("a", ROOM).await;
     fleet
-        .until(&format!("{nth} things"), Duration::from_secs(60), |fleet| {
-            fleet.chronicle.len() >= before + nth || fleet.state_of(&mission).is_some_and(|state| state.is_end())
+        .wait_until(&format!("{nth} things"), Duration::from_secs(60), |fleet| {
+            fleet.event_log.len() >= before + nth || fleet.mission_state(&mission).is_some_and(|state| state.is_final())
         })
         .await;
-    if fleet.state_of(&mission).is_some_and(|state| state.is_end()) {
+    if fleet.mission_state(&mission).is_some_and(|state| state.is_final()) {
         return None;
     }
     fleet.kill(&coordinator).await;
-    let end = fleet.end_of(&mission).await;
-    fleet.one_role_one_robot();
+    let end = fleet.wait_for_end(&mission).await;
+    fleet.assert_exclusive_roles();
     if end == MissionState::Completed {
-        fleet.sample_delivered(ROOM);
+        fleet.assert_sample_delivered(ROOM);
     }
-    if fleet.holders_ever(&mission).iter().all(|robot| *robot != coordinator) {
-        assert_eq!(end, MissionState::Completed, "seed {seed}, killed after {nth}\n{}", fleet.tale());
-        fleet.each_task_once(&mission);
+    if fleet.all_holders(&mission).iter().all(|robot| *robot != coordinator) {
+        assert_eq!(end, MissionState::Completed, "seed {seed}, killed after {nth}\n{}", fleet.event_log_text());
+        fleet.assert_each_task_once(&mission);
     }
     Some((fleet, coordinator, end))
 }
@@ -41,9 +41,9 @@ fn ends(every: usize, first_seed: u64, stations: &[&'static str], coordinates: &
     let ends = RefCell::new(vec![]);
     for nth in (0..).step_by(every) {
         let before = ends.borrow().len();
-        tell([first_seed + nth as u64 % 7], async |seed| {
+        for_each_seed([first_seed + nth as u64 % 7], async |seed| {
             if let Some((fleet, coordinator, end)) = killed_after(seed, nth, stations).await {
-                assert_eq!(coordinator, coordinates, "seed {seed}, killed after {nth}\n{}", fleet.tale());
+                assert_eq!(coordinator, coordinates, "seed {seed}, killed after {nth}\n{}", fleet.event_log_text());
                 ends.borrow_mut().push(end);
             }
         });

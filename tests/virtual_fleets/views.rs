@@ -1,11 +1,11 @@
 //! What anybody can see of a fleet.
 
-use crate::usual::{began, fleet};
+use crate::support::{fleet, task_began};
 use consort_actors::bus::{Bus, VirtualBus};
-use consort_protocol::event::Happening;
+use consort_protocol::event::EventKind;
 use consort_protocol::keys::ApiCall;
 use consort_protocol::ledger::MissionState;
-use consort_tests::{Fleet, slug, tell};
+use consort_tests::{Fleet, for_each_seed, slug};
 use serde_json::{Value, json};
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
@@ -17,11 +17,11 @@ const SOON: Duration = Duration::from_secs(60);
 
 #[test]
 fn every_view_is_answered_once_and_says_how_things_stand() {
-    tell(SEEDS, async |seed| {
+    for_each_seed(SEEDS, async |seed| {
         let mut fleet = fleet(seed, ROOM).await;
         let mission = fleet.submit("a", ROOM).await;
-        let began = began("deposit");
-        fleet.until("the deposit", SOON, |fleet| fleet.happened(&began)).await;
+        let began = task_began("deposit");
+        fleet.wait_until("the deposit", SOON, |fleet| fleet.has_event(&began)).await;
         // What robots say of themselves comes by gossip.
         let told = async |fleet: &Fleet| {
             let views = fleet.view("**").await;
@@ -30,8 +30,9 @@ fn every_view_is_answered_once_and_says_how_things_stand() {
             let told = views["robot/gorse"]["robot"]["availability"]["holding"]["role"] == "r1";
             (told && tasks["deposit"] == "under_way").then_some(views)
         };
-        let views =
-            fleet.seen("gorse's word that it holds r1, and the deposit under way", Duration::from_secs(2), told).await;
+        let views = fleet
+            .poll_until("gorse's word that it holds r1, and the deposit under way", Duration::from_secs(2), told)
+            .await;
         let names: Vec<&str> = views.keys().map(String::as_str).collect();
         let expected = [
             "auctions",
@@ -145,11 +146,11 @@ async fn look(bus: &VirtualBus, key: &str) -> (BTreeMap<String, Value>, Duration
 
 #[test]
 fn any_node_answers_alone_and_says_whose_it_is_and_how_old() {
-    tell(SEEDS, async |seed| {
+    for_each_seed(SEEDS, async |seed| {
         let mut fleet = fleet(seed, ROOM).await;
         let mission = fleet.submit("a", ROOM).await;
-        let began = began("deposit");
-        fleet.until("the deposit", SOON, |fleet| fleet.happened(&began)).await;
+        let began = task_began("deposit");
+        fleet.wait_until("the deposit", SOON, |fleet| fleet.has_event(&began)).await;
         let nodes = ["aster", "basil", "clove", "fern", "gorse", "lab-arm", "world"];
         // Those without a copy of the ledger have the missions from one that keeps it.
         for node in nodes {
@@ -182,10 +183,10 @@ fn any_node_answers_alone_and_says_whose_it_is_and_how_old() {
 
 #[test]
 fn views_are_answered_in_a_moment_while_nobody_leads_and_say_so() {
-    tell(SEEDS, async |seed| {
+    for_each_seed(SEEDS, async |seed| {
         let mut fleet = fleet(seed, ROOM).await;
         let mission = fleet.submit("a", ROOM).await;
-        fleet.until("the way", SOON, |fleet| fleet.happened(began("navto_room"))).await;
+        fleet.wait_until("the way", SOON, |fleet| fleet.has_event(task_began("navto_room"))).await;
         let client = fleet.client.clone();
         let moment = Duration::from_millis(900);
         fleet.kill("aster").await;
@@ -213,26 +214,26 @@ fn views_are_answered_in_a_moment_while_nobody_leads_and_say_so() {
             let said = |about: &str| findings.iter().any(|finding| finding["about"] == about);
             (health["level"] == "error" && said("quorum") && said("coordinator")).then_some(health)
         };
-        let health = fleet.seen("the loss of the quorum", Duration::from_secs(20), says).await;
+        let health = fleet.poll_until("the loss of the quorum", Duration::from_secs(20), says).await;
         assert_eq!(health["coordinator"], Value::Null, "seed {seed}: {health}");
     });
 }
 
 #[test]
 fn a_robot_that_is_down_holds_what_the_ledger_says_and_not_what_it_last_said() {
-    tell(SEEDS, async |seed| {
+    for_each_seed(SEEDS, async |seed| {
         let mut fleet = fleet(seed, ROOM).await;
         let mission = fleet.submit("a", ROOM).await;
-        fleet.until("the way to the laboratory", SOON, |fleet| fleet.happened(began("navto_lab"))).await;
+        fleet.wait_until("the way to the laboratory", SOON, |fleet| fleet.has_event(task_began("navto_lab"))).await;
         let says = async |fleet: &Fleet| {
             let robot = fleet.view("robot/gorse").await.remove("robot/gorse")?;
             (robot["robot"]["availability"]["holding"]["role"] == "r1").then_some(())
         };
-        fleet.seen("gorse's word that it holds r1", SOON, says).await;
+        fleet.poll_until("gorse's word that it holds r1", SOON, says).await;
         fleet.kill("gorse").await;
-        let end = fleet.end_of(&mission).await;
+        let end = fleet.wait_for_end(&mission).await;
         assert!(matches!(end, MissionState::NeedsRescue { .. }), "seed {seed}: {end:?}");
-        let closed = fleet.answer(ApiCall::Rescued, &json!({ "mission": mission, "by": "Nia" })).await;
+        let closed = fleet.request_answered(ApiCall::Resolve, &json!({ "mission": mission, "by": "Nia" })).await;
         assert!(closed["state"]["failed"].is_object(), "seed {seed}: {closed}");
         // Whether it keeps the ledger, as most do, or has nothing but gorse's last word, as the world's node.
         for node in ["aster", "basil", "clove", "fern", "lab-arm", "world"] {
@@ -242,7 +243,7 @@ fn a_robot_that_is_down_holds_what_the_ledger_says_and_not_what_it_last_said() {
                 let alone = views.get("view/robot/gorse")?;
                 (of_all["status"] == "down").then(|| [of_all.clone(), alone.clone()])
             };
-            for gorse in fleet.seen("gorse is down", SOON, shown).await {
+            for gorse in fleet.poll_until("gorse is down", SOON, shown).await {
                 assert_eq!(gorse["holds"], Value::Null, "seed {seed}: {node}: {gorse}");
                 assert_eq!(gorse["robot"]["availability"], "free", "seed {seed}: {node}: {gorse}");
             }
@@ -252,11 +253,11 @@ fn a_robot_that_is_down_holds_what_the_ledger_says_and_not_what_it_last_said() {
 
 #[test]
 fn why_each_robot_did_or_did_not_get_each_role_is_explained() {
-    tell(SEEDS, async |seed| {
+    for_each_seed(SEEDS, async |seed| {
         let mut fleet = fleet(seed, ROOM).await;
         let mission = fleet.submit("a", ROOM).await;
-        fleet.completes(&mission).await;
-        let said = fleet.answer(ApiCall::Explain, &json!({ "mission": mission })).await;
+        fleet.assert_completes(&mission).await;
+        let said = fleet.request_answered(ApiCall::Explain, &json!({ "mission": mission })).await;
         let words: Vec<&str> = said["words"].as_array().expect("sentences").iter().filter_map(Value::as_str).collect();
         assert_eq!(words[0], format!("{mission} is completed; auction 1:"), "seed {seed}");
         for says in [
@@ -284,16 +285,16 @@ fn why_each_robot_did_or_did_not_get_each_role_is_explained() {
             assert!(parts.len() > 5 && (sum - whole).abs() < 1e-6, "seed {seed}: {robot} bid {whole}, in parts {sum}");
         }
         assert_eq!((outcome("gorse"), outcome("fern")), (json!("won"), json!("outbid")), "seed {seed}: {words:#?}");
-        let missing = fleet.answer(ApiCall::Explain, &json!({ "mission": "lab-samples-9" })).await;
+        let missing = fleet.request_answered(ApiCall::Explain, &json!({ "mission": "lab-samples-9" })).await;
         assert!(missing["error"].as_str().is_some_and(|error| error.contains("no mission lab-samples-9")), "{missing}");
     });
 }
 
 #[test]
 fn every_call_says_what_it_takes() {
-    tell([123], async |_| {
+    for_each_seed([123], async |_| {
         let fleet = fleet(123, ROOM).await;
-        let help = fleet.answer(ApiCall::Help, &Value::Null).await;
+        let help = fleet.request_answered(ApiCall::Help, &Value::Null).await;
         let calls: Vec<&str> =
             help["calls"].as_array().expect("calls").iter().filter_map(|call| call["call"].as_str()).collect();
         assert_eq!(calls, ["submit", "cancel", "rescued", "backup", "upgrade", "get", "list", "explain", "help"]);
@@ -301,9 +302,9 @@ fn every_call_says_what_it_takes() {
         assert_eq!(each.len(), calls.len());
         let submit = &each["api/submit/help"];
         assert_eq!(submit["payload_schema"]["required"], json!(["mission"]), "{submit}");
-        let taken = fleet.ask(ApiCall::Submit, &submit["example"]).await.expect("an answer");
+        let taken = fleet.request(ApiCall::Submit, &submit["example"]).await.expect("an answer");
         assert!(taken["mission"].is_string(), "the example is taken: {taken}");
-        let refused = fleet.ask_in_words(ApiCall::Submit, r#"{"mission": "lab-samples", "priority": "high"}"#).await;
+        let refused = fleet.request_raw(ApiCall::Submit, r#"{"mission": "lab-samples", "priority": "high"}"#).await;
         let error = refused.expect("an answer")["error"].as_str().expect("an error").to_owned();
         assert!(error.starts_with("priority is a string; allowed is integer"), "{error}");
     });
@@ -311,7 +312,7 @@ fn every_call_says_what_it_takes() {
 
 #[test]
 fn presence_follows_life_and_office() {
-    tell(SEEDS, async |seed| {
+    for_each_seed(SEEDS, async |seed| {
         let mut fleet = fleet(seed, ROOM).await;
         let nodes = ["aster", "basil", "clove", "fern", "gorse", "lab-arm", "world"];
         let expected = |coordinator: &str, gone: &[&str]| {
@@ -320,20 +321,20 @@ fn presence_follows_life_and_office() {
             let robots = robots.map(|robot| format!("robot/{robot}"));
             nodes.chain(robots).chain([format!("coordinator/{coordinator}")]).collect::<BTreeSet<_>>()
         };
-        assert_eq!(fleet.present().await, expected("1/aster", &[]), "seed {seed}");
+        assert_eq!(fleet.presence_tokens().await, expected("1/aster", &[]), "seed {seed}");
         fleet.kill("gorse").await;
-        assert_eq!(fleet.present().await, expected("1/aster", &["gorse"]), "seed {seed}");
+        assert_eq!(fleet.presence_tokens().await, expected("1/aster", &["gorse"]), "seed {seed}");
         fleet.kill("aster").await;
-        let next = fleet.coordinator().await;
-        let elected = |what: &Happening| matches!(what, Happening::Elected { term, .. } if *term > 1);
-        fleet.until("the next term", SOON, |fleet| fleet.happened(elected)).await;
-        let term = fleet.happenings().iter().rev().find_map(|what| match what {
-            Happening::Elected { term, .. } => Some(*term),
+        let next = fleet.wait_for_coordinator().await;
+        let elected = |what: &EventKind| matches!(what, EventKind::Elected { term, .. } if *term > 1);
+        fleet.wait_until("the next term", SOON, |fleet| fleet.has_event(elected)).await;
+        let term = fleet.events().iter().rev().find_map(|what| match what {
+            EventKind::Elected { term, .. } => Some(*term),
             _ => None,
         });
         let office = format!("{}/{next}", term.expect("just seen"));
-        assert_eq!(fleet.present().await, expected(&office, &["gorse", "aster"]), "seed {seed}");
+        assert_eq!(fleet.presence_tokens().await, expected(&office, &["gorse", "aster"]), "seed {seed}");
         fleet.start_robot("gorse").await;
-        assert_eq!(fleet.present().await, expected(&office, &["aster"]), "seed {seed}");
+        assert_eq!(fleet.presence_tokens().await, expected(&office, &["aster"]), "seed {seed}");
     });
 }

@@ -10,16 +10,16 @@
 //! are and live on mains power are preferred; a voter that came back with an empty store is another member.
 
 mod bootstrap;
+mod bootstrap_promise;
+mod cluster_snapshot;
 mod decide;
-mod departure;
-mod founding;
+mod decommission;
 mod perform;
-mod sight;
 
 pub(crate) use bootstrap::Bootstrap;
-pub use decide::{Change, Health, Member, View, decide};
-pub use departure::{Farewell, LeaveError, Leaver};
-pub use perform::Done;
+pub use decide::{AutopilotAction, AutopilotInput, Member, MemberHealth, decide};
+pub use decommission::{Decommission, DecommissionError, DecommissionReport};
+pub use perform::ActionResult;
 pub(crate) use perform::{Autopilot, perform};
 
 /// Most voters: more slow every commit and survive little more.

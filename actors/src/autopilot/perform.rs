@@ -1,9 +1,9 @@
 //! When there is something to decide, and how it is carried out. Lives as long as its node coordinates.
 
-use super::decide::{Change, View, decide};
-use super::sight::{Attendance, Sight};
+use super::cluster_snapshot::{ClusterSnapshot, StabilityTracker};
+use super::decide::{AutopilotAction, AutopilotInput, decide};
 use crate::gossip::SharedKnowledge;
-use crate::replica::{HandOverError, MemberError, Replica};
+use crate::raft::{MemberError, Replica, TransferError};
 use consort_protocol::ids::ClusterId;
 use consort_protocol::ledger::Ledger;
 use serde_json::{Value, json};
@@ -30,27 +30,27 @@ pub(crate) struct Autopilot {
     changed: Instant,
     not_before: Instant,
     busy: bool,
-    attendance: Attendance,
+    attendance: StabilityTracker,
     /// When this node last gave the lead away because another was better placed.
     yielded: Option<Instant>,
     latest: Option<(Instant, String)>,
 }
 
 /// A change that was carried out, or was not.
-pub struct Done {
-    change: Change,
-    outcome: Result<(), Undone>,
+pub struct ActionResult {
+    change: AutopilotAction,
+    outcome: Result<(), ActionError>,
 }
 
 /// Why a change was not made.
 #[derive(Debug, thiserror::Error)]
-pub(crate) enum Undone {
+pub(crate) enum ActionError {
     /// The ledger's keepers are as they were, or the next leader completes what was begun.
     #[error(transparent)]
     Members(#[from] MemberError),
     /// This node leads as before, or somebody else is elected.
     #[error(transparent)]
-    Lead(#[from] HandOverError),
+    Lead(#[from] TransferError),
 }
 
 impl Autopilot {
@@ -65,33 +65,37 @@ impl Autopilot {
             changed: now,
             not_before: now,
             busy: false,
-            attendance: Attendance::default(),
+            attendance: StabilityTracker::default(),
             yielded,
             latest: None,
         }
     }
 
     /// The change to begin now. Until [`done`](Self::done) is told of it, there is no other.
-    pub(crate) fn next(&mut self, replica: &Replica<Ledger>, knowledge: &SharedKnowledge) -> Option<Change> {
+    pub(crate) fn next_action(
+        &mut self,
+        replica: &Replica<Ledger>,
+        knowledge: &SharedKnowledge,
+    ) -> Option<AutopilotAction> {
         let cluster = (*replica.cluster().borrow())?;
         if self.busy || Instant::now() < self.not_before {
             return None;
         }
         let change = decide(&self.view(replica, knowledge, cluster))?;
         self.busy = true;
-        if let Change::HandOver { .. } = change {
+        if let AutopilotAction::TransferLeadership { .. } = change {
             self.yielded = Some(Instant::now());
         }
         Some(change)
     }
 
     /// When this node last gave the lead away because another was better placed.
-    pub(crate) fn yielded(&self) -> Option<Instant> {
+    pub(crate) fn last_transfer_at(&self) -> Option<Instant> {
         self.yielded
     }
 
     /// Takes note of what became of a change; gives the reason of one that was made.
-    pub(crate) fn done(&mut self, done: Done) -> Result<String, (String, Undone)> {
+    pub(crate) fn complete(&mut self, done: ActionResult) -> Result<String, (String, ActionError)> {
         self.busy = false;
         let reason = done.change.reason().to_owned();
         match done.outcome {
@@ -108,7 +112,7 @@ impl Autopilot {
     }
 
     /// To show.
-    pub(crate) fn show(&self) -> Value {
+    pub(crate) fn status(&self) -> Value {
         let latest = self.latest.as_ref().map(|(at, reason)| {
             let age_ms = u64::try_from(at.elapsed().as_millis()).unwrap_or(u64::MAX);
             json!({ "reason": reason, "age_ms": age_ms })
@@ -116,34 +120,42 @@ impl Autopilot {
         json!({ "voters_aimed_at": self.target, "changing": self.busy, "latest_change": latest })
     }
 
-    fn view(&mut self, replica: &Replica<Ledger>, knowledge: &SharedKnowledge, cluster: ClusterId) -> View {
+    fn view(&mut self, replica: &Replica<Ledger>, knowledge: &SharedKnowledge, cluster: ClusterId) -> AutopilotInput {
         let leadership = replica.leadership().borrow().clone();
-        let sight = Sight::of(replica, knowledge, self.near, self.began.elapsed());
-        let (mut voters, mut observers) = (sight.members(&leadership.voters), sight.members(&leadership.observers));
+        let sight = ClusterSnapshot::take(replica, knowledge, self.near, self.began.elapsed());
+        let (mut voters, mut observers) = (sight.members(&leadership.voters), sight.members(&leadership.learners));
         let mut candidates = sight.candidates(&leadership, cluster);
-        self.attendance.follow([&mut voters, &mut observers, &mut candidates]);
-        View {
+        self.attendance.update([&mut voters, &mut observers, &mut candidates]);
+        AutopilotInput {
             me: replica.id(),
-            target: self.target,
+            target_voters: self.target,
             dead_after: self.dead_after,
-            settle: self.dead_after * 3,
-            quiet: self.changed.elapsed(),
-            yielded: self.yielded.map(|at| at.elapsed()),
+            settle_time: self.dead_after * 3,
+            unchanged_for: self.changed.elapsed(),
+            since_transfer: self.yielded.map(|at| at.elapsed()),
             voters,
-            changing_to: leadership.changing_to,
-            observers,
+            pending_voters: leadership.pending_voters,
+            learners: observers,
             candidates,
         }
     }
 }
 
 /// Carries a change out.
-pub(crate) async fn perform(replica: Replica<Ledger>, change: Change) -> Done {
+pub(crate) async fn perform(replica: Replica<Ledger>, change: AutopilotAction) -> ActionResult {
     let outcome = match &change {
-        Change::Observe { id, node, .. } => replica.add_observer(*id, node.clone(), LIMIT).await.map_err(Undone::from),
-        Change::Vote { voters, .. } => replica.set_voters(voters.clone(), LIMIT).await.map_err(Undone::from),
-        Change::Forget { id, .. } => replica.remove_observer(*id, LIMIT).await.map_err(Undone::from),
-        Change::HandOver { to, .. } => replica.hand_over_to(to, HAND_OVER).await.map(drop).map_err(Undone::from),
+        AutopilotAction::AddLearner { id, node, .. } => {
+            replica.add_learner(*id, node.clone(), LIMIT).await.map_err(ActionError::from)
+        }
+        AutopilotAction::SetVoters { voters, .. } => {
+            replica.set_voters(voters.clone(), LIMIT).await.map_err(ActionError::from)
+        }
+        AutopilotAction::RemoveLearner { id, .. } => {
+            replica.remove_learner(*id, LIMIT).await.map_err(ActionError::from)
+        }
+        AutopilotAction::TransferLeadership { to, .. } => {
+            replica.transfer_leadership_to(to, HAND_OVER).await.map(drop).map_err(ActionError::from)
+        }
     };
-    Done { change, outcome }
+    ActionResult { change, outcome }
 }

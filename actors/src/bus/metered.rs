@@ -1,7 +1,7 @@
 //! A bus whose traffic is counted, for a node's metrics: what a node sends and hears itself, by payload, without what it
 //! relays for others and what the bus adds.
 
-use super::{BusError, Encoding, Layer, Query, Replier, Reply, Said, Sample, SharedBus, Stream};
+use super::{BusError, Encoding, Layer, MessageContent, Query, Replier, Reply, Sample, SharedBus, Stream};
 use async_trait::async_trait;
 use bytes::Bytes;
 use consort_protocol::keys::KeyKind;
@@ -36,43 +36,43 @@ impl MeteredBus {
 }
 
 impl Layer for MeteredBus {
-    type Asked = ();
+    type QueryState = ();
 
-    fn carrier(&self) -> &SharedBus {
+    fn inner(&self) -> &SharedBus {
         &self.bus
     }
 
-    fn publication(&self, key: &str, said: Said) -> Result<Said, BusError> {
-        self.meter.count(KeyKind::of(key), Direction::Sent, said.payload.len() + said.beside.len());
+    fn outgoing_publication(&self, key: &str, said: MessageContent) -> Result<MessageContent, BusError> {
+        self.meter.count(KeyKind::of(key), Direction::Sent, said.payload.len() + said.attachment.len());
         Ok(said)
     }
 
-    fn publications(&self, _: &str, samples: Stream<Sample>) -> Stream<Sample> {
+    fn incoming_publications(&self, _: &str, samples: Stream<Sample>) -> Stream<Sample> {
         let meter = Arc::clone(&self.meter);
-        samples.passing(move |sample| {
-            meter.count(KeyKind::of(&sample.key), Direction::Received, sample.payload.len() + sample.beside.len());
+        samples.map(move |sample| {
+            meter.count(KeyKind::of(&sample.key), Direction::Received, sample.payload.len() + sample.attachment.len());
             sample
         })
     }
 
-    fn question(&self, key_expr: &str, said: Said) -> Result<(Said, ()), BusError> {
-        self.meter.count(KeyKind::of(key_expr), Direction::Sent, said.payload.len() + said.beside.len());
+    fn outgoing_query(&self, key_expr: &str, said: MessageContent) -> Result<(MessageContent, ()), BusError> {
+        self.meter.count(KeyKind::of(key_expr), Direction::Sent, said.payload.len() + said.attachment.len());
         Ok((said, ()))
     }
 
-    fn answers(&self, (): (), replies: Stream<Reply>) -> Stream<Reply> {
+    fn incoming_replies(&self, (): (), replies: Stream<Reply>) -> Stream<Reply> {
         let meter = Arc::clone(&self.meter);
-        replies.passing(move |reply| {
+        replies.map(move |reply| {
             let bytes = reply.payload.as_ref().map_or_else(String::len, Bytes::len);
-            meter.count(KeyKind::of(&reply.key), Direction::Received, bytes + reply.beside.len());
+            meter.count(KeyKind::of(&reply.key), Direction::Received, bytes + reply.attachment.len());
             reply
         })
     }
 
-    fn questions(&self, _: &str, questions: Stream<Query>) -> Stream<Query> {
+    fn incoming_queries(&self, _: &str, incoming_queries: Stream<Query>) -> Stream<Query> {
         let meter = Arc::clone(&self.meter);
-        questions.passing(move |query| {
-            meter.count(KeyKind::of(&query.key), Direction::Received, query.payload.len() + query.beside.len());
+        incoming_queries.map(move |query| {
+            meter.count(KeyKind::of(&query.key), Direction::Received, query.payload.len() + query.attachment.len());
             let replier = MeteredReplier { replier: query.replier, meter: Arc::clone(&meter) };
             Query { replier: Box::new(replier), ..query }
         })
@@ -86,9 +86,15 @@ struct MeteredReplier {
 
 #[async_trait]
 impl Replier for MeteredReplier {
-    async fn reply_with(&self, key: &str, payload: Bytes, beside: Bytes, encoding: Encoding) -> Result<(), BusError> {
+    async fn reply_with_attachment(
+        &self,
+        key: &str,
+        payload: Bytes,
+        beside: Bytes,
+        encoding: Encoding,
+    ) -> Result<(), BusError> {
         self.meter.count(KeyKind::of(key), Direction::Sent, payload.len() + beside.len());
-        self.replier.reply_with(key, payload, beside, encoding).await
+        self.replier.reply_with_attachment(key, payload, beside, encoding).await
     }
 
     async fn refuse(&self, reason: &str) -> Result<(), BusError> {

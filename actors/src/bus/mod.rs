@@ -37,7 +37,7 @@ mod metered;
 pub mod virtual_bus;
 pub mod zenoh_bus;
 
-pub(crate) use layer::{Layer, Said, turn_away};
+pub(crate) use layer::{Layer, MessageContent, refuse_in_background};
 pub use metered::{Direction, Meter, MeteredBus};
 pub use virtual_bus::{LinkModel, Traffic, TrafficByKind, VirtualBus, VirtualNetwork};
 pub use zenoh_bus::{ZenohBus, ZenohSettings};
@@ -79,7 +79,7 @@ pub struct Sample {
     /// How to read it.
     pub encoding: Encoding,
     /// What is said beside the content, empty if nothing: whoever does not know of it does not see it (Zenoh's attachments).
-    pub beside: Bytes,
+    pub attachment: Bytes,
 }
 
 /// An answer to a query.
@@ -90,7 +90,7 @@ pub struct Reply {
     /// Content, or the error that the service gave instead.
     pub payload: Result<Bytes, String>,
     /// What is said beside the content, empty if nothing.
-    pub beside: Bytes,
+    pub attachment: Bytes,
 }
 
 /// A change in who is there.
@@ -114,10 +114,10 @@ pub enum BusError {
         problem: String,
     },
     /// The bus is closed or broken; ordinary while a node shuts down.
-    #[error("the bus failed to {what}: {problem}")]
+    #[error("the bus failed to {operation}: {problem}")]
     Failed {
         /// What was attempted.
-        what: String,
+        operation: String,
         /// What the bus said.
         problem: String,
     },
@@ -143,13 +143,13 @@ impl<T: 'static> Stream<T> {
 
     /// This stream, each of whose items passes through `pass` when it is taken out, after whatever it passed through before.
     #[must_use]
-    pub fn passing(self, mut pass: impl FnMut(T) -> T + Send + Sync + 'static) -> Self {
-        self.sifting(move |item| Some(pass(item)))
+    pub fn map(self, mut pass: impl FnMut(T) -> T + Send + Sync + 'static) -> Self {
+        self.filter_map(move |item| Some(pass(item)))
     }
 
     /// This stream, of which only those items are handed out that pass `sift`, after whatever they passed through before.
     #[must_use]
-    pub fn sifting(self, mut sift: impl FnMut(T) -> Option<T> + Send + Sync + 'static) -> Self {
+    pub fn filter_map(self, mut sift: impl FnMut(T) -> Option<T> + Send + Sync + 'static) -> Self {
         let sift: Sift<T> = match self.sift {
             Some(mut before) => Box::new(move |item| before(item).and_then(&mut sift)),
             None => Box::new(sift),
@@ -194,7 +194,7 @@ pub struct Query {
     /// The question's content, empty if none.
     pub payload: Bytes,
     /// What is said beside the content, empty if nothing.
-    pub beside: Bytes,
+    pub attachment: Bytes,
     /// How to answer.
     pub replier: Box<dyn Replier>,
 }
@@ -207,14 +207,20 @@ pub trait Replier: Send + Sync {
     /// # Errors
     /// [`BusError`] if `key` does not match the query, the payload is larger than [`MESSAGE_MAX`], or the bus is closed.
     async fn reply(&self, key: &str, payload: Bytes, encoding: Encoding) -> Result<(), BusError> {
-        self.reply_with(key, payload, Bytes::new(), encoding).await
+        self.reply_with_attachment(key, payload, Bytes::new(), encoding).await
     }
 
     /// The same with something beside the content, of a kilobyte or two.
     ///
     /// # Errors
     /// As [`reply`](Self::reply).
-    async fn reply_with(&self, key: &str, payload: Bytes, beside: Bytes, encoding: Encoding) -> Result<(), BusError>;
+    async fn reply_with_attachment(
+        &self,
+        key: &str,
+        payload: Bytes,
+        beside: Bytes,
+        encoding: Encoding,
+    ) -> Result<(), BusError>;
 
     /// Answers that it cannot answer, and why.
     ///
@@ -224,14 +230,14 @@ pub trait Replier: Send + Sync {
 }
 
 /// Keeps a presence token alive.
-pub struct Token {
+pub struct PresenceToken {
     _guard: Box<dyn Send + Sync>,
 }
 
-impl Token {
+impl PresenceToken {
     /// A token whose declaration lives as long as `guard`.
     pub fn new(guard: Box<dyn Send + Sync>) -> Self {
-        Token { _guard: guard }
+        PresenceToken { _guard: guard }
     }
 }
 
@@ -246,7 +252,7 @@ pub struct Link {
 
 /// Who is asked.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Whom {
+pub enum ServiceSelection {
     /// Every service that matches.
     All,
     /// The nearest of those that are [complete](Bus::serve_complete); if there is none, as above, with one answer on each key.
@@ -262,14 +268,14 @@ pub trait Bus: Send + Sync + 'static {
     /// [`BusError`] if `key` is no key, the payload is larger than [`MESSAGE_MAX`], or the bus is closed. That nobody hears
     /// it is none.
     async fn publish(&self, key: &str, payload: Bytes, encoding: Encoding, delivery: Delivery) -> Result<(), BusError> {
-        self.publish_with(key, payload, Bytes::new(), encoding, delivery).await
+        self.publish_with_attachment(key, payload, Bytes::new(), encoding, delivery).await
     }
 
     /// The same with something beside the content, of a kilobyte or two.
     ///
     /// # Errors
     /// As [`publish`](Self::publish).
-    async fn publish_with(
+    async fn publish_with_attachment(
         &self,
         key: &str,
         payload: Bytes,
@@ -290,7 +296,7 @@ pub trait Bus: Send + Sync + 'static {
     /// [`BusError`] if `key_expr` is none, the payload is larger than [`MESSAGE_MAX`], or the bus is closed. That nobody
     /// answers is none.
     async fn query(&self, key_expr: &str, payload: Bytes, limit: Duration) -> Result<Stream<Reply>, BusError> {
-        self.ask(key_expr, payload, Bytes::new(), limit, Whom::All).await
+        self.query_with(key_expr, payload, Bytes::new(), limit, ServiceSelection::All).await
     }
 
     /// Asks for one answer on each key. If services that match are [complete](Self::serve_complete) for all that is asked,
@@ -301,20 +307,20 @@ pub trait Bus: Send + Sync + 'static {
     /// # Errors
     /// As [`query`](Self::query).
     async fn query_nearest(&self, key_expr: &str, payload: Bytes, limit: Duration) -> Result<Stream<Reply>, BusError> {
-        self.ask(key_expr, payload, Bytes::new(), limit, Whom::Nearest).await
+        self.query_with(key_expr, payload, Bytes::new(), limit, ServiceSelection::Nearest).await
     }
 
     /// Either of these, with something beside the content, of a kilobyte or two.
     ///
     /// # Errors
     /// As [`query`](Self::query).
-    async fn ask(
+    async fn query_with(
         &self,
         key_expr: &str,
         payload: Bytes,
         beside: Bytes,
         limit: Duration,
-        whom: Whom,
+        whom: ServiceSelection,
     ) -> Result<Stream<Reply>, BusError>;
 
     /// Answers queries that match.
@@ -334,7 +340,7 @@ pub trait Bus: Send + Sync + 'static {
     ///
     /// # Errors
     /// [`BusError`] if the text is no key expression, or the bus is closed.
-    async fn announce(&self, key: &str) -> Result<Token, BusError>;
+    async fn announce(&self, key: &str) -> Result<PresenceToken, BusError>;
 
     /// Hears of presence: what is there already, then every change.
     ///

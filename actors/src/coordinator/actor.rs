@@ -1,27 +1,27 @@
 //! The actor that coordinates while its node leads the ledger, and does nothing otherwise.
 
-use super::intake::IntakeLimits;
-use super::interregnum::{nobody_yet, retry};
-use super::reign::Reign;
-use crate::answer;
-use crate::autopilot::Done;
+use super::leader_session::LeaderSession;
+use super::no_leader::{no_leader_reply, retry_reply};
+use super::rate_limit::RequestLimits;
+use crate::autopilot::ActionResult;
 use crate::bus::{BusError, Query, Sample, SharedBus};
 use crate::clock::Clock;
-use crate::events::Events;
+use crate::events::EventPublisher;
 use crate::gossip::SharedKnowledge;
-use crate::replica::{ProposeError, Replica};
+use crate::raft::{ProposeError, Replica};
+use crate::reply;
 use crate::tasks::Tasks;
-use crate::views::Shown;
-use crate::wire::Wire;
-use consort_protocol::auction::{AuctionId, CallForBids, Choice, Limits, Tender};
+use crate::views::CoordinatorStatus;
+use crate::wire_version::WireVersion;
+use consort_protocol::auction::{Allocator, AuctionId, BidLimits, BidResponse, CallForBids};
 use consort_protocol::codec;
 use consort_protocol::ensemble::Ensemble;
-use consort_protocol::event::Happening;
+use consort_protocol::event::EventKind;
 use consort_protocol::ids::{MissionId, NodeId, RobotId, RoleId};
 use consort_protocol::keys::{Key, Keys};
 use consort_protocol::lease::{Epoch, LeaseTerms};
-use consort_protocol::ledger::{Ledger, Outcome};
-use consort_protocol::message::{AwardAnswer, Beacon};
+use consort_protocol::ledger::{CommandOutcome, Ledger};
+use consort_protocol::message::{AwardReply, Beacon};
 use consort_protocol::mission::Domain;
 use consort_protocol::units::NodeTime;
 use ractor::{Actor, ActorProcessingErr, ActorRef};
@@ -48,29 +48,29 @@ pub struct CoordinatorSettings {
     /// What the node has heard.
     pub knowledge: SharedKnowledge,
     /// Which version of the wire the node writes.
-    pub wire: Wire,
+    pub wire_version: WireVersion,
     /// Where it tells what happens.
-    pub events: Events,
+    pub events: EventPublisher,
     /// Whose members are asked for bids.
     pub ensemble: Arc<Ensemble>,
     /// The task types that missions may use.
     pub domain: Arc<Domain>,
     /// What bids must keep to.
-    pub limits: Limits,
+    pub limits: BidLimits,
     /// What is taken on of all that is asked for.
-    pub intake: IntakeLimits,
+    pub request_limits: RequestLimits,
     /// The rule by which roles are given to robots.
-    pub choice: Arc<dyn Choice>,
+    pub allocator: Arc<dyn Allocator>,
     /// How long awards last.
-    pub terms: LeaseTerms,
+    pub lease_terms: LeaseTerms,
     /// How long an auction waits for a member that does not answer. Raised: slow links still win roles, silent robots
     /// hold up everybody for longer. Default 200 ms.
-    pub window: Duration,
+    pub bid_window: Duration,
     /// After how long a held role none of whose steps ends, although it waits for nobody, is taken from its holder; zero for
     /// never. Raised: longer drives are left alone, robots that do nothing keep their roles for longer.
-    pub stall_after: Duration,
+    pub stall_timeout: Duration,
     /// How often the coordinator says that it is there and looks after its duties. Default 250 ms.
-    pub beat: Duration,
+    pub tick_interval: Duration,
     /// What the ledger's identity is drawn from, should this node be the first to coordinate.
     pub cluster_seed: u64,
     /// Voters that the autopilot aims at.
@@ -78,7 +78,7 @@ pub struct CoordinatorSettings {
     /// How long a voter must be gone until the autopilot replaces it.
     pub dead_after: Duration,
     /// How long ago a voter may have answered last and still counts as there: several heartbeats.
-    pub near: Duration,
+    pub contact_timeout: Duration,
 }
 
 /// After how long a request that was left to another coordinator is looked at again: that one may have been gone already. A
@@ -92,25 +92,25 @@ pub enum CoordinatorMessage {
     /// The ledger has changed.
     Ledger,
     /// Time to look after everything.
-    Beat,
+    Tick,
     /// All bids are in, or the window has closed.
-    Closed {
+    BidsCollected {
         /// The call that was answered.
         call: Box<CallForBids>,
         /// Who should have answered.
         expected: BTreeSet<RobotId>,
         /// The answers.
-        tenders: Vec<Tender>,
+        responses: Vec<BidResponse>,
     },
     /// The ledger has answered to an award or a deferral.
-    Decided {
+    AuctionRecorded {
         /// Which auction.
         auction: AuctionId,
         /// What it said.
-        outcome: Result<Outcome, ProposeError>,
+        outcome: Result<CommandOutcome, ProposeError>,
     },
     /// A robot answered a notice.
-    Noticed {
+    NoticeReplied {
         /// The mission.
         mission: MissionId,
         /// The role.
@@ -120,22 +120,22 @@ pub enum CoordinatorMessage {
         /// Which award.
         epoch: Epoch,
         /// What it said.
-        answer: AwardAnswer,
+        reply: AwardReply,
     },
     /// A change of the ledger's keepers was made, or was not.
-    Keepers(Done),
+    VotersChanged(ActionResult),
     /// A robot reports.
     Report(Query),
     /// Somebody asks which missions are under way.
-    Live(Query),
+    ActiveMissions(Query),
     /// A coordinator says that it is there.
     Beacon(Sample),
     /// A client asks for something.
     Api(Query),
     /// A client has asked for something a moment ago, when somebody else was believed to coordinate.
-    Unanswered(Query),
+    ApiRecheck(Query),
     /// Somebody looks: how does this node coordinate, if it does?
-    Show(oneshot::Sender<Shown>),
+    QueryStatus(oneshot::Sender<CoordinatorStatus>),
 }
 
 /// The actor.
@@ -144,7 +144,7 @@ pub struct Coordinator;
 /// State of [`Coordinator`].
 pub struct CoordinatorState {
     settings: CoordinatorSettings,
-    reign: Option<Reign>,
+    reign: Option<LeaderSession>,
     /// Who was last heard to coordinate, and when.
     heard: Option<(NodeId, NodeTime)>,
     /// When this node last gave the lead away because another was better placed.
@@ -171,7 +171,7 @@ impl Actor for Coordinator {
         tasks.forward(requests, &myself, CoordinatorMessage::Api);
         let beacons = settings.bus.subscribe(&settings.keys.write(&Key::Beacon)).await?;
         tasks.forward(beacons, &myself, CoordinatorMessage::Beacon);
-        tasks.beat(settings.beat, &myself, || CoordinatorMessage::Beat);
+        tasks.send_every(settings.tick_interval, &myself, || CoordinatorMessage::Tick);
         Ok(CoordinatorState { settings, reign: None, heard: None, yielded: None, tasks })
     }
 
@@ -188,44 +188,46 @@ impl Actor for Coordinator {
             // Any node answers those that change nothing: see `views`.
             (CoordinatorMessage::Api(query), _) if changes_nothing(settings, &query) => {}
             (CoordinatorMessage::Api(query), None) => state.leave_to_another(&myself, query).await,
-            (CoordinatorMessage::Unanswered(query), None) => drop(state.put_off(query).await),
+            (CoordinatorMessage::ApiRecheck(query), None) => drop(state.put_off(query).await),
             (_, None) => {} // of a reign that is over
-            (CoordinatorMessage::Ledger, Some(reign)) => reign.attend(settings, &myself),
-            (CoordinatorMessage::Beat, Some(reign)) => reign.beat(settings, &myself).await,
-            (CoordinatorMessage::Keepers(done), Some(reign)) => {
-                reign.keepers_changed(settings, done);
+            (CoordinatorMessage::Ledger, Some(reign)) => reign.reconcile(settings, &myself),
+            (CoordinatorMessage::Tick, Some(reign)) => reign.tick(settings, &myself).await,
+            (CoordinatorMessage::VotersChanged(done), Some(reign)) => {
+                reign.handle_voters_changed(settings, done);
                 // Whoever leaves waits to hear that nobody counts on it any more.
-                reign.say_so(settings).await;
+                reign.publish_beacon(settings).await;
             }
-            (CoordinatorMessage::Closed { call, expected, tenders }, Some(reign)) => {
-                reign.close(settings, &myself, *call, expected, tenders);
+            (CoordinatorMessage::BidsCollected { call, expected, responses: tenders }, Some(reign)) => {
+                reign.close_bidding(settings, &myself, *call, expected, tenders);
             }
-            (CoordinatorMessage::Decided { auction, outcome }, Some(reign)) => {
-                reign.decided(settings, &auction, outcome);
-                reign.attend(settings, &myself);
+            (CoordinatorMessage::AuctionRecorded { auction, outcome }, Some(reign)) => {
+                reign.handle_auction_recorded(settings, &auction, outcome);
+                reign.reconcile(settings, &myself);
             }
-            (CoordinatorMessage::Noticed { mission, role, robot, epoch, answer }, Some(reign)) => {
-                if let AwardAnswer::Declined(why) = answer {
+            (CoordinatorMessage::NoticeReplied { mission, role, robot, epoch, reply: answer }, Some(reign)) => {
+                if let AwardReply::Declined(why) = answer {
                     let cause = format!("{robot} declined: {why}");
-                    reign.give_up(settings, mission, role, &robot, epoch, cause, false);
+                    reign.release_role(settings, mission, role, &robot, epoch, cause, false);
                 }
             }
-            (CoordinatorMessage::Report(query), Some(reign)) => reign.report(settings, query).await,
-            (CoordinatorMessage::Live(query), Some(reign)) => reign.live(settings, query).await,
-            (CoordinatorMessage::Api(query), Some(reign)) => reign.api(settings, query),
-            (CoordinatorMessage::Unanswered(query), Some(_)) => {
+            (CoordinatorMessage::Report(query), Some(reign)) => reign.handle_report(settings, query).await,
+            (CoordinatorMessage::ActiveMissions(query), Some(reign)) => {
+                reign.handle_active_missions(settings, query).await
+            }
+            (CoordinatorMessage::Api(query), Some(reign)) => reign.handle_api(settings, query),
+            (CoordinatorMessage::ApiRecheck(query), Some(_)) => {
                 // Whether the former coordinator has carried it out, only the same request again can tell.
-                answer::json(&query, &query.key, &retry(String::new())).await;
+                reply::json(&query, &query.key, &retry_reply(String::new())).await;
             }
             // Whoever looked may have given up.
-            (CoordinatorMessage::Show(to), Some(reign)) => drop(to.send(reign.show(settings))),
+            (CoordinatorMessage::QueryStatus(to), Some(reign)) => drop(to.send(reign.status(settings))),
         }
         Ok(())
     }
 }
 
 fn changes_nothing(settings: &CoordinatorSettings, query: &Query) -> bool {
-    matches!(settings.keys.read(&query.key), Some(Key::Api(call)) if call.is_reading())
+    matches!(settings.keys.read(&query.key), Some(Key::Api(call)) if call.is_read_only())
 }
 
 impl CoordinatorState {
@@ -240,7 +242,7 @@ impl CoordinatorState {
     /// Leaves a request to whoever coordinates, and looks at it again in a moment if this node has nothing to say to it now.
     async fn leave_to_another(&mut self, myself: &ActorRef<CoordinatorMessage>, query: Query) {
         if let Some(query) = self.put_off(query).await {
-            self.tasks.after(SECOND_THOUGHT, myself, CoordinatorMessage::Unanswered(query));
+            self.tasks.send_after(SECOND_THOUGHT, myself, CoordinatorMessage::ApiRecheck(query));
         }
     }
 
@@ -250,8 +252,8 @@ impl CoordinatorState {
         let leadership = replica.leadership().borrow().clone();
         let now = self.settings.clock.now();
         let heard = self.heard.as_ref().map(|(node, at)| (node, now.since(*at)));
-        if let Some(said) = nobody_yet(node, &leadership, knowledge, heard) {
-            answer::json(&query, &query.key, &said).await;
+        if let Some(said) = no_leader_reply(node, &leadership, knowledge, heard) {
+            reply::json(&query, &query.key, &said).await;
             return None;
         }
         Some(query)
@@ -259,20 +261,20 @@ impl CoordinatorState {
 
     async fn follow_leadership(&mut self, myself: &ActorRef<CoordinatorMessage>) -> Result<(), BusError> {
         let leadership = self.settings.replica.leadership().borrow().clone();
-        let term = leadership.is_me.then_some(leadership.term);
+        let term = leadership.is_leader.then_some(leadership.term);
         if self.reign.as_ref().map(|reign| reign.term) == term {
             return Ok(());
         }
         if let Some(reign) = self.reign.take() {
-            self.yielded = reign.yielded();
+            self.yielded = reign.yielded_at();
             info!(node = %self.settings.node, term = reign.term, "no longer coordinates");
-            self.settings.events.tell(Happening::SteppedDown { term: reign.term });
+            self.settings.events.publish(EventKind::SteppedDown { term: reign.term });
         }
         if let Some(term) = term {
-            let mut reign = Reign::begin(&self.settings, &leadership, term, self.yielded, myself).await?;
-            reign.say_so(&self.settings).await;
-            reign.follow_members(&self.settings);
-            reign.attend(&self.settings, myself);
+            let mut reign = LeaderSession::start(&self.settings, &leadership, term, self.yielded, myself).await?;
+            reign.publish_beacon(&self.settings).await;
+            reign.update_members(&self.settings);
+            reign.reconcile(&self.settings, myself);
             self.reign = Some(reign);
         }
         Ok(())

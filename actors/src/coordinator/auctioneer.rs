@@ -2,7 +2,7 @@
 
 use crate::bus::SharedBus;
 use bytes::Bytes;
-use consort_protocol::auction::{CallForBids, Tender};
+use consort_protocol::auction::{BidResponse, CallForBids};
 use consort_protocol::codec;
 use consort_protocol::ids::RobotId;
 use consort_protocol::keys::Keys;
@@ -12,13 +12,13 @@ use tracing::{debug, warn};
 
 /// Asks all robots, and returns as soon as every expected one has answered, else when the window closes. Answers of
 /// robots that were not expected count too: gossip about them may not have come this far yet.
-pub(super) async fn collect(
+pub(super) async fn collect_bids(
     bus: SharedBus,
     keys: Keys,
     call: CallForBids,
     expected: BTreeSet<RobotId>,
     window: Duration,
-) -> Vec<Tender> {
+) -> Vec<BidResponse> {
     let bytes = match codec::encode(&call) {
         Ok(bytes) => Bytes::from(bytes),
         Err(problem) => {
@@ -36,7 +36,7 @@ pub(super) async fn collect(
     let mut waiting = expected;
     let mut tenders = vec![];
     while let Some(reply) = replies.recv().await {
-        match reply.payload.map(|payload| codec::decode::<Tender>(&payload)) {
+        match reply.payload.map(|payload| codec::decode::<BidResponse>(&payload)) {
             Ok(Ok(tender)) => {
                 waiting.remove(&tender.robot);
                 tenders.push(tender);

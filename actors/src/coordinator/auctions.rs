@@ -7,17 +7,17 @@
 
 use super::actor::{CoordinatorMessage, CoordinatorSettings};
 use super::auctioneer;
-use super::duties::{Closed, Phase, Round, back_off, may_be_called, taken};
-use super::reign::{Reign, lock, members, propose};
-use super::whereabouts::places;
-use crate::replica::ProposeError;
+use super::last_known_place::last_known_places;
+use super::leader_session::{LeaderSession, live_members, lock_monitor, propose};
+use super::reconcile::{AuctionRound, ClosedBidding, RoundPhase, backoff, can_be_auctioned, unavailable_robots};
+use crate::raft::ProposeError;
 use consort_protocol::auction::{
-    Answer, AuctionEntry, AuctionId, AuctionRecord, CallForBids, Circumstances, Conclusion, Tender, Verdict,
-    conclude_by,
+    AuctionContext, AuctionEntry, AuctionId, AuctionOutcome, AuctionRecord, BidResponse, BidVerdict, CallForBids,
+    RoleReply, clear_auction_with,
 };
-use consort_protocol::event::Happening;
+use consort_protocol::event::EventKind;
 use consort_protocol::ids::{MissionId, RobotId, RoleId};
-use consort_protocol::ledger::{Command, Outcome};
+use consort_protocol::ledger::{Command, CommandOutcome};
 use consort_protocol::units::NodeTime;
 use ractor::ActorRef;
 use std::collections::{BTreeMap, BTreeSet};
@@ -34,8 +34,8 @@ const HOPELESS_ROUNDS: u32 = 3;
 /// Most robots that the cause of a failed mission names.
 const NAMED: usize = 8;
 
-impl Reign {
-    pub(super) fn call(
+impl LeaderSession {
+    pub(super) fn call_for_bids(
         &mut self,
         settings: &CoordinatorSettings,
         myself: &ActorRef<CoordinatorMessage>,
@@ -49,77 +49,83 @@ impl Reign {
         });
         let Some((branch, roles)) = called.filter(|(_, roles)| !roles.is_empty()) else { return };
         let former = self.rounds.get_mut(mission).map(|round| {
-            round.heed(branch, now);
-            (round.number + 1, round.hopeless)
+            round.follow_branch(branch, now);
+            (round.number + 1, round.hopeless_rounds)
         });
         let (number, hopeless) = former.unwrap_or((1, 0));
         let auction = AuctionId { mission: mission.clone(), term: self.term, round: number };
         let call = CallForBids { auction, ensemble: settings.ensemble.spec().name.clone(), roles };
-        let expected: BTreeSet<RobotId> = members(settings, now).into_iter().map(RobotId::from).collect();
-        settings.events.tell(Happening::Called {
+        let expected: BTreeSet<RobotId> = live_members(settings, now).into_iter().map(RobotId::from).collect();
+        settings.events.publish(EventKind::Called {
             mission: mission.clone(),
             roles: call.roles.keys().cloned().collect(),
             round: number,
             asked: expected.len(),
         });
-        self.rounds.insert(mission.clone(), Round { number, branch, called: now, hopeless, phase: Phase::Calling });
-        let (bus, keys, window, to) = (settings.bus.clone(), settings.keys.clone(), settings.window, myself.clone());
+        self.rounds.insert(
+            mission.clone(),
+            AuctionRound { number, branch, called_at: now, hopeless_rounds: hopeless, phase: RoundPhase::Bidding },
+        );
+        let (bus, keys, window, to) =
+            (settings.bus.clone(), settings.keys.clone(), settings.bid_window, myself.clone());
         self.tasks.spawn(async move {
-            let tenders = auctioneer::collect(bus, keys, call.clone(), expected.clone(), window).await;
+            let tenders = auctioneer::collect_bids(bus, keys, call.clone(), expected.clone(), window).await;
             // A coordinator that has stopped needs no bids.
-            let _ = to.cast(CoordinatorMessage::Closed { call: Box::new(call), expected, tenders });
+            let _ = to.cast(CoordinatorMessage::BidsCollected { call: Box::new(call), expected, responses: tenders });
         });
     }
 
     /// All bids are in, or the window has closed.
-    pub(super) fn close(
+    pub(super) fn close_bidding(
         &mut self,
         settings: &CoordinatorSettings,
         myself: &ActorRef<CoordinatorMessage>,
         call: CallForBids,
         expected: BTreeSet<RobotId>,
-        tenders: Vec<Tender>,
+        tenders: Vec<BidResponse>,
     ) {
         let mission = call.auction.mission.clone();
-        let current = |round: &&mut Round| round.number == call.auction.round && round.phase == Phase::Calling;
+        let current =
+            |round: &&mut AuctionRound| round.number == call.auction.round && round.phase == RoundPhase::Bidding;
         let Some(round) = self.rounds.get_mut(&mission).filter(current) else {
             return; // the mission has ended, or another round has begun
         };
-        for bid in tenders.iter().flat_map(|tender| &tender.answers) {
-            if let Answer::Bid(bid) = bid {
-                settings.events.tell(Happening::Bid { mission: mission.clone(), bid: bid.clone() });
+        for bid in tenders.iter().flat_map(|tender| &tender.replies) {
+            if let RoleReply::Bid(bid) = bid {
+                settings.events.publish(EventKind::Bid { mission: mission.clone(), bid: bid.clone() });
             }
         }
-        let until = settings.clock.now() + settings.window * 2;
-        round.phase = Phase::Closed(Box::new(Closed { call, expected, tenders, until }));
-        self.settle(settings, myself);
+        let until = settings.clock.now() + settings.bid_window * 2;
+        round.phase =
+            RoundPhase::BiddingClosed(Box::new(ClosedBidding { call, expected, responses: tenders, deadline: until }));
+        self.clear_auctions(settings, myself);
     }
 
     /// Concludes the closed auctions that need not wait for a better-ranked mission.
-    pub(super) fn settle(&mut self, settings: &CoordinatorSettings, myself: &ActorRef<CoordinatorMessage>) {
-        if !self.rounds.values().any(|round| matches!(round.phase, Phase::Closed(_))) {
+    pub(super) fn clear_auctions(&mut self, settings: &CoordinatorSettings, myself: &ActorRef<CoordinatorMessage>) {
+        if !self.rounds.values().any(|round| matches!(round.phase, RoundPhase::BiddingClosed(_))) {
             return;
         }
         let now = settings.clock.now();
         let open = settings.replica.read(|ledger| {
-            let watch = lock(&self.watch);
-            let open = ledger.live().into_iter().filter(|entry| may_be_called(entry, &watch, now));
+            let watch = lock_monitor(&self.lease_monitor);
+            let open = ledger.active_missions().into_iter().filter(|entry| can_be_auctioned(entry, &watch, now));
             open.map(|entry| entry.id.clone()).collect::<Vec<_>>()
         });
         let mut calling = false;
         let mut waiting: Vec<(MissionId, NodeTime)> = vec![];
         for mission in open {
             let Some(round) = self.rounds.get(&mission) else { continue };
-            let called = round.called;
+            let called = round.called_at;
             match &round.phase {
-                Phase::Calling => calling = true,
-                Phase::Waiting { since, .. } => waiting.push((mission, *since)),
-                Phase::Proposing(_) => {}
-                Phase::Closed(closed) => {
+                RoundPhase::Bidding => calling = true,
+                RoundPhase::BackingOff { since, .. } => waiting.push((mission, *since)),
+                RoundPhase::Proposing(_) => {}
+                RoundPhase::BiddingClosed(closed) => {
                     let conclusion = self.conclude(settings, closed);
-                    if conclusion.holders.is_some() && now < closed.until {
+                    if conclusion.holders.is_some() && now < closed.deadline {
                         for (better, _) in waiting.iter().filter(|(_, since)| *since < called) {
-                            self.call(settings, myself, better, now);
+                            self.call_for_bids(settings, myself, better, now);
                             calling = true;
                         }
                         if calling {
@@ -132,23 +138,23 @@ impl Reign {
         }
     }
 
-    fn conclude(&self, settings: &CoordinatorSettings, closed: &Closed) -> Conclusion {
-        let Closed { call, expected, tenders, .. } = closed;
+    fn conclude(&self, settings: &CoordinatorSettings, closed: &ClosedBidding) -> AuctionOutcome {
+        let ClosedBidding { call, expected, responses: tenders, .. } = closed;
         let (taken, excluded) = settings.replica.read(|ledger| {
             let entry = ledger.mission(&call.auction.mission);
             let excluded = |role: &RoleId| entry.map(|entry| entry.excluded(role)).unwrap_or_default();
             let excluded = call.roles.keys().map(|role| (role.clone(), excluded(role))).collect();
-            (taken(ledger, &self.rounds, &call.auction.mission), excluded)
+            (unavailable_robots(ledger, &self.rounds, &call.auction.mission), excluded)
         });
-        let circumstances = Circumstances {
-            expected,
-            taken: &taken,
+        let circumstances = AuctionContext {
+            invited: expected,
+            unavailable: &taken,
             excluded: &excluded,
             limits: &settings.limits,
-            window_ms: u64::try_from(settings.window.as_millis()).unwrap_or(u64::MAX),
+            window_ms: u64::try_from(settings.bid_window.as_millis()).unwrap_or(u64::MAX),
             at_ms: settings.clock.wall_ms(),
         };
-        conclude_by(call, tenders, &circumstances, &*settings.choice)
+        clear_auction_with(call, tenders, &circumstances, &*settings.allocator)
     }
 
     fn decide(
@@ -156,29 +162,30 @@ impl Reign {
         settings: &CoordinatorSettings,
         myself: &ActorRef<CoordinatorMessage>,
         mission: &MissionId,
-        conclusion: Conclusion,
+        conclusion: AuctionOutcome,
     ) {
-        let Conclusion { holders, record, hopeless } = conclusion;
+        let AuctionOutcome { holders, record, unfillable } = conclusion;
         let auction = record.auction.clone();
-        settings.events.tell(Happening::Closed { mission: mission.clone(), record: record.clone() });
+        settings.events.publish(EventKind::Closed { mission: mission.clone(), record: record.clone() });
         let Some(round) = self.rounds.get_mut(mission) else { return };
-        round.hopeless = if hopeless.is_empty() { 0 } else { round.hopeless + 1 };
-        let (branch, given_up) = (round.branch, round.hopeless >= HOPELESS_ROUNDS);
+        round.hopeless_rounds = if unfillable.is_empty() { 0 } else { round.hopeless_rounds + 1 };
+        let (branch, given_up) = (round.branch, round.hopeless_rounds >= HOPELESS_ROUNDS);
         let command = match holders {
             Some(holders) => {
-                round.phase = Phase::Proposing(holders.clone());
+                round.phase = RoundPhase::Proposing(holders.clone());
                 Some(Command::Award { mission: mission.clone(), branch, holders, auction: record })
             }
             None => {
                 let since = settings.clock.now();
-                round.phase = Phase::Waiting { until: since + back_off(auction.round), since };
+                round.phase = RoundPhase::BackingOff { until: since + backoff(auction.round), since };
                 let news = settings.replica.read(|ledger| {
                     let known = ledger.mission(mission).and_then(|entry| entry.auction.as_ref());
                     known.is_none_or(|known| tells_otherwise(known, &record))
                 });
                 if given_up {
-                    let places = settings.replica.read(|ledger| places(&settings.knowledge, ledger.mission(mission)));
-                    let cause = nobody_is_left(&hopeless, &record.entries);
+                    let places =
+                        settings.replica.read(|ledger| last_known_places(&settings.knowledge, ledger.mission(mission)));
+                    let cause = nobody_is_left(&unfillable, &record.entries);
                     let mission = mission.clone();
                     let fail = Command::Fail { mission, cause, branch: Some(branch), places };
                     propose(settings, &mut self.tasks, fail);
@@ -191,37 +198,37 @@ impl Reign {
         self.tasks.spawn(async move {
             let outcome = replica.propose(command, AWARD_LIMIT).await;
             // A coordinator that has stopped leaves the award to the next one: it is in the ledger or it is not.
-            let _ = to.cast(CoordinatorMessage::Decided { auction, outcome });
+            let _ = to.cast(CoordinatorMessage::AuctionRecorded { auction, outcome });
         });
     }
 
-    pub(super) fn decided(
+    pub(super) fn handle_auction_recorded(
         &mut self,
         settings: &CoordinatorSettings,
         auction: &AuctionId,
-        outcome: Result<Outcome, ProposeError>,
+        outcome: Result<CommandOutcome, ProposeError>,
     ) {
         let since = settings.clock.now();
         let mission = &auction.mission;
-        let known_for = self.known_for(mission, since);
+        let known_for = self.time_known(mission, since);
         let Some(round) = self.rounds.get_mut(mission).filter(|round| round.number == auction.round) else { return };
-        let Phase::Proposing(holders) = &round.phase else { return };
+        let RoundPhase::Proposing(holders) = &round.phase else { return };
         match outcome {
-            Ok(Outcome::Awarded { epoch }) => {
+            Ok(CommandOutcome::Awarded { epoch }) => {
                 let after_ms = known_for.map(|known| known.as_secs_f64() * 1000.0);
                 let (mission, holders) = (mission.clone(), holders.clone());
-                settings.events.tell(Happening::Awarded { mission, holders, epoch, after_ms });
+                settings.events.publish(EventKind::Awarded { mission, holders, epoch, after_ms });
                 // Should a role of it be released, the rounds begin anew.
                 self.rounds.remove(&auction.mission);
             }
             Ok(outcome) => {
                 debug!(%mission, ?outcome, "the award no longer fits the ledger");
-                round.phase = Phase::Waiting { until: since + back_off(1), since };
+                round.phase = RoundPhase::BackingOff { until: since + backoff(1), since };
             }
             Err(problem) => {
                 // Whether it will be committed is unknown; the next look at the ledger tells.
                 debug!(%mission, %problem, "the award was not committed");
-                round.phase = Phase::Waiting { until: since + back_off(round.number), since };
+                round.phase = RoundPhase::BackingOff { until: since + backoff(round.number), since };
             }
         }
     }
@@ -243,8 +250,8 @@ fn tells_otherwise(known: &AuctionRecord, record: &AuctionRecord) -> bool {
 fn nobody_is_left(hopeless: &BTreeSet<RoleId>, entries: &[AuctionEntry]) -> String {
     let of_role = |role: &RoleId| {
         let refusals = entries.iter().filter(|entry| entry.role == *role).filter_map(|entry| match &entry.verdict {
-            Verdict::Refused { reason } => Some(format!("{} {reason}", entry.robot)),
-            Verdict::Viable { .. } | Verdict::Unviable { .. } => None,
+            BidVerdict::Refused { reason } => Some(format!("{} {reason}", entry.robot)),
+            BidVerdict::Viable { .. } | BidVerdict::Unviable { .. } => None,
         });
         let mut refusals: Vec<String> = refusals.collect();
         // Whoever failed is the reason; the others merely cannot help.

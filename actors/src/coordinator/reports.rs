@@ -1,14 +1,16 @@
 //! What the coordinator does with a robot's report, and what it answers.
 
-use super::reign::{SharedWatch, lock};
-use super::whereabouts::places;
+use super::last_known_place::last_known_places;
+use super::leader_session::{SharedLeaseMonitor, lock_monitor};
 use crate::clock::Clock;
 use crate::gossip::SharedKnowledge;
-use crate::replica::{ProposeError, Replica};
+use crate::raft::{ProposeError, Replica};
 use consort_protocol::ids::{MissionId, NodeId, PlaceId, RobotId};
-use consort_protocol::lease::Ending;
-use consort_protocol::ledger::{Branch, Command, Ledger, MissionEntry, MissionState, Outcome, Refused, RolePhase};
-use consort_protocol::message::{FailureKind, Report, ReportAnswer};
+use consort_protocol::lease::EndReason;
+use consort_protocol::ledger::{
+    Branch, Command, CommandError, CommandOutcome, Ledger, MissionEntry, MissionState, RolePhase,
+};
+use consort_protocol::message::{FailureKind, Report, ReportReply};
 use consort_protocol::mission::RoleKind;
 use consort_protocol::mutants::{self, Mutant};
 use std::cmp::Ordering;
@@ -23,42 +25,42 @@ const LIMIT: Duration = Duration::from_secs(1);
 #[derive(Debug, Clone, PartialEq)]
 enum Step {
     /// Nothing more: answer.
-    Answer(ReportAnswer),
+    Answer(ReportReply),
     /// This first.
     Commit(Command),
 }
 
 /// What reports are answered with.
-pub(super) struct Clerk {
+pub(super) struct ReportHandler {
     pub(super) replica: Replica<Ledger>,
     pub(super) knowledge: SharedKnowledge,
     pub(super) leadership_age_max: Duration,
     pub(super) clock: Clock,
-    pub(super) watch: SharedWatch,
+    pub(super) lease_monitor: SharedLeaseMonitor,
 }
 
-impl Clerk {
+impl ReportHandler {
     /// Writes what is new in a report into the ledger, then answers. Nothing but `NotCoordinator` is said before the ledger
     /// has it, and a lease is renewed only while a majority is known to follow this coordinator.
-    pub(super) async fn answer(&self, report: Report) -> ReportAnswer {
-        let Clerk { replica, knowledge, .. } = self;
+    pub(super) async fn handle(&self, report: Report) -> ReportReply {
+        let ReportHandler { replica, knowledge, .. } = self;
         // Accept, progress, release: no report needs more commits than this.
         for _ in 0..4 {
             let step = replica.read(|ledger| {
                 let entry = ledger.mission(&report.mission);
-                next(entry, &report, || places(knowledge, entry))
+                next(entry, &report, || last_known_places(knowledge, entry))
             });
             let command = match step {
                 Step::Answer(answer) => return self.renew_if_sure(answer, &report),
                 Step::Commit(command) => command,
             };
-            if mutants::is(Mutant::UncommittedReport)
+            if mutants::is_active(Mutant::UncommittedReport)
                 && let Command::Progress { .. } = command
             {
                 return answer_at_once(replica.clone(), command, &report);
             }
             match replica.propose(command, LIMIT).await {
-                Ok(Outcome::Refused(Refused::Restarted { .. })) => {
+                Ok(CommandOutcome::Refused(CommandError::Restarted { .. })) => {
                     info!(robot = %report.robot, mission = %report.mission, role = %report.role, "has started anew: released");
                     let cause = format!("{} started anew and has forgotten the plan", report.robot);
                     if let Err(problem) = replica.propose(release(&report, cause, false), LIMIT).await {
@@ -70,79 +72,79 @@ impl Clerk {
             }
         }
         debug!(robot = %report.robot, mission = %report.mission, "the ledger moved on while a report was being answered");
-        ReportAnswer::NotCoordinator { coordinator: None }
+        ReportReply::NotCoordinator { coordinator: None }
     }
 
-    fn renew_if_sure(&self, answer: ReportAnswer, report: &Report) -> ReportAnswer {
-        if self.replica.quorum_age().is_none_or(|age| age > self.leadership_age_max) {
-            return ReportAnswer::NotCoordinator { coordinator: None };
+    fn renew_if_sure(&self, answer: ReportReply, report: &Report) -> ReportReply {
+        if self.replica.quorum_ack_age().is_none_or(|age| age > self.leadership_age_max) {
+            return ReportReply::NotCoordinator { coordinator: None };
         }
         // Whoever is told that the lease goes on was in contact before anybody can find the lease to have ended.
         let may_renew = || {
-            let renewed = lock(&self.watch).renew(report.epoch, &report.robot, self.clock.now());
+            let renewed = lock_monitor(&self.lease_monitor).renew(report.epoch, &report.robot, self.clock.now());
             // To ignore epochs is to ignore that this one was taken away, too.
-            renewed || mutants::is(Mutant::IgnoreEpoch) || mutants::is(Mutant::RefusedApplied)
+            renewed || mutants::is_active(Mutant::IgnoreEpoch) || mutants::is_active(Mutant::RefusedApplied)
         };
-        if matches!(answer, ReportAnswer::Renewed { .. }) && !may_renew() {
+        if matches!(answer, ReportReply::Renewed { .. }) && !may_renew() {
             debug!(robot = %report.robot, mission = %report.mission, role = %report.role, "not renewed: about to be released");
-            return ReportAnswer::NotCoordinator { coordinator: None };
+            return ReportReply::NotCoordinator { coordinator: None };
         }
         answer
     }
 }
 
 /// A mistake: it says that the ledger has what it was only just asked to take.
-fn answer_at_once(replica: Replica<Ledger>, command: Command, report: &Report) -> ReportAnswer {
+fn answer_at_once(replica: Replica<Ledger>, command: Command, report: &Report) -> ReportReply {
     let (steps, holders) = replica.read(|ledger| {
         let entry = ledger.mission(&report.mission);
         let plan = entry.and_then(|entry| entry.plan(&report.role));
-        (plan.map(|plan| plan.steps.len()), entry.map(MissionEntry::holdings).unwrap_or_default())
+        (plan.map(|plan| plan.steps.len()), entry.map(MissionEntry::role_holders).unwrap_or_default())
     });
     tokio::spawn(async move { replica.propose(command, LIMIT).await });
     let epoch = report.epoch;
     if steps == Some(report.ended.len()) {
-        ReportAnswer::Ended { epoch, reason: Ending::Over, current: Some(epoch) }
+        ReportReply::Ended { epoch, reason: EndReason::Over, current: Some(epoch) }
     } else {
-        ReportAnswer::Renewed { epoch, ended: report.ended.clone(), holders, told: Default::default() }
+        ReportReply::Renewed { epoch, ended: report.ended.clone(), holders, signals: Default::default() }
     }
 }
 
-fn unsure(problem: ProposeError) -> ReportAnswer {
+fn unsure(problem: ProposeError) -> ReportReply {
     debug!(%problem, "a report was not committed");
     let coordinator: Option<NodeId> = match problem {
         ProposeError::NotLeader { leader } => leader,
         _ => None,
     };
-    ReportAnswer::NotCoordinator { coordinator }
+    ReportReply::NotCoordinator { coordinator }
 }
 
 fn release(report: &Report, cause: String, blamed: bool) -> Command {
     let (mission, role, epoch) = (report.mission.clone(), report.role.clone(), report.epoch);
-    Command::Release { mission, role, epoch, cause, blamed, place: report.place.clone() }
+    Command::Release { mission, role, epoch, cause, robot_failed: blamed, place: report.place.clone() }
 }
 
 fn next(entry: Option<&MissionEntry>, report: &Report, places: impl FnOnce() -> BTreeMap<RobotId, PlaceId>) -> Step {
     let holder = entry.and_then(|entry| entry.roles.get(&report.role)?.holder.as_ref());
     let current = holder.map(|holder| holder.epoch);
-    let ended = |reason| Step::Answer(ReportAnswer::Ended { epoch: report.epoch, reason, current });
-    let Some(entry) = entry else { return ended(Ending::Over) };
+    let ended = |reason| Step::Answer(ReportReply::Ended { epoch: report.epoch, reason, current });
+    let Some(entry) = entry else { return ended(EndReason::Over) };
     match &entry.state {
         MissionState::Pending | MissionState::Running => {}
-        MissionState::Completed => return ended(Ending::Over),
-        MissionState::Failed { .. } => return ended(Ending::Failed),
-        MissionState::Canceled { .. } => return ended(Ending::Canceled),
-        MissionState::NeedsRescue { .. } => return ended(Ending::Rescue),
+        MissionState::Completed => return ended(EndReason::Over),
+        MissionState::Failed { .. } => return ended(EndReason::Failed),
+        MissionState::Canceled { .. } => return ended(EndReason::Canceled),
+        MissionState::NeedsRescue { .. } => return ended(EndReason::Rescue),
     }
-    let Some(role) = entry.roles.get(&report.role) else { return ended(Ending::Replaced) };
+    let Some(role) = entry.roles.get(&report.role) else { return ended(EndReason::Replaced) };
     match role.kind {
         RoleKind::Managed => match &role.holder {
-            Some(_) if mutants::is(Mutant::IgnoreEpoch) || mutants::is(Mutant::RefusedApplied) => {}
+            Some(_) if mutants::is_active(Mutant::IgnoreEpoch) || mutants::is_active(Mutant::RefusedApplied) => {}
             Some(holder) if holder.epoch == report.epoch && holder.robot == report.robot => {
                 if role.phase == RolePhase::Ended {
-                    return ended(Ending::Over);
+                    return ended(EndReason::Over);
                 }
                 if holder.incarnation.is_some_and(|known| known > report.incarnation) {
-                    return ended(Ending::Replaced); // by a later life of the same robot
+                    return ended(EndReason::Replaced); // by a later life of the same robot
                 }
                 if holder.incarnation != Some(report.incarnation) {
                     return Step::Commit(Command::Accept {
@@ -150,19 +152,19 @@ fn next(entry: Option<&MissionEntry>, report: &Report, places: impl FnOnce() -> 
                         role: report.role.clone(),
                         epoch: report.epoch,
                         incarnation: report.incarnation,
-                        resumes: report.resumes,
+                        from_checkpoint: report.from_checkpoint,
                     });
                 }
             }
-            Some(_) => return ended(Ending::Replaced),
-            None if entry.branch == Branch::Recovery => return ended(Ending::Replaced),
-            None => return ended(Ending::Released),
+            Some(_) => return ended(EndReason::Replaced),
+            None if entry.branch == Branch::Recovery => return ended(EndReason::Replaced),
+            None => return ended(EndReason::Released),
         },
         RoleKind::Unmanaged => match report.branch.cmp(&entry.branch) {
-            Ordering::Less => return ended(Ending::Replaced), // by its namesake in the recovery branch
+            Ordering::Less => return ended(EndReason::Replaced), // by its namesake in the recovery branch
             Ordering::Equal => {}
             // What the reporter has been told this node has yet to learn.
-            Ordering::Greater => return Step::Answer(ReportAnswer::NotCoordinator { coordinator: None }),
+            Ordering::Greater => return Step::Answer(ReportReply::NotCoordinator { coordinator: None }),
         },
     }
     if !report.ended.is_subset(&role.ended) {
@@ -182,11 +184,11 @@ fn next(entry: Option<&MissionEntry>, report: &Report, places: impl FnOnce() -> 
             }
         });
     }
-    Step::Answer(ReportAnswer::Renewed {
+    Step::Answer(ReportReply::Renewed {
         epoch: report.epoch,
         ended: role.ended.clone(),
-        holders: entry.holdings(),
-        told: entry.told(&report.role),
+        holders: entry.role_holders(),
+        signals: entry.signals_to(&report.role),
     })
 }
 

@@ -10,18 +10,18 @@
 //! not fit. All of it repeats or is repaired.
 
 use super::gossiper::{Action, Change, Event, Gossiper};
-use super::notary::{SharedNotary, Verdict};
+use super::record_signer::{ProofStatus, SharedRecordSigner};
 use super::settings::Settings;
 use super::shared::SharedKnowledge;
-use crate::bus::{BusError, Delivery, Encoding, Presence, Query, Sample, SharedBus, Stream, Token};
+use crate::bus::{BusError, Delivery, Encoding, Presence, PresenceToken, Query, Sample, SharedBus, Stream};
 use crate::clock::Clock;
-use crate::wire::Wire;
+use crate::wire_version::WireVersion;
 use bytes::Bytes;
-use consort_protocol::codec::{self, Evolved};
+use consort_protocol::codec::{self, VersionedMessage};
 use consort_protocol::ids::NodeId;
 use consort_protocol::keys::{Key, Keys};
 use consort_protocol::knowledge::Knowledge;
-use consort_protocol::message::{Exchange, Statement};
+use consort_protocol::message::{Exchange, RecordUpdate};
 use consort_protocol::units::NodeTime;
 use ractor::concurrency::JoinHandle;
 use ractor::{Actor, ActorCell, ActorProcessingErr, ActorRef, SpawnErr, async_trait};
@@ -30,7 +30,7 @@ use tokio::sync::{mpsc, watch};
 use tokio::task::JoinSet;
 
 /// All that a node's gossip begins with.
-pub struct Start {
+pub struct GossipStart {
     /// Who it is, and how often it speaks.
     pub settings: Settings,
     /// What it says of itself.
@@ -44,15 +44,15 @@ pub struct Start {
     /// Where all chance comes from.
     pub rng: ChaCha8Rng,
     /// Which version of the wire it writes.
-    pub wire: Wire,
+    pub wire_version: WireVersion,
     /// Who signs what it says of itself and judges what others hand on, where the fleet has certificates.
-    pub notary: Option<SharedNotary>,
+    pub signer: Option<SharedRecordSigner>,
 }
 
 /// Gossip has stopped: nothing was changed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 #[error("gossip has stopped")]
-pub struct Stopped;
+pub struct GossipStopped;
 
 /// The way to a node's gossip.
 #[derive(Clone)]
@@ -66,7 +66,7 @@ impl GossipHandle {
     ///
     /// # Errors
     /// [`Stopped`].
-    pub fn update(&self, knowledge: Knowledge) -> Result<(), Stopped> {
+    pub fn update(&self, knowledge: Knowledge) -> Result<(), GossipStopped> {
         self.update_with(move |own| *own = knowledge)
     }
 
@@ -74,8 +74,8 @@ impl GossipHandle {
     ///
     /// # Errors
     /// [`Stopped`].
-    pub fn update_with(&self, change: impl FnOnce(&mut Knowledge) + Send + 'static) -> Result<(), Stopped> {
-        self.actor.cast(Message::Change(Box::new(change))).map_err(|_| Stopped)
+    pub fn update_with(&self, change: impl FnOnce(&mut Knowledge) + Send + 'static) -> Result<(), GossipStopped> {
+        self.actor.cast(Message::Change(Box::new(change))).map_err(|_| GossipStopped)
     }
 
     /// What the node has heard.
@@ -98,7 +98,7 @@ impl Gossip {
     /// # Errors
     /// When the bus refuses a declaration.
     pub async fn start(
-        start: Start,
+        start: GossipStart,
         supervisor: Option<ActorCell>,
     ) -> Result<(GossipHandle, JoinHandle<()>), Box<SpawnErr>> {
         let shared = start.shared.clone();
@@ -147,25 +147,25 @@ pub struct State {
     keys: Keys,
     bus: SharedBus,
     clock: Clock,
-    wire: Wire,
-    notary: Option<SharedNotary>,
+    wire_version: WireVersion,
+    signer: Option<SharedRecordSigner>,
     gossiper: Gossiper,
     shared: SharedKnowledge,
     outbox: mpsc::Sender<Outgoing>,
     alarm: watch::Sender<Option<NodeTime>>,
     /// Ended with the actor, however it ends.
     tasks: JoinSet<()>,
-    _token: Token,
+    _token: PresenceToken,
 }
 
 #[async_trait]
 impl Actor for Gossip {
     type Msg = Message;
     type State = State;
-    type Arguments = Start;
+    type Arguments = GossipStart;
 
-    async fn pre_start(&self, myself: ActorRef<Message>, start: Start) -> Result<State, ActorProcessingErr> {
-        let Start { settings, knowledge, shared, bus, clock, rng, wire, notary } = start;
+    async fn pre_start(&self, myself: ActorRef<Message>, start: GossipStart) -> Result<State, ActorProcessingErr> {
+        let GossipStart { settings, knowledge, shared, bus, clock, rng, wire_version, signer } = start;
         let keys = Keys::new(&settings.fleet);
         let mut tasks = JoinSet::new();
         let node = settings.node.clone();
@@ -185,13 +185,25 @@ impl Actor for Gossip {
         tasks.spawn(send(bus.clone(), outgoing, keys.write(&Key::Gossip(settings.node.clone())), shared.clone()));
         let (alarm, alarm_set) = watch::channel(None);
         tasks.spawn(ring(clock, alarm_set, myself.clone()));
-        tasks.spawn(tell_of_raises(wire.clone(), myself));
+        tasks.spawn(tell_of_raises(wire_version.clone(), myself));
 
         let now = clock.now();
         let (gossiper, actions) =
-            Gossiper::new(settings.clone(), knowledge, notary.clone(), rng, &mut shared.lock(), now);
-        let mut state =
-            State { settings, keys, bus, clock, wire, notary, gossiper, shared, outbox, alarm, tasks, _token: token };
+            Gossiper::new(settings.clone(), knowledge, signer.clone(), rng, &mut shared.lock(), now);
+        let mut state = State {
+            settings,
+            keys,
+            bus,
+            clock,
+            wire_version,
+            signer,
+            gossiper,
+            shared,
+            outbox,
+            alarm,
+            tasks,
+            _token: token,
+        };
         state.perform(actions, None, None);
         Ok(state)
     }
@@ -204,7 +216,7 @@ impl Actor for Gossip {
     ) -> Result<(), ActorProcessingErr> {
         let mut asker = None;
         let event = match message {
-            Message::Change(change) => Ok(Event::Changed(change)),
+            Message::Change(change) => Ok(Event::KnowledgeChanged(change)),
             Message::Knowledge(sample) => {
                 state.read_statement(&sample).map(|(owner, statement)| Event::Published(owner, statement))
             }
@@ -214,24 +226,24 @@ impl Actor for Gossip {
                 _ => Err(format!("{:?} is no node's token", presence.key)),
             },
             Message::Asked(query) => {
-                let exchange = state.read_exchange(&query.payload).map(Event::Asked);
+                let exchange = state.read_exchange(&query.payload).map(Event::RequestReceived);
                 asker = Some(query);
                 exchange
             }
             Message::Answered(round, Some(Ok(bytes))) => {
-                state.read_exchange(&bytes).map(|exchange| Event::Answered(round, Some(exchange)))
+                state.read_exchange(&bytes).map(|exchange| Event::ReplyReceived(round, Some(exchange)))
             }
             Message::Answered(round, Some(Err(refusal))) => {
                 tracing::debug!(%refusal, "a peer would not compare digests");
-                Ok(Event::Answered(round, None))
+                Ok(Event::ReplyReceived(round, None))
             }
-            Message::Answered(round, None) => Ok(Event::Answered(round, None)),
+            Message::Answered(round, None) => Ok(Event::ReplyReceived(round, None)),
             Message::Woke => {
                 // It has rung: whatever is due next is to be set again, be it the same instant.
                 state.alarm.send_if_modified(|set| set.take().is_none());
-                Ok(Event::Woke)
+                Ok(Event::TimerFired)
             }
-            Message::Raised => Ok(Event::Raised { with_proofs: state.wire.version() >= Exchange::SINCE }),
+            Message::Raised => Ok(Event::VersionRaised { with_proofs: state.wire_version.get() >= Exchange::SINCE }),
             Message::Closed(what) => return Err(format!("the bus brings no more {what}").into()),
         };
         let now = state.clock.now();
@@ -266,12 +278,12 @@ impl State {
                     let key = self.keys.write(&Key::Swim(to));
                     self.send(Outgoing::Publish(key, bytes));
                 }
-                Action::Answer(exchange) => {
+                Action::SendReply(exchange) => {
                     if let Some(query) = asker.take() {
                         self.send(Outgoing::Reply(query, self.encode(exchange)));
                     }
                 }
-                Action::Ask(round, peer, exchange) => {
+                Action::SendRequest(round, peer, exchange) => {
                     if let Some(myself) = myself {
                         let asked = self.encode(exchange);
                         self.ask(round, &peer, asked, myself.clone());
@@ -280,7 +292,7 @@ impl State {
             }
         }
         if self.gossiper.take_changed() {
-            self.shared.announce_change();
+            self.shared.notify_change();
         }
         let due = self.gossiper.next_due();
         self.alarm.send_if_modified(|set| std::mem::replace(set, due) != due);
@@ -295,7 +307,7 @@ impl State {
     fn ask(&mut self, round: u64, peer: &NodeId, payload: Bytes, myself: ActorRef<Message>) {
         while self.tasks.try_join_next().is_some() {}
         let (bus, key, limit) =
-            (self.bus.clone(), self.keys.write(&Key::Gossip(peer.clone())), self.settings.answer_within);
+            (self.bus.clone(), self.keys.write(&Key::Gossip(peer.clone())), self.settings.reply_timeout);
         self.tasks.spawn(async move {
             let answer = match bus.query(&key, payload, limit).await {
                 Ok(mut replies) => replies.recv().await.map(|reply| reply.payload),
@@ -306,27 +318,27 @@ impl State {
         });
     }
 
-    fn encode<T: Evolved>(&self, message: T) -> Bytes {
-        let bytes = codec::encode_for(self.wire.version(), message);
+    fn encode<T: VersionedMessage>(&self, message: T) -> Bytes {
+        let bytes = codec::encode_for_version(self.wire_version.get(), message);
         bytes.expect("records and exchanges are bounded when they are made").into()
     }
 
     /// What a peer tells, less what it cannot prove that its owners said.
     fn read_exchange(&mut self, bytes: &[u8]) -> Result<Exchange, String> {
         let mut exchange: Exchange = decode(bytes)?;
-        let Some(notary) = self.notary.clone() else { return Ok(exchange) };
+        let Some(notary) = self.signer.clone() else { return Ok(exchange) };
         // As long as the fleet writes a version without proofs, none can be asked for.
-        let with_proofs = self.wire.version() >= Exchange::SINCE;
+        let with_proofs = self.wire_version.get() >= Exchange::SINCE;
         let known = self.shared.clone();
         exchange.records.retain(|record| {
             // What is not later changes nothing: it need not be judged.
             if known.read(|base| base.get(&record.owner).is_some_and(|heard| heard.record.stamp >= record.stamp)) {
                 return false;
             }
-            match notary.judge(record) {
-                Verdict::Genuine => true,
-                Verdict::Unproven => !with_proofs,
-                Verdict::Forged(problem) => {
+            match notary.verify(record) {
+                ProofStatus::Valid => true,
+                ProofStatus::Unproven => !with_proofs,
+                ProofStatus::Forged(problem) => {
                     self.complain(&problem);
                     false
                 }
@@ -336,10 +348,10 @@ impl State {
     }
 
     /// Who published, and what.
-    fn read_statement(&self, sample: &Sample) -> Result<(NodeId, Statement), String> {
-        let statement: Statement = decode(&sample.payload)?;
+    fn read_statement(&self, sample: &Sample) -> Result<(NodeId, RecordUpdate), String> {
+        let statement: RecordUpdate = decode(&sample.payload)?;
         match (self.keys.read(&sample.key), &statement) {
-            (Some(Key::Knowledge(node)), Statement::Record(record)) if node != record.owner => {
+            (Some(Key::Knowledge(node)), RecordUpdate::Record(record)) if node != record.owner => {
                 Err(format!("record of {} on key {:?}", record.owner, sample.key))
             }
             (Some(Key::Knowledge(node)), _) => Ok((node, statement)),
@@ -362,8 +374,8 @@ impl State {
     }
 }
 
-fn decode<T: Evolved>(bytes: &[u8]) -> Result<T, String> {
-    codec::decode_any(bytes).map_err(|e| e.to_string())
+fn decode<T: VersionedMessage>(bytes: &[u8]) -> Result<T, String> {
+    codec::decode_any_version(bytes).map_err(|e| e.to_string())
 }
 
 /// Brings what a stream of the bus yields to the mailbox.
@@ -400,8 +412,8 @@ async fn send(bus: SharedBus, mut outgoing: mpsc::Receiver<Outgoing>, own_key: S
 }
 
 /// Brings word when the fleet writes another version of the wire.
-async fn tell_of_raises(wire: Wire, to: ActorRef<Message>) {
-    let mut versions = wire.changes();
+async fn tell_of_raises(wire: WireVersion, to: ActorRef<Message>) {
+    let mut versions = wire.subscribe();
     while versions.changed().await.is_ok() && to.cast(Message::Raised).is_ok() {}
 }
 

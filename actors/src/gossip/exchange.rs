@@ -5,7 +5,7 @@
 
 use consort_protocol::codec;
 use consort_protocol::ids::NodeId;
-use consort_protocol::knowledge::{Digest, Record, Scope};
+use consort_protocol::knowledge::{Digest, DigestScope, Record};
 use consort_protocol::message::Exchange;
 use serde::Serialize;
 
@@ -19,23 +19,23 @@ const DIGEST_MAX: usize = 38 * 1024;
 const FRAME: usize = 32;
 
 /// Bytes that a value takes within a message.
-pub(super) fn size<T: Serialize>(value: &T) -> usize {
+pub(super) fn encoded_size<T: Serialize>(value: &T) -> usize {
     codec::encode(value).map_or(usize::MAX, |bytes| bytes.len() - 1)
 }
 
 /// Whose turn is next, in digests and in records.
 #[derive(Debug, Default)]
-pub(super) struct Turns {
+pub(super) struct ExchangeCursors {
     digest: Option<NodeId>,
     records: Option<NodeId>,
 }
 
-impl Turns {
+impl ExchangeCursors {
     /// A message with as much of both as fits. The digest is of those in the scope.
-    pub(super) fn compose(&mut self, scope: Scope, digest: Digest, lacking: &[&Record]) -> Exchange {
+    pub(super) fn compose(&mut self, scope: DigestScope, digest: Digest, lacking: &[&Record]) -> Exchange {
         let entries: Vec<_> = digest.into_iter().collect();
         let (entries, used) = fitting(entries, |(owner, _)| owner, DIGEST_MAX, &mut self.digest);
-        let left = codec::LIMIT - FRAME - used;
+        let left = codec::MESSAGE_BYTES_MAX - FRAME - used;
         let (records, _) = fitting(lacking.to_vec(), |record| &record.owner, left, &mut self.records);
         let sums = vec![];
         Exchange { sums, scope, digest: entries.into_iter().collect(), records: records.into_iter().cloned().collect() }
@@ -54,7 +54,7 @@ fn fitting<T: Serialize>(
     items.rotate_left(begin);
     let mut used = 0;
     let fits = |item: &T| {
-        used += size(item);
+        used += encoded_size(item);
         used <= budget
     };
     let taken = items.iter().map(fits).take_while(|fit| *fit).count();
@@ -64,15 +64,15 @@ fn fitting<T: Serialize>(
         *turn = items.get(taken.saturating_sub(1)).map(|item| owner(item).clone());
         items.truncate(taken);
     }
-    let used = items.iter().map(size).sum();
+    let used = items.iter().map(encoded_size).sum();
     (items, used)
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use consort_protocol::knowledge::{Knowledge, Stamp};
-    use consort_protocol::versions::Versions;
+    use consort_protocol::knowledge::{Knowledge, RecordStamp};
+    use consort_protocol::versions::VersionRange;
     use std::collections::BTreeSet;
 
     fn records(count: usize, name: impl Fn(usize) -> String) -> Vec<Record> {
@@ -83,12 +83,12 @@ mod tests {
             replica: Some(u64::MAX),
             cluster: None,
             leaving: false,
-            speaks: Versions::OWN,
-            worker: None,
+            supported_versions: VersionRange::OWN,
+            robot: None,
         };
         let record = |n| Record {
             owner: NodeId::new(name(n)).unwrap(),
-            stamp: Stamp { incarnation: u64::MAX, version: u64::MAX },
+            stamp: RecordStamp { incarnation: u64::MAX, version: u64::MAX },
             knowledge: knowledge.clone(),
             proof: None,
         };
@@ -102,10 +102,10 @@ mod tests {
             let lacking: Vec<&Record> = records.iter().collect();
             let digest: Digest = records.iter().map(|record| (record.owner.clone(), record.stamp)).collect();
             let (mut told, mut handed) = (BTreeSet::new(), BTreeSet::new());
-            let mut turns = Turns::default();
+            let mut turns = ExchangeCursors::default();
             for _ in 0..=count / 150 {
-                let exchange = turns.compose(Scope::ALL, digest.clone(), &lacking);
-                assert!(codec::encode_for(Versions::OWN.newest, exchange.clone()).is_ok());
+                let exchange = turns.compose(DigestScope::ALL, digest.clone(), &lacking);
+                assert!(codec::encode_for_version(VersionRange::OWN.newest, exchange.clone()).is_ok());
                 told.extend(exchange.digest.into_keys());
                 handed.extend(exchange.records.into_iter().map(|record| record.owner));
             }
@@ -116,8 +116,8 @@ mod tests {
     #[test]
     fn what_fits_is_sent_whole_and_in_order() {
         let records = records(20, |n| format!("node{n:02}"));
-        let mut turns = Turns { digest: None, records: Some(NodeId::new("node07").unwrap()) };
-        let exchange = turns.compose(Scope::ALL, Digest::new(), &records.iter().collect::<Vec<_>>());
+        let mut turns = ExchangeCursors { digest: None, records: Some(NodeId::new("node07").unwrap()) };
+        let exchange = turns.compose(DigestScope::ALL, Digest::new(), &records.iter().collect::<Vec<_>>());
         assert_eq!(exchange.records.len(), 20);
         assert_eq!(exchange.records[0].owner.as_str(), "node08");
     }

@@ -65,15 +65,15 @@
 mod actor;
 mod exchange;
 mod gossiper;
-mod listener;
-mod memory;
-mod notary;
+mod harness;
+mod record_signer;
+mod record_store;
 mod settings;
 mod shared;
 mod swim;
 
-pub use actor::{Gossip, GossipHandle, Start, Stopped};
-pub use listener::{Listener, Said};
-pub use notary::{Notary, SharedNotary, Verdict};
+pub use actor::{Gossip, GossipHandle, GossipStart, GossipStopped};
+pub use harness::{GossipHarness, GossipInput};
+pub use record_signer::{ProofStatus, RecordSigner, SharedRecordSigner};
 pub use settings::Settings;
-pub use shared::{Counters, SharedKnowledge, Status};
+pub use shared::{GossipCounters, MemberStatus, SharedKnowledge};

@@ -17,7 +17,7 @@ pub struct Settings {
     /// How often the node says that its record is still current; less often in a fleet of more than twenty nodes for each
     /// second, down to once in `renew`. Raised: less traffic (each beat reaches all nodes), older knowledge. 1 s is a guess
     /// well below the 10 s after which knowledge is usually stale.
-    pub beat: Duration,
+    pub heartbeat: Duration,
     /// How often the record gets a new version although nothing changed. Nodes that hear the owner only through others
     /// cannot tell by an equal version that it still speaks; by a new one they can. Raised: less for anti-entropy to carry
     /// to such nodes, and they believe their knowledge older than it is. 5 s: half of the usual bound on staleness.
@@ -26,7 +26,7 @@ pub struct Settings {
     pub round: Duration,
     /// How long a peer may take to answer. Queries take some milliseconds (measured over Zenoh: p99 4.6 ms with 10
     /// processes); the rest is for busy robots. Below `round`, so that rounds do not pile up.
-    pub answer_within: Duration,
+    pub reply_timeout: Duration,
     /// How often a random member is probed. Raised: less traffic, slower detection. 500 ms is half of what memberlist uses
     /// on a LAN, since a robot that vanished holds a role.
     pub probe_period: Duration,
@@ -51,10 +51,10 @@ impl Settings {
             fleet,
             node,
             incarnation,
-            beat: Duration::from_secs(1),
+            heartbeat: Duration::from_secs(1),
             renew: Duration::from_secs(5),
             round: Duration::from_secs(1),
-            answer_within: Duration::from_millis(500),
+            reply_timeout: Duration::from_millis(500),
             probe_period: Duration::from_millis(500),
             probe_rtt: Duration::from_millis(150),
             suspicion: Duration::from_secs(2),
@@ -66,21 +66,21 @@ impl Settings {
     /// The same with the times of a preset.
     #[must_use]
     pub fn with_timing(self, timing: Timing) -> Settings {
-        let times = timing.times();
+        let times = timing.parameters();
         Settings {
-            beat: times.gossip_beat,
-            round: times.gossip_round,
-            answer_within: times.gossip_round / 2,
+            heartbeat: times.gossip_refresh,
+            round: times.anti_entropy_interval,
+            reply_timeout: times.anti_entropy_interval / 2,
             probe_period: times.probe_period,
-            probe_rtt: times.probe_rtt,
-            suspicion: times.suspicion,
-            suspicion_when_vanished: times.suspicion / 2,
+            probe_rtt: times.probe_timeout,
+            suspicion: times.suspicion_timeout,
+            suspicion_when_vanished: times.suspicion_timeout / 2,
             ..self
         }
     }
 
     /// How long a node whose token vanished has to answer before it is suspected: two round trips.
-    pub(super) fn question(&self) -> Duration {
+    pub(super) fn token_probe_timeout(&self) -> Duration {
         self.probe_rtt * 2
     }
 

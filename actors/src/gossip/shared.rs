@@ -9,7 +9,7 @@ use tokio::sync::watch;
 
 /// Whether a node is alive, as far as this one can tell.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Status {
+pub enum MemberStatus {
     /// Not met yet, or forgotten.
     Unknown,
     /// Alive, as far as anybody has said.
@@ -30,58 +30,58 @@ pub enum Status {
     },
 }
 
-impl Status {
+impl MemberStatus {
     /// Whether it counts as alive: it was met, and not judged down.
     pub fn is_alive(&self) -> bool {
         match self {
-            Status::Alive { .. } | Status::Suspect { .. } => true,
-            Status::Unknown | Status::Down { .. } => false,
+            MemberStatus::Alive { .. } | MemberStatus::Suspect { .. } => true,
+            MemberStatus::Unknown | MemberStatus::Down { .. } => false,
         }
     }
 
     /// In a word, for people: `unknown`, `alive`, `suspect` or `down`.
-    pub fn word(&self) -> &'static str {
+    pub fn as_str(&self) -> &'static str {
         match self {
-            Status::Unknown => "unknown",
-            Status::Alive { .. } => "alive",
-            Status::Suspect { .. } => "suspect",
-            Status::Down { .. } => "down",
+            MemberStatus::Unknown => "unknown",
+            MemberStatus::Alive { .. } => "alive",
+            MemberStatus::Suspect { .. } => "suspect",
+            MemberStatus::Down { .. } => "down",
         }
     }
 }
 
 /// What gossip has done so far.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
-pub struct Counters {
+pub struct GossipCounters {
     /// Times that the own record was published.
     pub published: u64,
     /// Packets of failure detection sent.
     pub packets: u64,
     /// Digests sent to a peer.
-    pub asked: u64,
+    pub requests_sent: u64,
     /// Digests of peers answered.
-    pub answered: u64,
+    pub requests_answered: u64,
     /// Messages that could not be read, and were dropped.
     pub malformed: u64,
     /// Messages not sent because the bus was slow or failed.
     pub unsent: u64,
     /// Times that others judged this node down wrongly and it came back.
-    pub returned: u64,
+    pub refutations: u64,
     /// Times that this node came to believe another down.
-    pub downs: u64,
+    pub down_verdicts: u64,
 }
 
 /// All that there is to read.
 #[derive(Debug, Default)]
-pub(super) struct Known {
+pub(super) struct GossipState {
     pub(super) base: KnowledgeBase,
-    pub(super) status: BTreeMap<NodeId, Status>,
-    pub(super) counters: Counters,
+    pub(super) status: BTreeMap<NodeId, MemberStatus>,
+    pub(super) counters: GossipCounters,
 }
 
-impl Known {
-    pub(super) fn alive(&self, node: &NodeId) -> bool {
-        self.status.get(node).is_some_and(Status::is_alive)
+impl GossipState {
+    pub(super) fn is_alive(&self, node: &NodeId) -> bool {
+        self.status.get(node).is_some_and(MemberStatus::is_alive)
     }
 }
 
@@ -89,7 +89,7 @@ impl Known {
 /// started in its place goes on from here and no reader notices.
 #[derive(Debug, Clone)]
 pub struct SharedKnowledge {
-    known: Arc<Mutex<Known>>,
+    known: Arc<Mutex<GossipState>>,
     changes: Arc<watch::Sender<u64>>,
 }
 
@@ -107,36 +107,36 @@ impl SharedKnowledge {
 
     /// A number that grows whenever somebody's knowledge or status changes. Being confirmed is no change: to notice that
     /// knowledge grows old takes a timer.
-    pub fn changed(&self) -> watch::Receiver<u64> {
+    pub fn changes(&self) -> watch::Receiver<u64> {
         self.changes.subscribe()
     }
 
     /// Whether a node counts as alive, suspected or not; this one always does.
-    pub fn alive(&self, node: &NodeId) -> bool {
-        self.lock().alive(node)
+    pub fn is_alive(&self, node: &NodeId) -> bool {
+        self.lock().is_alive(node)
     }
 
     /// The same in detail.
-    pub fn status(&self, node: &NodeId) -> Status {
-        self.lock().status.get(node).copied().unwrap_or(Status::Unknown)
+    pub fn status(&self, node: &NodeId) -> MemberStatus {
+        self.lock().status.get(node).copied().unwrap_or(MemberStatus::Unknown)
     }
 
     /// The status of all nodes that have one, in the order of their names.
-    pub fn statuses(&self) -> BTreeMap<NodeId, Status> {
+    pub fn statuses(&self) -> BTreeMap<NodeId, MemberStatus> {
         self.lock().status.clone()
     }
 
     /// What gossip has done so far.
-    pub fn counters(&self) -> Counters {
+    pub fn counters(&self) -> GossipCounters {
         self.lock().counters
     }
 
-    pub(super) fn lock(&self) -> MutexGuard<'_, Known> {
+    pub(super) fn lock(&self) -> MutexGuard<'_, GossipState> {
         // A reader that panicked has written nothing.
         self.known.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    pub(super) fn announce_change(&self) {
+    pub(super) fn notify_change(&self) {
         self.changes.send_modify(|number| *number += 1);
     }
 }

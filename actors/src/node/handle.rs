@@ -1,13 +1,13 @@
 //! A node that runs, and the ways in which it ends.
 
-use super::assembly::{Assembled, assemble};
+use super::assembly::{StartedParts, start_parts};
 use super::root::{NodeMessage, Root};
 use super::settings::NodeSettings;
-use crate::allegiance::Allegiance;
-use crate::autopilot::{Farewell, LeaveError, Leaver};
+use crate::autopilot::{Decommission, DecommissionError, DecommissionReport};
 use crate::bus::{BusError, SharedBus};
+use crate::cluster_membership::ClusterMembership;
 use crate::gossip::SharedKnowledge;
-use crate::replica::{Replica, StartError};
+use crate::raft::{Replica, StartError};
 use crate::tasks::Tasks;
 use consort_protocol::ids::NodeId;
 use consort_protocol::ledger::Ledger;
@@ -49,10 +49,10 @@ pub struct NodeHandle {
     /// What it has heard.
     pub knowledge: SharedKnowledge,
     /// Which cluster it belongs to.
-    pub allegiance: Allegiance,
+    pub membership: ClusterMembership,
     /// How it leaves.
-    pub leaver: Leaver,
-    left: watch::Receiver<Option<Farewell>>,
+    pub decommission_handle: Decommission,
+    decommissioned: watch::Receiver<Option<DecommissionReport>>,
     tasks: Tasks,
 }
 
@@ -64,17 +64,17 @@ impl NodeHandle {
     pub async fn start(settings: NodeSettings, bus: SharedBus) -> Result<NodeHandle, NodeError> {
         let cause = Arc::<OnceLock<String>>::default();
         let (root, ended) = Actor::spawn(None, Root { cause: Arc::clone(&cause) }, settings.node.clone()).await?;
-        match assemble(settings, bus, &root).await {
-            Ok(Assembled { leaver, left, allegiance, tasks }) => Ok(NodeHandle {
-                node: leaver.node.clone(),
+        match start_parts(settings, bus, &root).await {
+            Ok(StartedParts { decommission_handle, decommissioned, membership, tasks }) => Ok(NodeHandle {
+                node: decommission_handle.node.clone(),
                 root,
                 ended,
                 cause,
-                replica: leaver.replica.clone(),
-                knowledge: leaver.knowledge.clone(),
-                allegiance,
-                leaver,
-                left,
+                replica: decommission_handle.replica.clone(),
+                knowledge: decommission_handle.knowledge.clone(),
+                membership,
+                decommission_handle,
+                decommissioned,
                 tasks,
             }),
             Err(problem) => {
@@ -87,7 +87,7 @@ impl NodeHandle {
     /// Ends the node as a crash would: nothing is said to anybody.
     pub async fn kill(mut self) {
         self.tasks = Tasks::default();
-        self.leaver.replica = None;
+        self.decommission_handle.replica = None;
         for child in self.root.get_children() {
             child.kill();
         }
@@ -99,18 +99,18 @@ impl NodeHandle {
     /// Ends the node for a while: if it coordinates it hands over first, and others are told that it leaves. Its vote, and
     /// its robot's role, wait in its store.
     pub async fn stop(self) {
-        self.leaver.step_down().await;
-        self.end().await;
+        self.decommission_handle.step_down().await;
+        self.shut_down().await;
     }
 
     /// Ends the node for good: its robot gives its role back, and its vote is taken over by another or removed.
     ///
     /// # Errors
     /// [`LeaveError`], and the node, which runs on.
-    pub async fn leave(self) -> Result<Farewell, (LeaveError, Box<NodeHandle>)> {
-        match self.leaver.for_good().await {
+    pub async fn decommission(self) -> Result<DecommissionReport, (DecommissionError, Box<NodeHandle>)> {
+        match self.decommission_handle.run().await {
             Ok(farewell) => {
-                self.end().await;
+                self.shut_down().await;
                 Ok(farewell)
             }
             Err(problem) => Err((problem, Box::new(self))),
@@ -122,8 +122,8 @@ impl NodeHandle {
     ///
     /// # Errors
     /// Why it ended by itself.
-    pub async fn ended_or_left(&mut self) -> Result<Farewell, String> {
-        let mut left = self.left.clone();
+    pub async fn ended_or_decommissioned(&mut self) -> Result<DecommissionReport, String> {
+        let mut left = self.decommissioned.clone();
         tokio::select! {
             cause = self.ended() => Err(cause),
             Ok(farewell) = left.wait_for(Option::is_some) => Ok(farewell.clone().expect("it was waited for")),
@@ -131,9 +131,9 @@ impl NodeHandle {
     }
 
     /// Ends the node without handing anything over; others are told that it leaves.
-    pub async fn end(mut self) {
+    pub async fn shut_down(mut self) {
         self.tasks = Tasks::default();
-        self.leaver.replica = None;
+        self.decommission_handle.replica = None;
         for child in self.root.get_children() {
             child.stop(None);
         }

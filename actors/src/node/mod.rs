@@ -11,4 +11,4 @@ mod root;
 mod settings;
 
 pub use handle::{NodeError, NodeHandle};
-pub use settings::{FleetSettings, HostPart, NodeSettings, RobotPart};
+pub use settings::{DriverServerPart, FleetSettings, NodeSettings, RobotPart};

@@ -15,7 +15,7 @@ pub(super) enum NodeMessage {
     /// The copy of the ledger can no longer be kept, and why.
     LedgerFailed(String),
     /// The fleet writes what this program does not read, and what to do.
-    LeftBehind(String),
+    UnsupportedWireVersion(String),
 }
 
 impl Root {
@@ -50,7 +50,7 @@ impl Actor for Root {
                 error!(%node, %problem, "the copy of the ledger can no longer be kept: the node stops");
                 self.end(&myself, format!("its copy of the ledger can no longer be kept: {problem}"));
             }
-            NodeMessage::LeftBehind(advice) => {
+            NodeMessage::UnsupportedWireVersion(advice) => {
                 error!(%node, %advice, "the fleet has gone on without this program: the node stops");
                 self.end(&myself, advice);
             }

@@ -1,18 +1,18 @@
 //! What a node is told before it starts.
 
 use crate::clock::Clock;
-use crate::coordinator::IntakeLimits;
-use crate::gossip::SharedNotary;
+use crate::coordinator::RequestLimits;
+use crate::gossip::SharedRecordSigner;
 use crate::observe::SharedObserver;
-use crate::store::Store;
+use crate::store::NodeStore;
 use crate::timing::Timing;
-use consort_protocol::auction::{Choice, Limits};
+use consort_protocol::auction::{Allocator, BidLimits};
 use consort_protocol::ensemble::Ensemble;
 use consort_protocol::ids::{FleetId, NodeId};
-use consort_protocol::knowledge::Worker;
+use consort_protocol::knowledge::RobotKnowledge;
 use consort_protocol::lease::LeaseTerms;
 use consort_protocol::mission::Domain;
-use consort_skills::actions::BodyHost;
+use consort_skills::actions::RobotBackend;
 use consort_skills::descriptor::Estimator;
 use consort_skills::library::SkillLibrary;
 use serde_json::Value;
@@ -29,18 +29,18 @@ pub struct FleetSettings {
     /// The task types that missions may use.
     pub domain: Arc<Domain>,
     /// What bids must keep to.
-    pub limits: Limits,
+    pub limits: BidLimits,
     /// What is taken on of all that is asked for.
-    pub intake: IntakeLimits,
+    pub request_limits: RequestLimits,
     /// The rule by which roles are given to robots: [`Exact`](consort_protocol::auction::Exact), but for evaluations.
-    pub choice: Arc<dyn Choice>,
+    pub allocator: Arc<dyn Allocator>,
     /// How long awards last.
-    pub terms: LeaseTerms,
+    pub lease_terms: LeaseTerms,
     /// How long an auction waits for a member that does not answer.
-    pub window: Duration,
+    pub bid_window: Duration,
     /// After how long a held role none of whose steps ends, although it waits for nobody, is taken from its holder; zero for
     /// never.
-    pub stall_after: Duration,
+    pub stall_timeout: Duration,
     /// Nodes that may vote and must have met, and agree on one of them, before it founds the fleet's ledger. If it is not more
     /// than half of all, parts of the fleet that do not hear each other may found one each.
     pub bootstrap_expect: usize,
@@ -65,7 +65,7 @@ pub struct NodeSettings {
     /// Where all its chance comes from.
     pub seed: u64,
     /// What it remembers of former lives.
-    pub store: Store,
+    pub store: NodeStore,
     /// Its clock.
     pub clock: Clock,
     /// Whether it keeps a copy of the ledger and may coordinate.
@@ -75,11 +75,11 @@ pub struct NodeSettings {
     /// Whether it lives on mains power.
     pub mains_powered: bool,
     /// Who signs what it says of itself and judges what others hand on of third ones, where the fleet has certificates.
-    pub notary: Option<SharedNotary>,
+    pub record_signer: Option<SharedRecordSigner>,
     /// Its robot, if it has one.
     pub robot: Option<RobotPart>,
     /// The bodies and people it hosts, if it does.
-    pub host: Option<HostPart>,
+    pub driver_server: Option<DriverServerPart>,
     /// Is told what happens on it, in place; none as a rule.
     pub observer: Option<SharedObserver>,
 }
@@ -87,7 +87,7 @@ pub struct NodeSettings {
 /// A robot's part of a node.
 pub struct RobotPart {
     /// What it says of itself before its body has reported.
-    pub worker: Worker,
+    pub worker: RobotKnowledge,
     /// Prices its work.
     pub estimator: Arc<Estimator>,
     /// Carries its work out.
@@ -95,9 +95,9 @@ pub struct RobotPart {
 }
 
 /// A host's part of a node.
-pub struct HostPart {
+pub struct DriverServerPart {
     /// The bodies.
-    pub world: Box<dyn BodyHost>,
+    pub world: Box<dyn RobotBackend>,
     /// World seconds that pass in one second of node time.
     pub speed: f64,
 }

@@ -1,13 +1,13 @@
 //! A robot prices its own work.
 
-use super::forecast::context;
-use consort_protocol::auction::{Answer, Bid, CallForBids, Refusal, RefusalReason, Tender};
+use super::energy_check::pricing_context;
+use consort_protocol::auction::{Bid, BidRefusal, BidResponse, CallForBids, RefusalReason, RoleReply};
 use consort_protocol::ensemble::Membership;
 use consort_protocol::ids::{PlaceId, RobotId, RoleId, TaskType};
-use consort_protocol::knowledge::{Availability, Worker};
+use consort_protocol::knowledge::{Availability, RobotKnowledge};
 use consort_protocol::plan::LocalPlan;
 use consort_protocol::units::Seconds;
-use consort_skills::descriptor::{Budget, Estimator};
+use consort_skills::descriptor::{Estimator, PlanBudget};
 use std::collections::BTreeSet;
 use std::sync::Arc;
 
@@ -20,11 +20,11 @@ pub struct Bidder {
 
 /// What the robot knows of itself when it is asked.
 #[derive(Debug, Clone)]
-pub struct Circumstance<'a> {
+pub struct BidContext<'a> {
     /// Its own account.
-    pub worker: &'a Worker,
+    pub worker: &'a RobotKnowledge,
     /// The ways that its body has found closed, each by its two ends.
-    pub closed: &'a [(PlaceId, PlaceId)],
+    pub closed_lanes: &'a [(PlaceId, PlaceId)],
     /// How old that is, in milliseconds.
     pub age_ms: u64,
     /// Whether it counts itself a member of the ensemble that was called.
@@ -38,15 +38,15 @@ impl Bidder {
     }
 
     /// Answers every role of a call.
-    pub fn tender(&self, call: &CallForBids, circumstance: &Circumstance<'_>) -> Tender {
+    pub fn respond(&self, call: &CallForBids, circumstance: &BidContext<'_>) -> BidResponse {
         let answer = |(role, plan)| match self.bid(call, role, plan, circumstance) {
-            Ok(bid) => Answer::Bid(bid),
-            Err(reason) => Answer::Refusal(Refusal { robot: self.robot.clone(), role: role.clone(), reason }),
+            Ok(bid) => RoleReply::Bid(bid),
+            Err(reason) => RoleReply::Refusal(BidRefusal { robot: self.robot.clone(), role: role.clone(), reason }),
         };
-        Tender {
+        BidResponse {
             robot: self.robot.clone(),
             auction: call.auction.clone(),
-            answers: call.roles.iter().map(answer).collect(),
+            replies: call.roles.iter().map(answer).collect(),
         }
     }
 
@@ -55,9 +55,9 @@ impl Bidder {
         call: &CallForBids,
         role: &RoleId,
         plan: &LocalPlan,
-        circumstance: &Circumstance<'_>,
+        circumstance: &BidContext<'_>,
     ) -> Result<Bid, RefusalReason> {
-        let Circumstance { worker, closed, age_ms, membership } = circumstance;
+        let BidContext { worker, closed_lanes: closed, age_ms, membership } = circumstance;
         match &worker.availability {
             Availability::Free => {}
             Availability::Holding { mission, role, .. } => {
@@ -77,8 +77,8 @@ impl Bidder {
         if !missing.is_empty() {
             return Err(RefusalReason::MissingSkills { skills: missing });
         }
-        let budget = self.estimator.budget(plan, &context(worker, closed));
-        let Budget { parts, energy } = budget.map_err(|problem| RefusalReason::NotFeasible {
+        let budget = self.estimator.budget(plan, &pricing_context(worker, closed));
+        let PlanBudget { parts, energy } = budget.map_err(|problem| RefusalReason::NotFeasible {
             task: problem.task.clone(),
             problem: problem.to_string(),
         })?;

@@ -20,32 +20,32 @@
 //! life can ask whether the role is still its own, and go on at the right task. A robot that was restarted is not free
 //! before it was told.
 
+mod active_plan;
 mod actor;
 mod bidder;
-mod forecast;
-mod holding;
-mod job;
-mod ladder;
-mod page;
-mod patience;
-mod pen;
-mod record;
+mod checkpoint;
+mod checkpoint_writer;
+mod checkpointing;
+mod energy_check;
+mod execution;
+mod recovery_policy;
+mod release;
+mod role_lease;
 mod sequencer;
 mod settings;
+mod signals;
 mod skill_runner;
-mod surrender;
-mod talk;
-mod work;
+mod task_timeout;
 
 pub use actor::{Robot, RobotMessage};
-pub use bidder::{Bidder, Circumstance};
-pub use forecast::Forecast;
-pub(crate) use holding::send_report;
-pub use ladder::{Ladder, Rung, Setback};
-pub use page::{Page, PageError};
-pub use patience::{Patience, Stopwatch};
-pub use pen::{Pen, Telling};
-pub use sequencer::{Detours, Move, Outdated, Sequencer, Spot};
+pub use bidder::{BidContext, Bidder};
+pub use checkpoint::{Checkpoint, CheckpointError};
+pub use checkpoint_writer::{CheckpointWriter, PendingOutput};
+pub use energy_check::EnergyForecast;
+pub use recovery_policy::{AttemptFailure, RecoveryAction, RecoveryPolicy};
+pub(crate) use role_lease::send_report;
+pub use sequencer::{AlternativeProgress, Sequencer, SequencerAction, StaleSignal, StepRef};
 pub use settings::RobotSettings;
+pub(crate) use signals::{SignalExchange, StaleSignals};
 pub use skill_runner::SkillOutcome;
-pub(crate) use talk::{OutdatedSignals, Talk};
+pub use task_timeout::{TaskTimeout, TaskTimer};

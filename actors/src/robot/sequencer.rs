@@ -1,7 +1,7 @@
 //! Which step of its local plan a role takes next (Algorithm 2 of the thesis), as a value.
 
 use consort_protocol::ids::{RobotId, RoleId, TaskId};
-use consort_protocol::lease::{Epoch, Holding};
+use consort_protocol::lease::{Epoch, RoleHolder};
 use consort_protocol::mission::TaskSpec;
 use consort_protocol::plan::{
     Alternative, LocalPlan, PlanProgress, ProgressError, Signal, SignalKind, Step, StepAction, StepIndex,
@@ -15,12 +15,12 @@ use std::collections::{BTreeMap, BTreeSet};
 pub struct Sequencer {
     progress: PlanProgress,
     /// The task under way.
-    running: Option<Spot>,
-    detours: Detours,
+    running: Option<StepRef>,
+    detours: AlternativeProgress,
     /// Steps that the ledger is known to hold.
     known: BTreeSet<StepIndex>,
     /// Who holds the mission's managed roles.
-    holders: BTreeMap<RoleId, Holding>,
+    holders: BTreeMap<RoleId, RoleHolder>,
     /// Roles that somebody has held or is to hold, and the latest award of each, the default before the first: one that
     /// nobody holds now is being given to somebody.
     cast: BTreeMap<RoleId, Epoch>,
@@ -30,11 +30,11 @@ pub struct Sequencer {
 
 /// Where a task stands in a plan.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
-pub enum Spot {
+pub enum StepRef {
     /// A step of it.
     Step(StepIndex),
     /// A task of one of its alternatives.
-    Aside {
+    Alternative {
         /// Which alternative.
         alternative: usize,
         /// Which of its tasks.
@@ -44,7 +44,7 @@ pub enum Spot {
 
 /// The alternatives that a role has resorted to.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Detours {
+pub struct AlternativeProgress {
     /// Those begun so far: none is begun twice.
     begun: BTreeSet<usize>,
     /// The one under way, and how many of its tasks have ended.
@@ -53,27 +53,27 @@ pub struct Detours {
 
 /// What to do next.
 #[derive(Debug, Clone, PartialEq)]
-pub enum Move {
+pub enum SequencerAction {
     /// Begin a task.
-    Perform {
+    StartTask {
         /// Where it stands.
-        spot: Spot,
+        step: StepRef,
         /// Its name.
         task: TaskId,
         /// What is to be achieved.
         spec: TaskSpec,
     },
     /// Tell another role.
-    Tell(Signal),
+    SendSignal(Signal),
     /// What was waited for has been heard.
-    Heard(Signal),
+    SignalReceived(Signal),
 }
 
 /// Something said under an award that is no longer in force. Nobody goes by it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Outdated {
+pub struct StaleSignal {
     /// The latest award of that role which is known.
-    pub known: Epoch,
+    pub current: Epoch,
 }
 
 impl Sequencer {
@@ -84,9 +84,9 @@ impl Sequencer {
     pub fn new(
         plan: LocalPlan,
         ended: &BTreeSet<StepIndex>,
-        holders: BTreeMap<RoleId, Holding>,
+        holders: BTreeMap<RoleId, RoleHolder>,
     ) -> Result<Sequencer, ProgressError> {
-        Sequencer::resume(plan, ended, &BTreeSet::new(), Detours::default(), holders)
+        Sequencer::resume(plan, ended, &BTreeSet::new(), AlternativeProgress::default(), holders)
     }
 
     /// Takes up a plan where a former life left it: it may have come further than the ledger knows, or less far than it
@@ -98,8 +98,8 @@ impl Sequencer {
         plan: LocalPlan,
         known: &BTreeSet<StepIndex>,
         own: &BTreeSet<StepIndex>,
-        mut detours: Detours,
-        holders: BTreeMap<RoleId, Holding>,
+        mut detours: AlternativeProgress,
+        holders: BTreeMap<RoleId, RoleHolder>,
     ) -> Result<Sequencer, ProgressError> {
         let ended: BTreeSet<StepIndex> = known.union(own).copied().collect();
         let said = ended.iter().filter_map(|step| match &plan.steps.get(*step as usize)?.action {
@@ -119,43 +119,43 @@ impl Sequencer {
     /// The next thing to do, which the caller does at once; `None` while a task is under way or all is waiting, be it for
     /// a signal, for the ledger or, in a task that names another role, for somebody to hold that role. Telling
     /// and hearing end with being returned; a task ends with [`end`](Sequencer::end).
-    pub fn next_move(&mut self) -> Option<Move> {
+    pub fn next_action(&mut self) -> Option<SequencerAction> {
         if self.running.is_some() {
             return None;
         }
-        let next = self.progress.next_given(&self.known).map(|(index, step)| (index, step.action.clone()));
+        let next = self.progress.next_guarded(&self.known).map(|(index, step)| (index, step.action.clone()));
         match next {
             Some((step, StepAction::Send(signal))) if signal.kind == SignalKind::Done => Some(self.tell(step, signal)),
             Some((step, StepAction::Wait(signal))) => {
                 self.finish(step);
-                Some(Move::Heard(signal))
+                Some(SequencerAction::SignalReceived(signal))
             }
             // A detour takes the place of all tasks until it has ended.
             _ if self.detours.under_way.is_some() => self.next_aside(),
             Some((step, StepAction::Send(signal))) => Some(self.tell(step, signal)),
-            Some((step, StepAction::Task { id, spec })) => self.perform(Spot::Step(step), id, spec),
+            Some((step, StepAction::Task { id, spec })) => self.perform(StepRef::Step(step), id, spec),
             None => None,
         }
     }
 
-    fn tell(&mut self, step: StepIndex, signal: Signal) -> Move {
+    fn tell(&mut self, step: StepIndex, signal: Signal) -> SequencerAction {
         self.finish(step);
         self.said.insert(signal.clone());
-        Move::Tell(signal)
+        SequencerAction::SendSignal(signal)
     }
 
-    fn next_aside(&mut self) -> Option<Move> {
+    fn next_aside(&mut self) -> Option<SequencerAction> {
         let (alternative, task) = self.detours.under_way?;
         let (id, spec) = self.alternative(alternative)?.tasks.get(task)?.clone();
-        self.perform(Spot::Aside { alternative, task }, id, spec)
+        self.perform(StepRef::Alternative { alternative, task }, id, spec)
     }
 
-    fn perform(&mut self, spot: Spot, task: TaskId, spec: TaskSpec) -> Option<Move> {
+    fn perform(&mut self, spot: StepRef, task: TaskId, spec: TaskSpec) -> Option<SequencerAction> {
         if self.names_a_vacancy(&spec) {
             return None;
         }
         self.running = Some(spot);
-        Some(Move::Perform { spot, task, spec })
+        Some(SequencerAction::StartTask { step: spot, task, spec })
     }
 
     fn names_a_vacancy(&self, spec: &TaskSpec) -> bool {
@@ -172,35 +172,35 @@ impl Sequencer {
     }
 
     /// The task under way has ended well.
-    pub fn end(&mut self, spot: Spot) {
+    pub fn end_task(&mut self, spot: StepRef) {
         if self.running.take_if(|running| *running == spot).is_none() {
             return;
         }
         match spot {
-            Spot::Step(step) => self.finish(step),
-            Spot::Aside { alternative, task } => {
+            StepRef::Step(step) => self.finish(step),
+            StepRef::Alternative { alternative, task } => {
                 let tasks = self.alternative(alternative).map_or(0, |detour| detour.tasks.len());
                 self.detours.under_way = Some((alternative, task + 1));
                 if task + 1 >= tasks {
                     self.detours.under_way = None;
-                    self.progress.replace(alternative).expect("tasks of one of which was under way may end");
+                    self.progress.apply_alternative(alternative).expect("tasks of one of which was under way may end");
                 }
             }
         }
     }
 
     /// The task under way was broken off; it is begun anew when the plan goes on.
-    pub fn break_off(&mut self) {
+    pub fn abort_task(&mut self) {
         self.running = None;
     }
 
     /// The task under way failed for good: the first alternative to it that was not begun before, in the order of the plan,
     /// takes its place. Its number; `None` when there is none, and the task is merely broken off.
-    pub fn turn_aside(&mut self) -> Option<usize> {
+    pub fn switch_to_alternative(&mut self) -> Option<usize> {
         let failed = self.running.take()?;
         let in_place_of = match failed {
-            Spot::Step(step) => BTreeSet::from([step]),
-            Spot::Aside { alternative, .. } => self.alternative(alternative)?.replaces.clone(),
+            StepRef::Step(step) => BTreeSet::from([step]),
+            StepRef::Alternative { alternative, .. } => self.alternative(alternative)?.replaces.clone(),
         };
         let mut others = self.progress.alternatives_for(*in_place_of.first()?);
         let (number, _) = others
@@ -214,38 +214,38 @@ impl Sequencer {
     ///
     /// # Errors
     /// [`Outdated`] when a later award of that role is known: it is somebody else's by now. Nothing is changed.
-    pub fn hear(&mut self, signal: &Signal, epoch: Epoch) -> Result<bool, Outdated> {
+    pub fn receive_signal(&mut self, signal: &Signal, epoch: Epoch) -> Result<bool, StaleSignal> {
         // Unmanaged roles are nobody's award.
         if let Some(known) = self.cast.get_mut(&signal.from) {
             match epoch.cmp(known) {
-                Ordering::Less => return Err(Outdated { known: *known }),
+                Ordering::Less => return Err(StaleSignal { current: *known }),
                 Ordering::Equal => {}
                 // The word of a successor before word of it.
                 Ordering::Greater => {
                     *known = epoch;
-                    self.progress.forget(&signal.from);
+                    self.progress.discard_signals_from(&signal.from);
                 }
             }
         }
-        Ok(self.progress.hear(signal))
+        Ok(self.progress.receive(signal))
     }
 
     /// The ledger says that this role was told so: whoever said it may be gone.
-    pub fn hear_of(&mut self, told: &BTreeSet<Signal>) {
+    pub fn receive_recorded(&mut self, told: &BTreeSet<Signal>) {
         for signal in told {
-            self.progress.hear(signal);
+            self.progress.receive(signal);
         }
     }
 
     /// The task under way, and what is to be achieved.
-    pub fn under_way(&self) -> Option<(Spot, &TaskId, &TaskSpec)> {
+    pub fn current_step(&self) -> Option<(StepRef, &TaskId, &TaskSpec)> {
         let spot = self.running?;
         let (id, spec) = match spot {
-            Spot::Step(step) => match &self.progress.step(step)?.action {
+            StepRef::Step(step) => match &self.progress.step(step)?.action {
                 StepAction::Task { id, spec } => (id, spec),
                 StepAction::Send(_) | StepAction::Wait(_) => return None,
             },
-            Spot::Aside { alternative, task } => {
+            StepRef::Alternative { alternative, task } => {
                 let (id, spec) = self.alternative(alternative)?.tasks.get(task)?;
                 (id, spec)
             }
@@ -254,12 +254,12 @@ impl Sequencer {
     }
 
     /// The name of the task under way.
-    pub fn at(&self) -> Option<&TaskId> {
-        self.under_way().map(|(_, id, _)| id)
+    pub fn current_task(&self) -> Option<&TaskId> {
+        self.current_step().map(|(_, id, _)| id)
     }
 
     /// What is still to be done, the task under way included, as a plan of its own to be priced.
-    pub fn rest(&self) -> LocalPlan {
+    pub fn remaining_plan(&self) -> LocalPlan {
         let plan = self.progress.plan();
         let (aside, replaced) = match self.detours.under_way {
             Some((number, done)) => self.alternative(number).map_or((&[][..], None), |detour| {
@@ -283,24 +283,24 @@ impl Sequencer {
     }
 
     /// The tasks of an alternative, by its number.
-    pub fn tasks_of(&self, alternative: usize) -> Vec<TaskId> {
+    pub fn alternative_tasks(&self, alternative: usize) -> Vec<TaskId> {
         let tasks = self.alternative(alternative).map_or(&[][..], |detour| &detour.tasks);
         tasks.iter().map(|(id, _)| id.clone()).collect()
     }
 
     /// Signals that this role will yet need and has not heard.
-    pub fn awaiting(&self) -> BTreeSet<Signal> {
-        self.progress.awaiting().into_iter().cloned().collect()
+    pub fn awaited_signals(&self) -> BTreeSet<Signal> {
+        self.progress.awaited_signals().into_iter().cloned().collect()
     }
 
     /// Whether something could be done if only the ledger were known to hold what has ended.
     pub fn awaits_ledger(&self) -> bool {
         self.running.is_none()
-            && self.progress.permitted().iter().any(|step| !self.progress.guard_is_met(*step, &self.known))
+            && self.progress.permitted().iter().any(|step| !self.progress.is_guard_met(*step, &self.known))
     }
 
     /// The ledger holds these steps of the plan as ended.
-    pub fn set_known(&mut self, ended: &BTreeSet<StepIndex>) {
+    pub fn set_recorded(&mut self, ended: &BTreeSet<StepIndex>) {
         self.known.extend(ended);
     }
 
@@ -310,12 +310,12 @@ impl Sequencer {
     }
 
     /// The alternatives that were begun.
-    pub fn detours(&self) -> &Detours {
+    pub fn alternative_progress(&self) -> &AlternativeProgress {
         &self.detours
     }
 
     /// What this role has told others.
-    pub fn said(&self) -> &BTreeSet<Signal> {
+    pub fn sent_signals(&self) -> &BTreeSet<Signal> {
         &self.said
     }
 
@@ -325,19 +325,19 @@ impl Sequencer {
     }
 
     /// Who holds the managed roles.
-    pub fn holders(&self) -> &BTreeMap<RoleId, Holding> {
+    pub fn holders(&self) -> &BTreeMap<RoleId, RoleHolder> {
         &self.holders
     }
 
     /// Takes in who holds the managed roles now. What a former holder had said and was not yet acted on no longer holds: its
     /// successor says what still does. True if there was such a thing, so that the successor is worth asking.
-    pub fn set_holders(&mut self, holders: BTreeMap<RoleId, Holding>) -> bool {
+    pub fn set_holders(&mut self, holders: BTreeMap<RoleId, RoleHolder>) -> bool {
         let mut forgotten = false;
         for (role, holding) in &holders {
             let former = self.cast.entry(role.clone()).or_insert(holding.epoch);
             if *former < holding.epoch {
                 *former = holding.epoch;
-                forgotten |= self.progress.forget(role);
+                forgotten |= self.progress.discard_signals_from(role);
             }
         }
         self.holders = holders;
@@ -345,15 +345,15 @@ impl Sequencer {
     }
 
     /// Takes in which managed roles nobody holds: some may never have been held. Who holds a role is told before.
-    pub fn set_vacant(&mut self, vacant: &BTreeSet<RoleId>) {
+    pub fn set_vacant_roles(&mut self, vacant: &BTreeSet<RoleId>) {
         for role in vacant {
             self.cast.entry(role.clone()).or_default();
         }
     }
 
     /// The robots alone.
-    pub fn robots(&self) -> BTreeMap<RoleId, RobotId> {
-        Holding::robots(&self.holders)
+    pub fn holder_robots(&self) -> BTreeMap<RoleId, RobotId> {
+        RoleHolder::robots(&self.holders)
     }
 }
 
@@ -383,8 +383,9 @@ mod tests {
         json!({ "replaces": replaces, "tasks": tasks })
     }
 
-    fn held(epochs: &[(&str, u64)]) -> BTreeMap<RoleId, Holding> {
-        let holding = |index: &u64| Holding { robot: "ada".parse().unwrap(), epoch: Epoch { term: 1, index: *index } };
+    fn held(epochs: &[(&str, u64)]) -> BTreeMap<RoleId, RoleHolder> {
+        let holding =
+            |index: &u64| RoleHolder { robot: "ada".parse().unwrap(), epoch: Epoch { term: 1, index: *index } };
         epochs.iter().map(|(role, index)| (role.parse().unwrap(), holding(index))).collect()
     }
 
@@ -399,15 +400,15 @@ mod tests {
     /// Performs until `fails` is at hand; the names of what was done.
     fn run(sequencer: &mut Sequencer, fails: &[&str]) -> Vec<String> {
         let mut done = vec![];
-        while let Some(next) = sequencer.next_move() {
+        while let Some(next) = sequencer.next_action() {
             match next {
-                Move::Perform { task, .. } if fails.contains(&task.as_str()) => break,
-                Move::Perform { spot, task, .. } => {
-                    sequencer.end(spot);
+                SequencerAction::StartTask { task, .. } if fails.contains(&task.as_str()) => break,
+                SequencerAction::StartTask { step: spot, task, .. } => {
+                    sequencer.end_task(spot);
                     done.push(task.to_string());
                 }
-                Move::Tell(signal) => done.push(format!("tell {}", signal.task)),
-                Move::Heard(signal) => done.push(format!("heard {}", signal.task)),
+                SequencerAction::SendSignal(signal) => done.push(format!("tell {}", signal.task)),
+                SequencerAction::SignalReceived(signal) => done.push(format!("heard {}", signal.task)),
             }
         }
         done
@@ -419,9 +420,9 @@ mod tests {
             "type": "approach_robot", "roles": ["r1"], "parameters": { "robot_role": "arm" } } } }, "after": [] });
         let mut sequencer = sequencer(plan(json!({ "role": "r1", "steps": [step] })));
         sequencer.set_holders(held(&[("r1", 5)]));
-        assert_eq!(sequencer.next_move(), None);
+        assert_eq!(sequencer.next_action(), None);
         sequencer.set_holders(held(&[("r1", 5), ("arm", 6)]));
-        assert!(matches!(sequencer.next_move(), Some(Move::Perform { spot: Spot::Step(0), .. })));
+        assert!(matches!(sequencer.next_action(), Some(SequencerAction::StartTask { step: StepRef::Step(0), .. })));
     }
 
     #[test]
@@ -433,15 +434,15 @@ mod tests {
         let taken_up = |named| {
             let plan = plan(json!({ "role": "nurse", "steps": [step(named)] }));
             let mut sequencer = Sequencer::new(plan, &BTreeSet::new(), held(&[("arm", 5)])).unwrap();
-            sequencer.set_vacant(&BTreeSet::from(["r1".parse().unwrap()]));
+            sequencer.set_vacant_roles(&BTreeSet::from(["r1".parse().unwrap()]));
             sequencer
         };
         let mut waits = taken_up("r1");
-        assert_eq!(waits.next_move(), None);
+        assert_eq!(waits.next_action(), None);
         assert!(!waits.set_holders(held(&[("arm", 5), ("r1", 6)])), "nobody has said anything before");
-        waits.set_vacant(&BTreeSet::new());
-        assert!(matches!(waits.next_move(), Some(Move::Perform { spot: Spot::Step(0), .. })));
-        let begins = |named| matches!(taken_up(named).next_move(), Some(Move::Perform { .. }));
+        waits.set_vacant_roles(&BTreeSet::new());
+        assert!(matches!(waits.next_action(), Some(SequencerAction::StartTask { step: StepRef::Step(0), .. })));
+        let begins = |named| matches!(taken_up(named).next_action(), Some(SequencerAction::StartTask { .. }));
         assert!(begins("arm") && begins("r3"), "that role is held, and this one is none that anybody could hold");
     }
 
@@ -452,21 +453,21 @@ mod tests {
         let plan = plan(json!({ "role": "r1", "steps": steps, "alternatives": alternatives }));
         let mut sequencer = sequencer(plan.clone());
         assert_eq!(run(&mut sequencer, &["knock"]), ["drive"]);
-        assert_eq!(sequencer.turn_aside(), Some(0));
+        assert_eq!(sequencer.switch_to_alternative(), Some(0));
         assert_eq!(run(&mut sequencer, &["ring"]), [""; 0]);
-        assert_eq!(sequencer.turn_aside(), Some(1));
+        assert_eq!(sequencer.switch_to_alternative(), Some(1));
         let halfway = sequencer.clone();
         assert_eq!(run(&mut sequencer, &["enter"]), ["call"]);
         assert_eq!(*sequencer.ended(), BTreeSet::from([0, 1]));
-        assert_eq!(sequencer.turn_aside(), Some(2), "a way around all of it");
+        assert_eq!(sequencer.switch_to_alternative(), Some(2), "a way around all of it");
         assert_eq!(run(&mut sequencer, &[]), ["lift", "descend", "tell enter"]);
         assert!(sequencer.is_complete());
 
         let mut stuck = halfway;
         run(&mut stuck, &["call"]);
-        assert_eq!(stuck.turn_aside(), Some(2), "what replaces one step is replaced with it");
+        assert_eq!(stuck.switch_to_alternative(), Some(2), "what replaces one step is replaced with it");
         assert_eq!(run(&mut stuck, &["lift"]), [""; 0]);
-        assert_eq!(stuck.turn_aside(), None, "none is begun twice");
+        assert_eq!(stuck.switch_to_alternative(), None, "none is begun twice");
     }
 
     #[test]
@@ -476,12 +477,18 @@ mod tests {
         let plan = plan(json!({ "role": "r1", "steps": steps, "alternatives": alternatives }));
         let mut former = sequencer(plan.clone());
         run(&mut former, &["drive"]);
-        former.turn_aside();
+        former.switch_to_alternative();
         run(&mut former, &["descend"]);
         let none = BTreeSet::new();
         let resume = |known: &BTreeSet<u32>| {
-            Sequencer::resume(plan.clone(), known, former.ended(), former.detours().clone(), held(&[("r1", 5)]))
-                .unwrap()
+            Sequencer::resume(
+                plan.clone(),
+                known,
+                former.ended(),
+                former.alternative_progress().clone(),
+                held(&[("r1", 5)]),
+            )
+            .unwrap()
         };
         assert_eq!(run(&mut resume(&none), &[]), ["descend", "knock"]);
         assert_eq!(run(&mut resume(&BTreeSet::from([0])), &[]), ["knock"]);
@@ -492,10 +499,12 @@ mod tests {
         let steps = [task("drive", &[]), task("knock", &[0]), task("enter", &[1])];
         let plan = plan(json!({ "role": "r1", "steps": steps, "alternatives": [aside(&[1], &["ring", "call"])] }));
         let mut sequencer = sequencer(plan);
-        let rest = |sequencer: &Sequencer| sequencer.rest().tasks().map(|(id, _)| id.to_string()).collect::<Vec<_>>();
+        let rest = |sequencer: &Sequencer| {
+            sequencer.remaining_plan().tasks().map(|(id, _)| id.to_string()).collect::<Vec<_>>()
+        };
         run(&mut sequencer, &["knock"]);
         assert_eq!(rest(&sequencer), ["knock", "enter"]);
-        sequencer.turn_aside();
+        sequencer.switch_to_alternative();
         run(&mut sequencer, &["call"]);
         assert_eq!(rest(&sequencer), ["call", "enter"]);
     }
@@ -507,7 +516,7 @@ mod tests {
         let mut sequencer = sequencer(plan);
         assert_eq!(run(&mut sequencer, &[]), ["open"]);
         assert!(sequencer.awaits_ledger() && !sequencer.may_have_custody());
-        sequencer.set_known(&BTreeSet::from([0]));
+        sequencer.set_recorded(&BTreeSet::from([0]));
         assert!(!sequencer.awaits_ledger());
         assert_eq!(run(&mut sequencer, &[]), ["tell open", "close"]);
         assert!(sequencer.may_have_custody());
@@ -519,13 +528,13 @@ mod tests {
             serde_json::from_value(json!({ "kind": "done", "task": "lift", "from": "arm", "to": "r1" })).unwrap();
         let steps = [task("drive", &[]), wait("lift", &[0])];
         let mut sequencer = sequencer(plan(json!({ "role": "r1", "steps": steps })));
-        assert_eq!(sequencer.hear(&signal, at(4)), Err(Outdated { known: at(5) }));
-        assert_eq!(sequencer.hear(&signal, at(5)), Ok(true));
+        assert_eq!(sequencer.receive_signal(&signal, at(4)), Err(StaleSignal { current: at(5) }));
+        assert_eq!(sequencer.receive_signal(&signal, at(5)), Ok(true));
         assert!(!sequencer.set_holders(held(&[("r1", 5)])), "nobody has taken its place yet");
         assert!(sequencer.set_holders(held(&[("r1", 5), ("arm", 9)])));
         assert_eq!(run(&mut sequencer, &[]), ["drive"]);
-        assert_eq!(sequencer.hear(&signal, at(5)), Err(Outdated { known: at(9) }));
-        assert_eq!(sequencer.hear(&signal, at(9)), Ok(true));
+        assert_eq!(sequencer.receive_signal(&signal, at(5)), Err(StaleSignal { current: at(9) }));
+        assert_eq!(sequencer.receive_signal(&signal, at(9)), Ok(true));
         assert_eq!(run(&mut sequencer, &[]), ["heard lift"]);
     }
 
@@ -535,6 +544,6 @@ mod tests {
             serde_json::from_value(json!({ "kind": "done", "task": "lift", "from": "arm", "to": "r1" })).unwrap();
         let plan = plan(json!({ "role": "r1", "steps": [wait("lift", &[])] }));
         let mut sequencer = Sequencer::new(plan, &BTreeSet::new(), held(&[("r1", 5)])).unwrap();
-        assert_eq!(sequencer.hear(&signal, Epoch::default()), Ok(true));
+        assert_eq!(sequencer.receive_signal(&signal, Epoch::default()), Ok(true));
     }
 }

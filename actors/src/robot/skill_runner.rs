@@ -1,6 +1,6 @@
 //! Runs one skill: an actor that ticks its tree until it ends, so that a panic in a skill ends this actor alone.
 
-use crate::body::Body;
+use crate::robot_driver::RobotDriver;
 use crate::tasks::Tasks;
 use consort_skills::library::{ActiveSkill, SkillStatus};
 use ractor::{Actor, ActorProcessingErr, ActorRef};
@@ -24,13 +24,13 @@ pub(super) enum RunnerMessage {
 }
 
 /// What a runner runs.
-pub(super) struct Run {
+pub(super) struct SkillRun {
     pub(super) skill: ActiveSkill,
-    pub(super) body: Body,
+    pub(super) driver: RobotDriver,
     /// How often the tree is ticked while nothing is heard from the body (thesis: 100 ms).
     pub(super) period: Duration,
     /// Told once, when the skill has ended by itself.
-    pub(super) done: Box<dyn FnOnce(SkillOutcome) + Send + Sync>,
+    pub(super) on_end: Box<dyn FnOnce(SkillOutcome) + Send + Sync>,
 }
 
 /// The actor.
@@ -40,7 +40,7 @@ pub(super) struct SkillRunner;
 pub(super) struct RunnerState {
     begun: bool,
     skill: ActiveSkill,
-    body: Body,
+    body: RobotDriver,
     done: Option<Box<dyn FnOnce(SkillOutcome) + Send + Sync>>,
     _tasks: Tasks,
 }
@@ -49,14 +49,14 @@ pub(super) struct RunnerState {
 impl Actor for SkillRunner {
     type Msg = RunnerMessage;
     type State = RunnerState;
-    type Arguments = Run;
+    type Arguments = SkillRun;
 
-    async fn pre_start(&self, myself: ActorRef<Self::Msg>, run: Run) -> Result<Self::State, ActorProcessingErr> {
+    async fn pre_start(&self, myself: ActorRef<Self::Msg>, run: SkillRun) -> Result<Self::State, ActorProcessingErr> {
         let mut tasks = Tasks::default();
-        tasks.on_change(run.body.changes(), &myself, || RunnerMessage::Tick);
-        tasks.beat(run.period, &myself, || RunnerMessage::Tick);
+        tasks.on_change(run.driver.changes(), &myself, || RunnerMessage::Tick);
+        tasks.send_every(run.period, &myself, || RunnerMessage::Tick);
         myself.cast(RunnerMessage::Tick)?;
-        Ok(RunnerState { begun: false, skill: run.skill, body: run.body, done: Some(run.done), _tasks: tasks })
+        Ok(RunnerState { begun: false, skill: run.skill, body: run.driver, done: Some(run.on_end), _tasks: tasks })
     }
 
     async fn handle(
@@ -66,7 +66,7 @@ impl Actor for SkillRunner {
         state: &mut Self::State,
     ) -> Result<(), ActorProcessingErr> {
         state.body.refresh();
-        state.begun |= state.body.is_at_rest();
+        state.begun |= state.body.is_idle();
         let outcome = match message {
             // What was under way before, perhaps in another life of this node, has to come to rest first: the body does one
             // thing at a time.

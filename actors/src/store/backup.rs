@@ -1,7 +1,7 @@
 //! A copy of the mission ledger that a fleet gives out while it works, and that a new fleet can be founded on.
 
 use super::DurableStore;
-use crate::replica::{Epoch, Journal as _, sole_voter_with};
+use crate::raft::{Epoch, LogStore as _, restore_as_only_voter};
 use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
 use consort_protocol::codec;
@@ -45,7 +45,7 @@ impl Backup {
     ///
     /// # Errors
     /// In words, if it cannot be written down.
-    pub fn of(ledger: &Ledger, last: Epoch, fleet: FleetId, by: NodeId, at_ms: u64) -> Result<Backup, String> {
+    pub fn new(ledger: &Ledger, last: Epoch, fleet: FleetId, by: NodeId, at_ms: u64) -> Result<Backup, String> {
         let bytes = codec::encode_record(ledger).map_err(|problem| problem.to_string())?;
         Ok(Backup {
             fleet,
@@ -55,7 +55,7 @@ impl Backup {
             term: last.term,
             index: last.index,
             missions: ledger.missions().count(),
-            under_way: ledger.live().len(),
+            under_way: ledger.active_missions().len(),
             ledger: STANDARD.encode(packed(&bytes).map_err(|problem| problem.to_string())?),
         })
     }
@@ -64,7 +64,7 @@ impl Backup {
     ///
     /// # Errors
     /// In words, if it is damaged or of another release.
-    pub fn open(&self) -> Result<(Ledger, Epoch), String> {
+    pub fn decode(&self) -> Result<(Ledger, Epoch), String> {
         let bytes = STANDARD.decode(&self.ledger).map_err(|problem| format!("ledger: it is damaged: {problem}"))?;
         let bytes = unpacked(&bytes).map_err(|problem| format!("ledger: it is damaged: {problem}"))?;
         let ledger = codec::decode_record(&bytes).map_err(|problem| format!("ledger: {problem}"))?;
@@ -80,7 +80,7 @@ fn packed(bytes: &[u8]) -> io::Result<Vec<u8>> {
 
 /// What was packed, if it is not more than a record may be.
 fn unpacked(bytes: &[u8]) -> io::Result<Vec<u8>> {
-    let most = u64::try_from(codec::RECORD_LIMIT).unwrap_or(u64::MAX);
+    let most = u64::try_from(codec::RECORD_BYTES_MAX).unwrap_or(u64::MAX);
     let mut unpacked = Vec::new();
     GzDecoder::new(bytes).take(most + 1).read_to_end(&mut unpacked)?;
     Ok(unpacked)
@@ -92,12 +92,12 @@ fn unpacked(bytes: &[u8]) -> io::Result<Vec<u8>> {
 /// # Errors
 /// The store holds something already, or cannot be written.
 pub fn restore(store: &DurableStore, mut ledger: Ledger, last: Epoch, cluster: ClusterId) -> io::Result<()> {
-    let there = store.recorded()?;
+    let there = store.persistent_state()?;
     if there.snapshot.is_some() || !there.entries.is_empty() || there.vote.is_some() {
         return Err(io::Error::new(io::ErrorKind::AlreadyExists, "it holds a ledger already"));
     }
-    ledger.refound(cluster);
-    store.replace(sole_voter_with(&ledger, last, &store.owner().node, store.identity())?)
+    ledger.replace_cluster(cluster);
+    store.replace(restore_as_only_voter(&ledger, last, &store.owner().node, store.identity())?)
 }
 
 #[cfg(test)]
@@ -108,18 +108,18 @@ mod tests {
     fn a_copy_reads_back_and_damage_is_noticed() {
         let last = Epoch { term: 3, index: 9 };
         let (fleet, by) = (FleetId::new("ward").unwrap(), NodeId::new("ada").unwrap());
-        let backup = Backup::of(&Ledger::default(), last, fleet, by, 7).unwrap();
+        let backup = Backup::new(&Ledger::default(), last, fleet, by, 7).unwrap();
         let text = serde_json::to_string(&backup).unwrap();
         let read: Backup = serde_json::from_str(&text).unwrap();
-        assert_eq!(read.open(), Ok((Ledger::default(), last)));
+        assert_eq!(read.decode(), Ok((Ledger::default(), last)));
         let mut bytes = STANDARD.decode(&read.ledger).unwrap();
         // The head of gzip says what nobody needs: when it was packed, and where.
         for at in 10..bytes.len() {
             bytes[at] ^= 1;
             let damaged = Backup { ledger: STANDARD.encode(&bytes), ..read.clone() };
-            assert!(damaged.open().unwrap_err().contains("it is damaged"), "at {at}");
+            assert!(damaged.decode().unwrap_err().contains("it is damaged"), "at {at}");
             bytes[at] ^= 1;
         }
-        assert!(Backup { ledger: "?".to_owned(), ..read }.open().unwrap_err().contains("it is damaged"));
+        assert!(Backup { ledger: "?".to_owned(), ..read }.decode().unwrap_err().contains("it is damaged"));
     }
 }

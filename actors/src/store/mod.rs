@@ -1,29 +1,34 @@
 //! What a node remembers from one life to the next.
 
 mod backup;
+mod checkpoint_store;
 mod durable;
-mod notebook;
 mod recover;
 
-use crate::replica::{Journal, MemoryJournal};
+use crate::raft::{LogStore, MemoryLogStore};
 pub use backup::{Backup, restore};
-pub use durable::{ADVICE, DurableStore, LEDGER, LOCK, OpenError, Owner, SEAL, StorageBackend};
-pub use notebook::{MemoryNotebook, Notebook};
-pub use recover::{ledger_of, recover};
+pub use checkpoint_store::{CheckpointStore, MemoryCheckpointStore};
+pub use durable::{
+    COMMIT_MARKER_FILE, DurableStore, LEDGER_FILE, LOCK_FILE, OpenError, REPAIR_ADVICE, StorageBackend, StoreOwner,
+};
+pub use recover::{inspect_ledger, recover};
 use std::sync::Arc;
 
 /// A node's memory. Clones are the same memory.
 #[derive(Clone)]
-pub struct Store {
+pub struct NodeStore {
     /// Its copy of the ledger.
-    pub journal: Arc<dyn Journal>,
+    pub log_store: Arc<dyn LogStore>,
     /// What its robot is at.
-    pub notebook: Arc<dyn Notebook>,
+    pub checkpoints: Arc<dyn CheckpointStore>,
 }
 
-impl Store {
+impl NodeStore {
     /// A memory that is gone with its last clone. A clone given to a restarted node plays a disk that survived.
-    pub fn in_memory(identity_seed: u64) -> Store {
-        Store { journal: Arc::new(MemoryJournal::new(identity_seed)), notebook: Arc::new(MemoryNotebook::default()) }
+    pub fn in_memory(identity_seed: u64) -> NodeStore {
+        NodeStore {
+            log_store: Arc::new(MemoryLogStore::new(identity_seed)),
+            checkpoints: Arc::new(MemoryCheckpointStore::default()),
+        }
     }
 }

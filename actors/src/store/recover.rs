@@ -1,7 +1,7 @@
 //! When a majority of the voters is gone for good: what is left becomes the ledger of one voter, on somebody's word.
 
 use super::DurableStore;
-use crate::replica::{Holdings, Journal, advised, holdings, sole_voter};
+use crate::raft::{LogStore, LogStoreContents, inspect_log_store, recover_as_only_voter, with_repair_advice};
 use consort_protocol::ids::ClusterId;
 use consort_protocol::ledger::Ledger;
 use std::io;
@@ -11,8 +11,11 @@ use std::path::PathBuf;
 ///
 /// # Errors
 /// The store cannot be read, or what it holds is not whole.
-pub fn ledger_of(store: &DurableStore) -> io::Result<Holdings<Ledger>> {
-    store.recorded().and_then(holdings).map_err(|problem| advised(problem, store.advice()))
+pub fn inspect_ledger(store: &DurableStore) -> io::Result<LogStoreContents<Ledger>> {
+    store
+        .persistent_state()
+        .and_then(inspect_log_store)
+        .map_err(|problem| with_repair_advice(problem, store.repair_advice()))
 }
 
 /// Makes the store that of its fleet's only voter: all that it holds counts as committed from now on, as the ledger of
@@ -23,10 +26,12 @@ pub fn ledger_of(store: &DurableStore) -> io::Result<Holdings<Ledger>> {
 /// # Errors
 /// The store is not whole, holds nothing, or cannot be copied or written; it is as it was then.
 pub fn recover(store: &DurableStore, moment: u64, cluster: ClusterId) -> io::Result<Vec<PathBuf>> {
-    let refound = |ledger: &mut Ledger| ledger.refound(cluster);
-    let recovered = store.recorded().and_then(|all| sole_voter(all, &store.owner().node, store.identity(), refound));
-    let recovered = recovered.map_err(|problem| advised(problem, store.advice()))?;
-    let copies = store.back_up(&format!("before-recovery-{moment}"))?;
+    let refound = |ledger: &mut Ledger| ledger.replace_cluster(cluster);
+    let recovered = store
+        .persistent_state()
+        .and_then(|all| recover_as_only_voter(all, &store.owner().node, store.identity(), refound));
+    let recovered = recovered.map_err(|problem| with_repair_advice(problem, store.repair_advice()))?;
+    let copies = store.copy_files(&format!("before-recovery-{moment}"))?;
     store.replace(recovered)?;
     Ok(copies)
 }

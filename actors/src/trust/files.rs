@@ -1,7 +1,7 @@
 //! The files that trust is kept in: PEM, as `consort cert` writes it and as everybody's tools read it.
 
-use super::issue::Issued;
-use super::keyring::{Authority, Card, Keyring};
+use super::issue::IssuedCertificate;
+use super::keyring::{Authority, Keyring, VerifiedCertificate};
 use consort_protocol::ids::FleetId;
 use consort_protocol::trust::Identity;
 use pki_types::pem::PemObject;
@@ -47,12 +47,12 @@ impl TrustFiles {
     /// # Errors
     /// [`TrustError`] names the file and what is wrong with it.
     pub fn open(&self, fleet: &FleetId, now: Duration, life: u64) -> Result<Keyring, TrustError> {
-        let authority = pem::<CertificateDer<'static>>(&self.authority, "certificate")?;
+        let authority = read_pem::<CertificateDer<'static>>(&self.authority, "certificate")?;
         let authority = Authority::new(fleet.clone(), &authority).map_err(TrustError::of(&self.authority))?;
         let revoked = self.read_revoked()?;
-        let certificate = pem::<CertificateDer<'static>>(&self.certificate, "certificate")?;
-        let own = authority.judge(certificate, revoked.as_deref(), now).map_err(TrustError::of(&self.certificate))?;
-        let key = pem::<PrivatePkcs8KeyDer<'static>>(&self.key, "private key in PKCS #8")?;
+        let certificate = read_pem::<CertificateDer<'static>>(&self.certificate, "certificate")?;
+        let own = authority.verify(certificate, revoked.as_deref(), now).map_err(TrustError::of(&self.certificate))?;
+        let key = read_pem::<PrivatePkcs8KeyDer<'static>>(&self.key, "private key in PKCS #8")?;
         let of = self.certificate.display().to_string();
         let key = key_of(&own, &key, &of).map_err(TrustError::of(&self.key))?;
         Ok(Keyring::new(authority, own, key, revoked, life))
@@ -73,7 +73,7 @@ impl TrustFiles {
 
 /// The list of what is revoked, in DER.
 pub(super) fn read_revoked(file: &Path) -> Result<Vec<u8>, TrustError> {
-    let list = pem::<CertificateRevocationListDer<'static>>(file, "list of revoked certificates")?;
+    let list = read_pem::<CertificateRevocationListDer<'static>>(file, "list of revoked certificates")?;
     Ok(list.to_vec())
 }
 
@@ -82,12 +82,18 @@ impl Keyring {
     ///
     /// # Errors
     /// What is wrong with it, in words.
-    pub fn of(fleet: FleetId, authority: &str, issued: &Issued, now: Duration, life: u64) -> Result<Keyring, String> {
+    pub fn from_issued(
+        fleet: FleetId,
+        authority: &str,
+        issued: &IssuedCertificate,
+        now: Duration,
+        life: u64,
+    ) -> Result<Keyring, String> {
         let unread = |problem: pki_types::pem::Error| problem.to_string();
         let authority = CertificateDer::from_pem_slice(authority.as_bytes()).map_err(unread)?;
         let authority = Authority::new(fleet, &authority).map_err(|distrust| distrust.to_string())?;
         let own = CertificateDer::from_pem_slice(issued.certificate.as_bytes()).map_err(unread)?;
-        let own = authority.judge(own, None, now).map_err(|distrust| distrust.to_string())?;
+        let own = authority.verify(own, None, now).map_err(|distrust| distrust.to_string())?;
         let key = PrivatePkcs8KeyDer::from_pem_slice(issued.key.as_bytes()).map_err(unread)?;
         let key = key_of(&own, &key, "the certificate")?;
         Ok(Keyring::new(authority, own, key, None, life))
@@ -95,16 +101,16 @@ impl Keyring {
 }
 
 /// The key of a certificate, if it is that.
-fn key_of(own: &Card, key: &PrivatePkcs8KeyDer<'_>, of: &str) -> Result<Ed25519KeyPair, String> {
+fn key_of(own: &VerifiedCertificate, key: &PrivatePkcs8KeyDer<'_>, of: &str) -> Result<Ed25519KeyPair, String> {
     let key = Ed25519KeyPair::from_pkcs8_maybe_unchecked(key.secret_pkcs8_der());
     let key = key.map_err(|problem| format!("it is no key for Ed25519: {problem}"))?;
-    match own.signed(b"whose key is it", key.sign(b"whose key is it").as_ref()) {
+    match own.verify(b"whose key is it", key.sign(b"whose key is it").as_ref()) {
         true => Ok(key),
         false => Err(format!("it is not the key of {of}")),
     }
 }
 
-pub(super) fn pem<T: PemObject>(file: &Path, what: &str) -> Result<T, TrustError> {
+pub(super) fn read_pem<T: PemObject>(file: &Path, what: &str) -> Result<T, TrustError> {
     let text = std::fs::read(file).map_err(TrustError::of(file))?;
     T::from_pem_slice(&text).map_err(|problem| TrustError::of(file)(format!("there is no {what} in it: {problem}")))
 }

@@ -4,7 +4,7 @@
 
 use consort_protocol::ids::FleetId;
 use consort_protocol::trust::access::common_name;
-use consort_protocol::trust::{Bearer, Identity};
+use consort_protocol::trust::{Identity, Principal};
 use pki_types::PrivatePkcs8KeyDer;
 use rcgen::{
     BasicConstraints, CertificateParams, CertificateRevocationListParams, DnType, ExtendedKeyUsagePurpose, IsCa,
@@ -16,7 +16,7 @@ use std::time::Duration;
 use time::OffsetDateTime;
 
 /// A certificate and its key, both in PEM.
-pub struct Issued {
+pub struct IssuedCertificate {
     /// For everybody to see.
     pub certificate: String,
     /// For the bearer alone.
@@ -26,14 +26,14 @@ pub struct Issued {
 /// What a certificate and its key are drawn from where chance is given from outside: in virtual fleets, in which everything follows
 /// from a seed. Whoever knows it has the key.
 #[derive(Clone, Copy)]
-pub struct Draw {
+pub struct KeyMaterial {
     /// The secret half of an Ed25519 key (RFC 8032).
     pub key: [u8; 32],
     /// The certificate's number.
     pub serial: [u8; 16],
 }
 
-impl Draw {
+impl KeyMaterial {
     fn key_pair(&self) -> Result<KeyPair, IssueError> {
         // RFC 8410: a version, Ed25519's number, and the key within two octet strings.
         const HEAD: [u8; 16] = [0x30, 0x2e, 2, 1, 0, 0x30, 5, 6, 3, 0x2b, 0x65, 0x70, 4, 0x22, 4, 0x20];
@@ -64,7 +64,7 @@ pub struct Validity {
 
 /// A certificate that has been revoked.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Revoked {
+pub struct RevokedCertificate {
     /// Its serial number.
     pub serial: Vec<u8>,
     /// Since when, in time since 1970.
@@ -72,14 +72,14 @@ pub struct Revoked {
 }
 
 /// A fleet's authority, which signs.
-pub struct Authorising {
+pub struct CertificateAuthority {
     issuer: rcgen::Issuer<'static, KeyPair>,
 }
 
 const AUTHORITY_OF: &str = "Consort fleet ";
 
 /// The fleet's name in the common name of its authority.
-pub fn authority_of(common_name: &str) -> Option<&str> {
+pub fn fleet_of_authority(common_name: &str) -> Option<&str> {
     common_name.strip_prefix(AUTHORITY_OF)
 }
 
@@ -87,7 +87,7 @@ pub fn authority_of(common_name: &str) -> Option<&str> {
 ///
 /// # Errors
 /// [`IssueError`] if the system gives no random numbers, or the dates are none.
-pub fn found(fleet: &FleetId, validity: Validity) -> Result<Issued, IssueError> {
+pub fn create_authority(fleet: &FleetId, validity: Validity) -> Result<IssuedCertificate, IssueError> {
     found_with(fleet, validity, KeyPair::generate_for(&PKCS_ED25519)?, by_chance()?)
 }
 
@@ -95,34 +95,48 @@ pub fn found(fleet: &FleetId, validity: Validity) -> Result<Issued, IssueError> 
 ///
 /// # Errors
 /// As [`found`].
-pub fn found_drawn(fleet: &FleetId, validity: Validity, draw: Draw) -> Result<Issued, IssueError> {
+pub fn create_authority_from(
+    fleet: &FleetId,
+    validity: Validity,
+    draw: KeyMaterial,
+) -> Result<IssuedCertificate, IssueError> {
     found_with(fleet, validity, draw.key_pair()?, draw.serial)
 }
 
-fn found_with(fleet: &FleetId, validity: Validity, key: KeyPair, serial: [u8; 16]) -> Result<Issued, IssueError> {
+fn found_with(
+    fleet: &FleetId,
+    validity: Validity,
+    key: KeyPair,
+    serial: [u8; 16],
+) -> Result<IssuedCertificate, IssueError> {
     let mut authority = params(validity, serial)?;
     authority.distinguished_name.push(DnType::CommonName, format!("{AUTHORITY_OF}{fleet}"));
     authority.is_ca = IsCa::Ca(BasicConstraints::Constrained(0));
     authority.key_usages = vec![KeyUsagePurpose::KeyCertSign, KeyUsagePurpose::CrlSign];
     let certificate = authority.self_signed(&key)?;
-    Ok(Issued { certificate: certificate.pem(), key: key.serialize_pem() })
+    Ok(IssuedCertificate { certificate: certificate.pem(), key: key.serialize_pem() })
 }
 
-impl Authorising {
+impl CertificateAuthority {
     /// The authority of this certificate and key, both in PEM.
     ///
     /// # Errors
     /// [`IssueError`] if they are none.
-    pub fn read(certificate: &str, key: &str) -> Result<Authorising, IssueError> {
+    pub fn from_pem(certificate: &str, key: &str) -> Result<CertificateAuthority, IssueError> {
         let key = KeyPair::from_pem(key)?;
-        Ok(Authorising { issuer: rcgen::Issuer::from_ca_cert_pem(certificate, key)? })
+        Ok(CertificateAuthority { issuer: rcgen::Issuer::from_ca_cert_pem(certificate, key)? })
     }
 
     /// A certificate for a bearer; `addresses` are names and addresses under which a node is reached, for clients that compare.
     ///
     /// # Errors
     /// [`IssueError`] if an address cannot stand in a certificate, or the dates are none.
-    pub fn issue(&self, to: &Identity, addresses: &[String], validity: Validity) -> Result<Issued, IssueError> {
+    pub fn issue(
+        &self,
+        to: &Identity,
+        addresses: &[String],
+        validity: Validity,
+    ) -> Result<IssuedCertificate, IssueError> {
         self.issue_with(to, addresses, validity, KeyPair::generate_for(&PKCS_ED25519)?, by_chance()?)
     }
 
@@ -130,7 +144,12 @@ impl Authorising {
     ///
     /// # Errors
     /// As [`issue`](Self::issue).
-    pub fn issue_drawn(&self, to: &Identity, validity: Validity, draw: Draw) -> Result<Issued, IssueError> {
+    pub fn issue_from(
+        &self,
+        to: &Identity,
+        validity: Validity,
+        draw: KeyMaterial,
+    ) -> Result<IssuedCertificate, IssueError> {
         self.issue_with(to, &[], validity, draw.key_pair()?, draw.serial)
     }
 
@@ -141,7 +160,7 @@ impl Authorising {
         validity: Validity,
         key: KeyPair,
         serial: [u8; 16],
-    ) -> Result<Issued, IssueError> {
+    ) -> Result<IssuedCertificate, IssueError> {
         let mut subject = params(validity, serial)?;
         subject.distinguished_name.push(DnType::CommonName, common_name(to));
         subject.subject_alt_names.push(SanType::URI(to.to_string().try_into()?));
@@ -153,20 +172,25 @@ impl Authorising {
         }
         subject.key_usages = vec![KeyUsagePurpose::DigitalSignature];
         subject.use_authority_key_identifier_extension = true;
-        subject.extended_key_usages = match to.bearer {
-            Bearer::Node { .. } => vec![ExtendedKeyUsagePurpose::ServerAuth, ExtendedKeyUsagePurpose::ClientAuth],
+        subject.extended_key_usages = match to.principal {
+            Principal::Node { .. } => vec![ExtendedKeyUsagePurpose::ServerAuth, ExtendedKeyUsagePurpose::ClientAuth],
             // A person's certificate opens connections, and is not believed by who opens one to it.
-            Bearer::Person { .. } => vec![ExtendedKeyUsagePurpose::ClientAuth],
+            Principal::Person { .. } => vec![ExtendedKeyUsagePurpose::ClientAuth],
         };
         let certificate = subject.signed_by(&key, &self.issuer)?;
-        Ok(Issued { certificate: certificate.pem(), key: key.serialize_pem() })
+        Ok(IssuedCertificate { certificate: certificate.pem(), key: key.serialize_pem() })
     }
 
     /// The list of all that is revoked, in PEM; `number` is larger than that of any former list.
     ///
     /// # Errors
     /// [`IssueError`] if the dates are none.
-    pub fn revoke(&self, revoked: &[Revoked], number: u64, validity: Validity) -> Result<String, IssueError> {
+    pub fn revocation_list(
+        &self,
+        revoked: &[RevokedCertificate],
+        number: u64,
+        validity: Validity,
+    ) -> Result<String, IssueError> {
         let certs = revoked.iter().map(|revoked| {
             Ok(RevokedCertParams {
                 serial_number: SerialNumber::from_slice(&revoked.serial),

@@ -15,18 +15,18 @@
 //! of them bears their own signature (`notary`).
 
 mod bus;
-mod cards;
+mod certificates;
 mod files;
 pub mod issue;
 mod keyring;
-mod links;
-mod notary;
+mod link_revocation;
 mod probe;
-mod refusals;
+mod record_signer;
+mod rejections;
 mod token;
 
-pub use bus::SealedBus;
+pub use bus::SigningBus;
 pub use files::{TrustError, TrustFiles};
-pub use keyring::{Card, Distrust, Keyring};
+pub use keyring::{CertificateError, Keyring, VerifiedCertificate};
 pub use probe::ProbeError;
-pub use token::{TOKEN_MAX, TokenError, Visitor};
+pub use token::{TOKEN_MAX, TokenClaims, TokenError};

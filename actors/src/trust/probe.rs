@@ -1,7 +1,7 @@
 //! A link opened and closed again, to tell why it does not come about. Zenoh only says that it does not.
 
-use super::files::{TrustError, TrustFiles, pem};
-use super::keyring::{Authority, Distrust};
+use super::files::{TrustError, TrustFiles, read_pem};
+use super::keyring::{Authority, CertificateError};
 use consort_protocol::ids::FleetId;
 use consort_protocol::trust::Identity;
 use pki_types::{CertificateDer, PrivateKeyDer, PrivatePkcs8KeyDer, ServerName, UnixTime};
@@ -18,16 +18,16 @@ use std::time::Duration;
 pub enum ProbeError {
     /// The own files are of no use.
     #[error("{0}")]
-    Own(#[from] TrustError),
+    OwnFiles(#[from] TrustError),
     /// Nothing listens there, or nothing gets through.
     #[error("no connection: {0}")]
-    Unreached(String),
+    Unreachable(String),
     /// Whoever listens there is not believed here.
     #[error("whoever listens there is not believed: {0}")]
-    Distrusted(Distrust),
+    UntrustedPeer(CertificateError),
     /// Whoever listens there does not believe the bearer of these files.
     #[error("whoever listens there does not believe us ({0}): is it of this fleet, is its clock right?")]
-    NotBelieved(String),
+    RejectedByPeer(String),
     /// Whoever listens there does not speak TLS.
     #[error("whoever listens there does not speak TLS: it may be a node without certificates ({0})")]
     NoTls(String),
@@ -38,7 +38,7 @@ pub enum ProbeError {
 struct Judge {
     authority: Authority,
     provider: Arc<CryptoProvider>,
-    judged: Mutex<Option<Result<Identity, Distrust>>>,
+    judged: Mutex<Option<Result<Identity, CertificateError>>>,
 }
 
 impl ServerCertVerifier for Judge {
@@ -51,7 +51,7 @@ impl ServerCertVerifier for Judge {
         now: UnixTime,
     ) -> Result<ServerCertVerified, rustls::Error> {
         let now = Duration::from_secs(now.as_secs());
-        let judged = self.authority.judge_listener(end_entity.clone().into_owned(), now).map(|card| card.identity);
+        let judged = self.authority.verify_server(end_entity.clone().into_owned(), now).map(|card| card.identity);
         let believed = judged.is_ok();
         *self.judged.lock().unwrap_or_else(PoisonError::into_inner) = Some(judged);
         match believed {
@@ -90,19 +90,19 @@ impl TrustFiles {
     /// # Errors
     /// [`ProbeError`] says which side does not believe which, and why.
     pub fn probe(&self, address: SocketAddr, fleet: &FleetId, limit: Duration) -> Result<Identity, ProbeError> {
-        let authority = pem::<CertificateDer<'static>>(&self.authority, "certificate")?;
+        let authority = read_pem::<CertificateDer<'static>>(&self.authority, "certificate")?;
         let authority = Authority::new(fleet.clone(), &authority).map_err(TrustError::of(&self.authority))?;
         let provider = Arc::new(ring::default_provider());
         let judge = Arc::new(Judge { authority, provider: Arc::clone(&provider), judged: Mutex::default() });
-        let certificate = pem::<CertificateDer<'static>>(&self.certificate, "certificate")?;
-        let key = pem::<PrivatePkcs8KeyDer<'static>>(&self.key, "private key in PKCS #8")?;
+        let certificate = read_pem::<CertificateDer<'static>>(&self.certificate, "certificate")?;
+        let key = read_pem::<PrivatePkcs8KeyDer<'static>>(&self.key, "private key in PKCS #8")?;
         let config = ClientConfig::builder_with_provider(provider).with_protocol_versions(&[&rustls::version::TLS13]);
         let config = config.map_err(|problem| ProbeError::NoTls(problem.to_string()))?.dangerous();
         let config = config.with_custom_certificate_verifier(Arc::<Judge>::clone(&judge));
         let config = config.with_client_auth_cert(vec![certificate], PrivateKeyDer::Pkcs8(key));
         let config = config.map_err(TrustError::of(&self.key))?;
 
-        let unreached = |problem: std::io::Error| ProbeError::Unreached(problem.to_string());
+        let unreached = |problem: std::io::Error| ProbeError::Unreachable(problem.to_string());
         let mut stream = TcpStream::connect_timeout(&address, limit).map_err(unreached)?;
         stream.set_read_timeout(Some(limit)).map_err(unreached)?;
         stream.set_write_timeout(Some(limit)).map_err(unreached)?;
@@ -111,9 +111,9 @@ impl TrustFiles {
         let opened = shake_hands(&mut tls, &mut stream);
         let judged = judge.judged.lock().unwrap_or_else(PoisonError::into_inner).take();
         match (judged, opened) {
-            (Some(Err(distrust)), _) => Err(ProbeError::Distrusted(distrust)),
+            (Some(Err(distrust)), _) => Err(ProbeError::UntrustedPeer(distrust)),
             (Some(Ok(identity)), Ok(())) => Ok(identity),
-            (Some(Ok(_)), Err(problem)) => Err(ProbeError::NotBelieved(problem)),
+            (Some(Ok(_)), Err(problem)) => Err(ProbeError::RejectedByPeer(problem)),
             (None, Err(problem)) => Err(ProbeError::NoTls(problem)),
             (None, Ok(())) => Err(ProbeError::NoTls("it showed no certificate".to_owned())),
         }

@@ -5,11 +5,11 @@
 //! them, and a token ends with its own time, with the certificate, or when that is revoked. There is one algorithm and nothing to be
 //! chosen: a token that says anything else of itself is none.
 
-use super::keyring::{Card, Distrust, Keyring, span};
+use super::keyring::{CertificateError, Keyring, VerifiedCertificate, format_span};
 use base64::Engine as _;
 use base64::engine::general_purpose::{STANDARD, URL_SAFE_NO_PAD};
 use consort_protocol::ids::{FleetId, PersonId};
-use consort_protocol::trust::{Bearer, Scope};
+use consort_protocol::trust::{AccessScope, Principal};
 use serde::{Deserialize, Serialize};
 use std::time::Duration;
 
@@ -18,13 +18,13 @@ pub const TOKEN_MAX: usize = 4096;
 
 /// Who shows a token, and what that lets them do.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Visitor {
+pub struct TokenClaims {
     /// Whose it is.
     pub name: PersonId,
     /// What the bearer may do: at most what the certificate says.
-    pub scope: Scope,
+    pub scope: AccessScope,
     /// Until when, in time since 1970.
-    pub until: Duration,
+    pub expires: Duration,
 }
 
 /// Why a token lets nobody do anything.
@@ -32,16 +32,16 @@ pub struct Visitor {
 pub enum TokenError {
     /// It is none.
     #[error("it is no token: {0}; `consort token` makes one")]
-    Form(&'static str),
+    Malformed(&'static str),
     /// Its certificate is not believed.
     #[error("its certificate is not believed: {0}")]
-    Distrusted(#[from] Distrust),
+    Certificate(#[from] CertificateError),
     /// It was changed, or made by somebody who has seen the certificate and not the key.
     #[error("it was not signed with the key of its certificate")]
     Signature,
     /// It has ended.
     #[error("it ended {0} ago; `consort token` makes a new one")]
-    Ended(String),
+    Expired(String),
     /// It is for the pages of another fleet.
     #[error("it is for fleet {0}")]
     Fleet(FleetId),
@@ -51,13 +51,13 @@ pub enum TokenError {
         /// Whose it is.
         name: PersonId,
         /// What the token says.
-        claimed: Scope,
+        claimed: AccessScope,
         /// What the certificate says.
-        has: Scope,
+        has: AccessScope,
     },
     /// The certificate is a node's.
     #[error("it is {0}'s, and tokens are people's")]
-    Node(Bearer),
+    Node(Principal),
 }
 
 const ALGORITHM: &str = "EdDSA";
@@ -82,10 +82,10 @@ impl Keyring {
     ///
     /// # Errors
     /// [`TokenError`] if the bearer is a node, or has not that scope.
-    pub fn token(&self, scope: Scope, until: Duration) -> Result<String, TokenError> {
+    pub fn issue_token(&self, scope: AccessScope, until: Duration) -> Result<String, TokenError> {
         let fleet = self.identity().fleet.clone();
-        may(&self.identity().bearer, scope)?;
-        let head = Head { alg: ALGORITHM.to_owned(), x5c: [STANDARD.encode(self.shown())] };
+        may(&self.identity().principal, scope)?;
+        let head = Head { alg: ALGORITHM.to_owned(), x5c: [STANDARD.encode(self.own_certificate())] };
         let claims = Claims { aud: fleet, exp: until.as_secs(), scope: scope.to_string() };
         let signed = format!("{}.{}", part(&head), part(&claims));
         let signature = URL_SAFE_NO_PAD.encode(self.sign(signed.as_bytes()));
@@ -96,43 +96,43 @@ impl Keyring {
     ///
     /// # Errors
     /// [`TokenError`]; whatever the text is, this does not panic.
-    pub fn visitor(&self, token: &str, now: Duration) -> Result<Visitor, TokenError> {
+    pub fn verify_token(&self, token: &str, now: Duration) -> Result<TokenClaims, TokenError> {
         if token.len() > TOKEN_MAX {
-            return Err(TokenError::Form("it is too long"));
+            return Err(TokenError::Malformed("it is too long"));
         }
-        let (signed, signature) = token.rsplit_once('.').ok_or(TokenError::Form("it has not three parts"))?;
-        let (head, claims) = signed.split_once('.').ok_or(TokenError::Form("it has not three parts"))?;
-        let head: Head = read(head).ok_or(TokenError::Form("its head cannot be read"))?;
+        let (signed, signature) = token.rsplit_once('.').ok_or(TokenError::Malformed("it has not three parts"))?;
+        let (head, claims) = signed.split_once('.').ok_or(TokenError::Malformed("it has not three parts"))?;
+        let head: Head = read(head).ok_or(TokenError::Malformed("its head cannot be read"))?;
         if head.alg != ALGORITHM {
-            return Err(TokenError::Form("it is signed by another algorithm"));
+            return Err(TokenError::Malformed("it is signed by another algorithm"));
         }
         let [certificate] = head.x5c;
         let certificate =
-            STANDARD.decode(certificate).map_err(|_| TokenError::Form("its certificate cannot be read"))?;
-        let card: Card = self.judge(&certificate, now)?;
+            STANDARD.decode(certificate).map_err(|_| TokenError::Malformed("its certificate cannot be read"))?;
+        let card: VerifiedCertificate = self.verify_certificate(&certificate, now)?;
         let signature = URL_SAFE_NO_PAD.decode(signature).map_err(|_| TokenError::Signature)?;
-        if !card.signed(signed.as_bytes(), &signature) {
+        if !card.verify(signed.as_bytes(), &signature) {
             return Err(TokenError::Signature);
         }
-        let claims: Claims = read(claims).ok_or(TokenError::Form("what it claims cannot be read"))?;
+        let claims: Claims = read(claims).ok_or(TokenError::Malformed("what it claims cannot be read"))?;
         if claims.aud != self.identity().fleet {
             return Err(TokenError::Fleet(claims.aud));
         }
         if claims.exp <= now.as_secs() {
-            return Err(TokenError::Ended(span(now.as_secs() - claims.exp)));
+            return Err(TokenError::Expired(format_span(now.as_secs() - claims.exp)));
         }
-        let scope = Scope::read(&claims.scope).ok_or(TokenError::Form("its scope is none"))?;
-        let name = may(&card.identity.bearer, scope)?.clone();
-        Ok(Visitor { name, scope, until: Duration::from_secs(claims.exp) })
+        let scope = AccessScope::parse(&claims.scope).ok_or(TokenError::Malformed("its scope is none"))?;
+        let name = may(&card.identity.principal, scope)?.clone();
+        Ok(TokenClaims { name, scope, expires: Duration::from_secs(claims.exp) })
     }
 }
 
 /// Whose token one of this scope would be.
-fn may(bearer: &Bearer, claimed: Scope) -> Result<&PersonId, TokenError> {
+fn may(bearer: &Principal, claimed: AccessScope) -> Result<&PersonId, TokenError> {
     match bearer {
-        Bearer::Person { name, scope } if claimed <= *scope => Ok(name),
-        Bearer::Person { name, scope } => Err(TokenError::Scope { name: name.clone(), claimed, has: *scope }),
-        node @ Bearer::Node { .. } => Err(TokenError::Node(node.clone())),
+        Principal::Person { name, scope } if claimed <= *scope => Ok(name),
+        Principal::Person { name, scope } => Err(TokenError::Scope { name: name.clone(), claimed, has: *scope }),
+        node @ Principal::Node { .. } => Err(TokenError::Node(node.clone())),
     }
 }
 

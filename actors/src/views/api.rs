@@ -1,7 +1,7 @@
 //! The requests that change nothing: any node answers them from what it sees.
 
-use super::Looks;
-use crate::calls::{self, Which};
+use super::ViewService;
+use crate::api_types::{self, MissionQuery};
 use consort_protocol::auction::{AuctionRecord, Explanation, explain};
 use consort_protocol::count::count;
 use consort_protocol::ids::{MissionId, NodeId};
@@ -18,32 +18,32 @@ const ON_ITS_WAY: Duration = Duration::from_millis(500);
 /// How often it looks meanwhile.
 const LOOK_AGAIN: Duration = Duration::from_millis(25);
 
-impl Looks {
+impl ViewService {
     /// Answers a request.
-    pub(super) async fn request(&self, call: ApiCall, payload: &[u8]) -> Value {
+    pub(super) async fn answer_request(&self, call: ApiCall, payload: &[u8]) -> Value {
         let answer = match call {
             ApiCall::List => {
                 self.view(&Key::ViewMissions).await.ok_or_else(|| refusal("nothing is known of missions".to_owned()))
             }
-            ApiCall::Get => match calls::read(call, payload) {
-                Ok(Which { mission }) => self.mission(&mission).await,
+            ApiCall::Get => match api_types::parse_request(call, payload) {
+                Ok(MissionQuery { mission }) => self.mission(&mission).await,
                 Err(problem) => Err(refusal(problem)),
             },
-            ApiCall::Explain => match calls::read(call, payload) {
-                Ok(Which { mission }) => self.explain(&mission).await,
+            ApiCall::Explain => match api_types::parse_request(call, payload) {
+                Ok(MissionQuery { mission }) => self.explain(&mission).await,
                 Err(problem) => Err(refusal(problem)),
             },
-            ApiCall::Help => Ok(calls::help()),
-            ApiCall::Submit | ApiCall::Cancel | ApiCall::Rescued | ApiCall::Backup | ApiCall::Upgrade => {
-                Err(refusal(format!("{} is the coordinator's", call.word())))
+            ApiCall::Help => Ok(api_types::help()),
+            ApiCall::Submit | ApiCall::Cancel | ApiCall::Resolve | ApiCall::Backup | ApiCall::Upgrade => {
+                Err(refusal(format!("{} is the coordinator's", call.as_str())))
             }
         };
         answer.unwrap_or_else(|refusal| refusal)
     }
 
     async fn view(&self, key: &Key) -> Option<Value> {
-        let text = self.of.keys.write(key);
-        let mut all = self.all(keyexpr::new(text.as_str()).ok()?).await;
+        let text = self.views.keys.write(key);
+        let mut all = self.requested_views(keyexpr::new(text.as_str()).ok()?).await;
         all.pop().map(|(_, value)| value)
     }
 
@@ -56,13 +56,16 @@ impl Looks {
             if let Some(found) = self.view(&key).await {
                 return Ok(found);
             }
-            let standing = self.window().await.standing;
+            let standing = self.context().await.status;
             // The coordinator knows all there are.
-            if standing.coordinator.as_ref() == Some(&self.of.node) || Instant::now() >= until {
+            if standing.coordinator.as_ref() == Some(&self.views.node) || Instant::now() >= until {
                 let missions = self.view(&Key::ViewMissions).await;
                 let unheard = missions.filter(|view| view.get("retry_after_ms").is_some());
                 return Err(unheard.unwrap_or_else(|| {
-                    refusal(format!("no mission {mission} is known at {}; api/list has those there are", self.of.node))
+                    refusal(format!(
+                        "no mission {mission} is known at {}; api/list has those there are",
+                        self.views.node
+                    ))
                 }));
             }
             tokio::time::sleep(LOOK_AGAIN).await;
@@ -96,8 +99,8 @@ impl Looks {
     /// Robots that the auction has no answer of, and why they are no members, as far as this node can tell now.
     async fn not_asked(&self, asked: &BTreeSet<NodeId>) -> Vec<(NodeId, String)> {
         let Some(seen) = self.view(&Key::ViewEnsembles).await else { return vec![] };
-        let robots: BTreeSet<NodeId> = self.of.knowledge.read(|base| {
-            let robots = base.iter().filter(|(_, heard)| heard.record.knowledge.worker.is_some());
+        let robots: BTreeSet<NodeId> = self.views.knowledge.read(|base| {
+            let robots = base.iter().filter(|(_, heard)| heard.record.knowledge.robot.is_some());
             robots.map(|(node, _)| node.clone()).filter(|node| !asked.contains(node)).collect()
         });
         let ensemble = &seen["ensembles"][0];
@@ -144,7 +147,7 @@ fn words(
         lines.push(format!("{}: {}", role.role, role.why));
         for robot in &role.robots {
             lines.push(format!("  {}", robot.why));
-            lines.extend(robot.parts_in_words().map(|parts| format!("    {parts}")));
+            lines.extend(robot.parts_text().map(|parts| format!("    {parts}")));
         }
     }
     if let Some(omitted) = explanation.map(|explanation| explanation.omitted).filter(|omitted| *omitted > 0) {

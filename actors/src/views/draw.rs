@@ -1,13 +1,13 @@
 //! The fleet as one node sees it, in JSON.
 
 use super::Views;
-use super::health::{Signs, findings};
+use super::cluster_status::ClusterStatus;
+use super::health::{HealthInputs, findings};
 use super::mission::{auctions, mission, missions};
-use super::standing::Standing;
-use crate::gossip::Status;
+use crate::gossip::MemberStatus;
 use consort_protocol::ids::{MissionId, NodeId, RobotId, RoleId};
 use consort_protocol::keys::Key;
-use consort_protocol::knowledge::{Availability, Heard};
+use consort_protocol::knowledge::{Availability, KnownRecord};
 use consort_protocol::lease::Epoch;
 use consort_protocol::ledger::{Ledger, MissionState};
 use consort_protocol::units::NodeTime;
@@ -15,13 +15,13 @@ use serde_json::{Map, Value, json};
 use std::collections::BTreeMap;
 
 /// What views are drawn from, at one moment.
-pub(super) struct Window<'a> {
-    pub(super) of: &'a Views,
-    pub(super) standing: Standing,
+pub(super) struct ViewContext<'a> {
+    pub(super) views: &'a Views,
+    pub(super) status: ClusterStatus,
     pub(super) now: NodeTime,
 }
 
-impl Window<'_> {
+impl ViewContext<'_> {
     /// Every view that this node can draw by itself, of those that are `wanted`.
     pub(super) fn draw(&self, wanted: &impl Fn(&Key) -> bool) -> Vec<(Key, Value)> {
         let mut views = vec![];
@@ -37,15 +37,15 @@ impl Window<'_> {
                 views.push((key, value));
             }
         }
-        let statuses = self.of.knowledge.statuses();
-        views.extend(self.of.knowledge.read(|base| {
-            let robots = base.iter().filter(|(_, heard)| heard.record.knowledge.worker.is_some());
+        let statuses = self.views.knowledge.statuses();
+        views.extend(self.views.knowledge.read(|base| {
+            let robots = base.iter().filter(|(_, heard)| heard.record.knowledge.robot.is_some());
             let keys = robots.map(|(node, heard)| (Key::ViewRobot(RobotId::from(node.clone())), node, heard));
             let wanted = keys.filter(|(key, ..)| wanted(key));
             wanted.map(|(key, node, heard)| (key, self.node(node, heard, &statuses))).collect::<Vec<_>>()
         }));
         views.extend(self.of_ledger(wanted));
-        views.into_iter().map(|(key, value)| (key, self.marked(value))).collect()
+        views.into_iter().map(|(key, value)| (key, self.with_provenance(value))).collect()
     }
 
     /// The views of the ledger, if this node keeps it.
@@ -67,28 +67,29 @@ impl Window<'_> {
 
     /// Looks into the ledger, if this node keeps it.
     fn ledger<T>(&self, look: impl FnOnce(&Ledger) -> T) -> Option<T> {
-        let replica = self.of.replica.as_ref().filter(|_| self.standing.keeps_ledger)?;
+        let replica = self.views.replica.as_ref().filter(|_| self.status.has_ledger)?;
         Some(replica.read(look))
     }
 
     /// A view with who has it, and how old what it knows may be. What a view says of itself under these names stays.
-    pub(super) fn marked(&self, value: Value) -> Value {
+    pub(super) fn with_provenance(&self, value: Value) -> Value {
         let Value::Object(own) = value else { return value };
-        let mark = serde_json::to_value(self.standing.mark(&self.of.node, self.of.clock.wall_ms())).unwrap_or_default();
+        let mark = serde_json::to_value(self.status.provenance(&self.views.node, self.views.clock.wall_ms()))
+            .unwrap_or_default();
         let Value::Object(mut marked) = mark else { return Value::Object(own) };
         marked.extend(own);
         Value::Object(marked)
     }
 
     fn coordinator(&self) -> Value {
-        let Standing { term, since_ms, voters, observers, autopilot, quorum_age_ms, .. } = &self.standing;
+        let ClusterStatus { term, since_ms, voters, observers, autopilot, quorum_age_ms, .. } = &self.status;
         let foreign: BTreeMap<String, NodeId> = self.foreign().into_iter().collect();
         json!({
-            "voters_lost": self.standing.voters_lost,
-            "cluster": self.of.allegiance.cluster(),
+            "voters_lost": self.status.voters_lost,
+            "cluster": self.views.membership.cluster(),
             "foreign": foreign,
             "autopilot": autopilot,
-            "node": self.standing.coordinator,
+            "node": self.status.coordinator,
             "term": term,
             "since_ms": since_ms,
             "quorum_age_ms": quorum_age_ms,
@@ -98,31 +99,33 @@ impl Window<'_> {
     }
 
     fn foreign(&self) -> Vec<(String, NodeId)> {
-        let own = self.of.allegiance.cluster();
-        let foreign = crate::coordinator::foreign(&self.of.knowledge, own);
+        let own = self.views.membership.cluster();
+        let foreign = crate::coordinator::foreign_clusters(&self.views.knowledge, own);
         foreign.into_iter().map(|(cluster, node)| (cluster.to_string(), node)).collect()
     }
 
     fn fleet(&self) -> Value {
-        let statuses = self.of.knowledge.statuses();
-        let nodes: Vec<Value> =
-            self.of.knowledge.read(|base| base.iter().map(|(node, heard)| self.node(node, heard, &statuses)).collect());
-        json!({ "cluster": self.of.allegiance.cluster(), "nodes": nodes, "ensembles": [self.ensemble()] })
+        let statuses = self.views.knowledge.statuses();
+        let nodes: Vec<Value> = self
+            .views
+            .knowledge
+            .read(|base| base.iter().map(|(node, heard)| self.node(node, heard, &statuses)).collect());
+        json!({ "cluster": self.views.membership.cluster(), "nodes": nodes, "ensembles": [self.ensemble()] })
     }
 
     /// The ensemble: what it asks for, and of whom it holds.
     fn ensemble(&self) -> Value {
-        let statuses = self.of.knowledge.statuses();
-        let spec = self.of.ensemble.spec();
+        let statuses = self.views.knowledge.statuses();
+        let spec = self.views.ensemble.spec();
         // As its coordinator would judge, from what this node has heard.
-        let head = self.standing.coordinator.as_ref().unwrap_or(&self.of.node);
+        let head = self.status.coordinator.as_ref().unwrap_or(&self.views.node);
         let mut not_members = Map::new();
         let mut members = vec![];
-        let nodes: Vec<Value> = self.of.knowledge.read(|base| {
-            let judge = |(node, _): (&NodeId, &Heard)| {
-                let verdict = self.of.ensemble.judge(node, head, base, self.now);
+        let nodes: Vec<Value> = self.views.knowledge.read(|base| {
+            let judge = |(node, _): (&NodeId, &KnownRecord)| {
+                let verdict = self.views.ensemble.membership_of(node, head, base, self.now);
                 // Whoever is judged down is asked for no bids, however fresh the last that was heard of it.
-                let down = verdict.member && !statuses.get(node).is_some_and(Status::is_alive);
+                let down = verdict.member && !statuses.get(node).is_some_and(MemberStatus::is_alive);
                 let reason = if down { "judged down" } else { &verdict.reason };
                 let member = verdict.member && !down;
                 if member {
@@ -146,14 +149,14 @@ impl Window<'_> {
     }
 
     /// One node. The statuses come from outside: knowledge is locked while its records are looked at.
-    fn node(&self, node: &NodeId, heard: &Heard, statuses: &BTreeMap<NodeId, Status>) -> Value {
+    fn node(&self, node: &NodeId, heard: &KnownRecord, statuses: &BTreeMap<NodeId, MemberStatus>) -> Value {
         let record = &heard.record;
-        let alive = statuses.get(node).is_some_and(Status::is_alive);
+        let alive = statuses.get(node).is_some_and(MemberStatus::is_alive);
         let by_ledger = self.ledger(|ledger| {
             let held = ledger.held_by(&RobotId::from(node.clone()));
             held.map(|(entry, role, epoch)| (entry.id.clone(), role.clone(), Some(epoch)))
         });
-        let mut worker = record.knowledge.worker.clone();
+        let mut worker = record.knowledge.robot.clone();
         if let (false, Some(worker)) = (alive, &mut worker) {
             worker.availability = since_down(&worker.availability, by_ledger.as_ref().and_then(Option::as_ref));
         }
@@ -168,9 +171,9 @@ impl Window<'_> {
         json!({
             "node": node,
             "alive": alive,
-            "status": statuses.get(node).unwrap_or(&Status::Unknown).word(),
+            "status": statuses.get(node).unwrap_or(&MemberStatus::Unknown).as_str(),
             "age_ms": heard.age(self.now).as_millis(),
-            "seen_by": self.of.node,
+            "seen_by": self.views.node,
             "incarnation": record.stamp.incarnation,
             "version": record.stamp.version,
             "may_vote": record.knowledge.may_vote,
@@ -185,9 +188,9 @@ impl Window<'_> {
 
     /// The fleet's map, if this node was given it.
     fn map(&self) -> Value {
-        match self.of.map.as_deref() {
+        match self.views.map.as_deref() {
             Some(map) => map.clone(),
-            None => json!({ "error": format!("{} was given no map", self.of.node) }),
+            None => json!({ "error": format!("{} was given no map", self.views.node) }),
         }
     }
 
@@ -196,27 +199,29 @@ impl Window<'_> {
         json!({ "level": findings.first().map(|worst| worst.level), "findings": findings })
     }
 
-    fn signs(&self) -> Signs {
-        let statuses = self.of.knowledge.statuses();
-        let alive = |node: &NodeId| *node == self.of.node || statuses.get(node).is_some_and(Status::is_alive);
-        let mut signs = Signs {
-            coordinator: self.standing.coordinator.clone().map(|node| (node, self.standing.term)),
-            silent_ms: self.standing.age_ms,
+    fn signs(&self) -> HealthInputs {
+        let statuses = self.views.knowledge.statuses();
+        let alive = |node: &NodeId| *node == self.views.node || statuses.get(node).is_some_and(MemberStatus::is_alive);
+        let mut signs = HealthInputs {
+            coordinator: self.status.coordinator.clone().map(|node| (node, self.status.term)),
+            coordinator_age_ms: self.status.age_ms,
             foreign: self.foreign(),
             alive: statuses.values().filter(|status| status.is_alive()).count(),
-            knows_missions: self.standing.keeps_ledger,
-            ..Signs::default()
+            knows_missions: self.status.has_ledger,
+            ..HealthInputs::default()
         };
-        let lost = |node: &NodeId| self.standing.voters_lost.contains(node);
-        signs.voters = self.standing.voters.iter().map(|node| (node.clone(), alive(node) && !lost(node))).collect();
-        self.of.knowledge.read(|base| {
+        let lost = |node: &NodeId| self.status.voters_lost.contains(node);
+        signs.voters = self.status.voters.iter().map(|node| (node.clone(), alive(node) && !lost(node))).collect();
+        self.views.knowledge.read(|base| {
             for (node, heard) in base.iter() {
-                let status = statuses.get(node).copied().unwrap_or(Status::Unknown);
+                let status = statuses.get(node).copied().unwrap_or(MemberStatus::Unknown);
                 let age_ms = u64::try_from(heard.age(self.now).as_millis()).unwrap_or(u64::MAX);
-                if matches!(status, Status::Down { .. } | Status::Suspect { .. }) && !heard.record.knowledge.leaving {
-                    signs.unwell.push((node.clone(), status.word(), age_ms));
+                if matches!(status, MemberStatus::Down { .. } | MemberStatus::Suspect { .. })
+                    && !heard.record.knowledge.leaving
+                {
+                    signs.unreachable.push((node.clone(), status.as_str(), age_ms));
                 }
-                match heard.record.knowledge.worker.as_ref().map(|worker| &worker.availability) {
+                match heard.record.knowledge.robot.as_ref().map(|worker| &worker.availability) {
                     Some(Availability::OutOfService { problem }) => {
                         signs.out_of_service.push((node.clone(), problem.clone()));
                     }
@@ -231,7 +236,7 @@ impl Window<'_> {
             for entry in ledger.missions() {
                 match (&entry.state, &entry.auction) {
                     (MissionState::NeedsRescue { cause, .. }, _) => {
-                        signs.rescue.push((entry.id.to_string(), cause.clone()));
+                        signs.needs_intervention.push((entry.id.to_string(), cause.clone()));
                     }
                     (MissionState::Pending, Some(auction)) => {
                         let why = auction.failure.clone().map(|why| (entry.id.to_string(), why));

@@ -2,8 +2,8 @@
 
 use consort_protocol::auction::{AuctionRecord, Explanation, explain};
 use consort_protocol::ids::{RoleId, TaskId};
-use consort_protocol::ledger::{Ledger, MissionEntry, MissionState, RoleEntry, RolePhase, Stranded};
-use consort_protocol::mission::{Body, Mission, RoleKind, TaskIndex, TaskSpec};
+use consort_protocol::ledger::{HeldItem, Ledger, MissionEntry, MissionState, RoleEntry, RolePhase};
+use consort_protocol::mission::{Mission, RoleKind, TaskBody, TaskIndex, TaskSpec};
 use consort_protocol::plan::{LocalPlan, Step, StepAction, StepIndex};
 use serde_json::{Value, json};
 use std::collections::BTreeSet;
@@ -20,7 +20,7 @@ pub(super) fn missions(ledger: &Ledger) -> Value {
         json!({
             "mission": entry.id,
             "number": entry.number,
-            "state": entry.state.word(),
+            "state": entry.state.as_str(),
             "detail": entry.state,
             "priority": entry.submission.priority,
             "deadline_at_ms": entry.submission.deadline_ms,
@@ -55,14 +55,14 @@ pub(super) fn mission(entry: &MissionEntry) -> Value {
         "mission": entry.id,
         "number": entry.number,
         "request": entry.submission.request,
-        "state": entry.state.word(),
+        "state": entry.state.as_str(),
         "detail": entry.state,
         "parameters": entry.submission.parameters,
         "priority": entry.submission.priority,
         "deadline_at_ms": entry.submission.deadline_ms,
         "branch": entry.branch,
         "items": items(entry),
-        "released": entry.released,
+        "released": entry.release_count,
         "releases": entry.releases,
         "tasks": entry.mission().tasks,
         "tree": tree(entry, entry.mission(), 0),
@@ -95,7 +95,7 @@ fn explained(record: &AuctionRecord) -> Explanation {
 }
 
 /// What is in robots' keeping, or waits for a person.
-fn items(entry: &MissionEntry) -> Vec<Stranded> {
+fn items(entry: &MissionEntry) -> Vec<HeldItem> {
     match &entry.state {
         MissionState::NeedsRescue { items, .. } => items.clone(),
         MissionState::Pending | MissionState::Running => entry.custody(),
@@ -154,7 +154,7 @@ fn tree(entry: &MissionEntry, mission: &Mission, index: TaskIndex) -> Value {
 fn branch(entry: &MissionEntry, mission: &Mission, index: TaskIndex) -> (Progress, Value) {
     let Some(node) = mission.tasks.get(index as usize) else { return (Progress::Waiting, Value::Null) };
     match &node.body {
-        Body::Abstract(method) => {
+        TaskBody::Abstract(method) => {
             let below = method.children.iter().map(|child| branch(entry, mission, *child));
             let (parts, children): (Vec<Progress>, Vec<Value>) = below.unzip();
             let progress = Progress::of_all(&parts);
@@ -167,7 +167,7 @@ fn branch(entry: &MissionEntry, mission: &Mission, index: TaskIndex) -> (Progres
             });
             (progress, told)
         }
-        Body::Elementary(spec) => {
+        TaskBody::Elementary(spec) => {
             let progress = elementary(entry, &node.id, spec);
             let holders: Vec<Value> = spec.roles.iter().map(|role| holder(entry, role)).collect();
             let told = json!({
@@ -217,7 +217,7 @@ fn step_progress(entry: &MissionEntry, role: &RoleEntry, plan: &LocalPlan, index
     };
     let runs = matches!(entry.state, MissionState::Running) && at_work;
     // What somebody was told has been waited for, though the one who waited may not have said so yet.
-    let told = entry.told(&plan.role);
+    let told = entry.signals_to(&plan.role);
     let is_past = |step: &StepIndex| {
         let awaited = plan.steps.get(*step as usize).is_some_and(|step| match &step.action {
             StepAction::Wait(signal) => told.contains(signal),

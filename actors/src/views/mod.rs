@@ -15,23 +15,24 @@
 //! and `help`) are answered here too.
 
 mod api;
+mod cluster_status;
 mod draw;
 mod health;
 mod mission;
-mod standing;
 
-pub use standing::Shown;
+pub use cluster_status::CoordinatorStatus;
 
-use crate::allegiance::Allegiance;
-use crate::answer;
+use crate::api_types::call_help;
 use crate::bus::{BusError, Query, Sample, SharedBus, Stream};
-use crate::calls::help_on;
 use crate::clock::Clock;
+use crate::cluster_membership::ClusterMembership;
 use crate::coordinator::CoordinatorMessage;
 use crate::gossip::SharedKnowledge;
-use crate::replica::{RaftId, Replica};
+use crate::raft::{RaftId, Replica};
+use crate::reply;
 use crate::tasks::Tasks;
 use bytes::Bytes;
+use cluster_status::ClusterStatus;
 use consort_protocol::codec;
 use consort_protocol::ensemble::Ensemble;
 use consort_protocol::ids::NodeId;
@@ -39,10 +40,9 @@ use consort_protocol::keys::{ApiCall, Key, Keys};
 use consort_protocol::ledger::Ledger;
 use consort_protocol::message::Beacon;
 use consort_protocol::units::NodeTime;
-use draw::Window;
+use draw::ViewContext;
 use ractor::ActorRef;
 use serde_json::{Value, json};
-use standing::Standing;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 use tokio::sync::oneshot;
@@ -76,12 +76,12 @@ pub(crate) struct Views {
     /// Its own coordinator, if it may be one.
     pub(crate) coordinator: Option<ActorRef<CoordinatorMessage>>,
     pub(crate) knowledge: SharedKnowledge,
-    pub(crate) allegiance: Allegiance,
+    pub(crate) membership: ClusterMembership,
     pub(crate) ensemble: Arc<Ensemble>,
     /// The fleet's map, to show.
     pub(crate) map: Option<Arc<Value>>,
     /// How often a coordinator says that it is there.
-    pub(crate) beat: Duration,
+    pub(crate) beacon_interval: Duration,
 }
 
 /// The last word of a coordinator, and when it was heard.
@@ -89,18 +89,18 @@ type Word = Arc<Mutex<Option<(Beacon, NodeTime)>>>;
 
 impl Views {
     /// Begins to answer, for as long as `tasks` lives.
-    pub(crate) async fn open(self, tasks: &mut Tasks) -> Result<(), BusError> {
+    pub(crate) async fn serve(self, tasks: &mut Tasks) -> Result<(), BusError> {
         let (bus, keys) = (self.bus.clone(), self.keys.clone());
         let word = Word::default();
         tasks.spawn(follow(bus.subscribe(&keys.write(&Key::Beacon)).await?, Arc::clone(&word), self.clock));
-        let looks = Looks { of: Arc::new(self), word };
+        let looks = ViewService { views: Arc::new(self), word };
         tasks.spawn(looks.clone().serve(bus.serve_complete(&keys.any_view()).await?, Service::Views));
         tasks.spawn(looks.clone().serve(bus.serve_complete(&keys.any_help()).await?, Service::Help));
-        for call in ApiCall::ALL.iter().copied().filter(|call| call.is_reading()) {
+        for call in ApiCall::ALL.iter().copied().filter(|call| call.is_read_only()) {
             let questions = bus.serve_complete(&keys.write(&Key::Api(call))).await?;
             tasks.spawn(looks.clone().serve(questions, Service::Request(call)));
         }
-        let questions = bus.serve(&keys.any_seen(&looks.of.node)).await?;
+        let questions = bus.serve(&keys.any_seen(&looks.views.node)).await?;
         tasks.spawn(looks.serve(questions, Service::Seen));
         Ok(())
     }
@@ -124,7 +124,7 @@ async fn follow(mut beacons: Stream<Sample>, word: Word, clock: Clock) {
     while let Some(sample) = beacons.recv().await {
         let Ok(beacon) = codec::decode::<Beacon>(&sample.payload) else { continue };
         let mut word = word.lock().unwrap_or_else(PoisonError::into_inner);
-        if beacon.follows(word.as_ref().map(|(known, _)| known)) {
+        if beacon.supersedes(word.as_ref().map(|(known, _)| known)) {
             *word = Some((beacon, clock.now()));
         }
     }
@@ -132,12 +132,12 @@ async fn follow(mut beacons: Stream<Sample>, word: Word, clock: Clock) {
 
 /// Answers questions.
 #[derive(Clone)]
-struct Looks {
-    of: Arc<Views>,
+struct ViewService {
+    views: Arc<Views>,
     word: Word,
 }
 
-impl Looks {
+impl ViewService {
     async fn serve(self, mut questions: Stream<Query>, service: Service) {
         let mut answers = JoinSet::new();
         while let Some(query) = questions.recv().await {
@@ -149,45 +149,45 @@ impl Looks {
     async fn answer(self, query: Query, service: Service) {
         let Ok(asked) = keyexpr::new(query.key.as_str()) else { return };
         let answers = match service {
-            Service::Views => self.all(asked).await,
+            Service::Views => self.requested_views(asked).await,
             Service::Seen => {
-                let seen = |key: &Key| Key::Seen(self.of.node.clone(), Box::new(key.clone()));
+                let seen = |key: &Key| Key::Seen(self.views.node.clone(), Box::new(key.clone()));
                 let own = self.own(&|key: &Key| self.is_asked(asked, &seen(key))).await;
                 own.into_iter().map(|(key, value)| (seen(&key), value)).collect()
             }
-            Service::Request(call) => vec![(Key::Api(call), self.request(call, &query.payload).await)],
+            Service::Request(call) => vec![(Key::Api(call), self.answer_request(call, &query.payload).await)],
             Service::Help => {
                 let keys = ApiCall::ALL.iter().map(|call| (Key::Help(*call), *call));
                 let asked = keys.filter(|(key, _)| self.is_asked(asked, key));
-                asked.map(|(key, call)| (key, help_on(call))).collect()
+                asked.map(|(key, call)| (key, call_help(call))).collect()
             }
         };
         for (key, value) in answers {
-            answer::json(&query, &self.of.keys.write(&key), &value).await;
+            reply::json(&query, &self.views.keys.write(&key), &value).await;
         }
     }
 
     fn is_asked(&self, asked: &keyexpr, key: &Key) -> bool {
-        keyexpr::new(self.of.keys.write(key).as_str()).is_ok_and(|key| asked.intersects(key))
+        keyexpr::new(self.views.keys.write(key).as_str()).is_ok_and(|key| asked.intersects(key))
     }
 
     /// What this node draws by itself.
     async fn own(&self, wanted: &impl Fn(&Key) -> bool) -> Vec<(Key, Value)> {
-        self.window().await.draw(wanted)
+        self.context().await.draw(wanted)
     }
 
     /// What is asked for, with the help of a keeper of the ledger and of the host of bodies where this node is neither.
-    async fn all(&self, asked: &keyexpr) -> Vec<(Key, Value)> {
+    async fn requested_views(&self, asked: &keyexpr) -> Vec<(Key, Value)> {
         let wanted = |key: &Key| self.is_asked(asked, key);
-        let window = self.window().await;
+        let window = self.context().await;
         let mut views = window.draw(&wanted);
-        let missions = self.of.keys.write(&Key::ViewMissions).replace("/missions", "/mission/*");
+        let missions = self.views.keys.write(&Key::ViewMissions).replace("/missions", "/mission/*");
         let asks_ledger = wanted(&Key::ViewMissions)
             || wanted(&Key::ViewAuctions)
             || wanted(&Key::ViewHealth)
             || keyexpr::new(missions.as_str()).is_ok_and(|missions| missions.intersects(asked));
-        if asks_ledger && !window.standing.keeps_ledger {
-            match self.of_keeper(asked, &window.standing).await {
+        if asks_ledger && !window.status.has_ledger {
+            match self.of_keeper(asked, &window.status).await {
                 Some(theirs) => {
                     for (key, value) in theirs.into_iter().filter(|(key, _)| is_of_ledger(key) && wanted(key)) {
                         views.retain(|(own, _)| *own != key);
@@ -197,7 +197,7 @@ impl Looks {
                 None => {
                     let why = json!({ "error": "no keeper of the ledger answers", "retry_after_ms": 300 });
                     for key in [Key::ViewMissions, Key::ViewAuctions].into_iter().filter(&wanted) {
-                        views.push((key, window.marked(why.clone())));
+                        views.push((key, window.with_provenance(why.clone())));
                     }
                 }
             }
@@ -205,18 +205,18 @@ impl Looks {
         if wanted(&Key::ViewWorld)
             && let Some(world) = self.world().await
         {
-            views.push((Key::ViewWorld, window.marked(world)));
+            views.push((Key::ViewWorld, window.with_provenance(world)));
         }
         views
     }
 
     /// The views of a keeper of the ledger: the coordinator's, else those of any other.
-    async fn of_keeper(&self, asked: &keyexpr, standing: &Standing) -> Option<Vec<(Key, Value)>> {
-        let Views { keys, bus, knowledge, node, .. } = &*self.of;
+    async fn of_keeper(&self, asked: &keyexpr, standing: &ClusterStatus) -> Option<Vec<(Key, Value)>> {
+        let Views { keys, bus, knowledge, node, .. } = &*self.views;
         let only_health = asked.as_str() == keys.write(&Key::ViewHealth);
         let coordinator = standing.coordinator.iter();
         let others = standing.voters.iter().filter(|voter| Some(*voter) != standing.coordinator.as_ref());
-        let keepers = coordinator.chain(others).filter(|keeper| *keeper != node && knowledge.alive(keeper));
+        let keepers = coordinator.chain(others).filter(|keeper| *keeper != node && knowledge.is_alive(keeper));
         for keeper in keepers.take(KEEPERS_ASKED) {
             let any = keys.any_seen(keeper);
             let seen = match (keys.any_view().strip_suffix("**"), any.strip_suffix("**")) {
@@ -241,38 +241,38 @@ impl Looks {
     }
 
     async fn world(&self) -> Option<Value> {
-        let key = self.of.keys.write(&Key::World);
-        let mut replies = self.of.bus.query(&key, Bytes::new(), WORLD_LIMIT).await.ok()?;
+        let key = self.views.keys.write(&Key::World);
+        let mut replies = self.views.bus.query(&key, Bytes::new(), WORLD_LIMIT).await.ok()?;
         serde_json::from_slice(&replies.recv().await?.payload.ok()?).ok()
     }
 
-    async fn window(&self) -> Window<'_> {
-        let shown = match &self.of.coordinator {
+    async fn context(&self) -> ViewContext<'_> {
+        let shown = match &self.views.coordinator {
             Some(coordinator) => {
                 let (to, said) = oneshot::channel();
                 // One that does not coordinate drops the question.
-                match coordinator.cast(CoordinatorMessage::Show(to)) {
+                match coordinator.cast(CoordinatorMessage::QueryStatus(to)) {
                     Ok(()) => tokio::time::timeout(SHOW_LIMIT, said).await.ok().and_then(Result::ok),
                     Err(_) => None,
                 }
             }
             None => None,
         };
-        let now = self.of.clock.now();
-        Window { of: &self.of, standing: self.standing(shown, now), now }
+        let now = self.views.clock.now();
+        ViewContext { views: &self.views, status: self.standing(shown, now), now }
     }
 
-    fn standing(&self, shown: Option<Shown>, now: NodeTime) -> Standing {
-        let Views { node, knowledge, replica, beat, .. } = &*self.of;
+    fn standing(&self, shown: Option<CoordinatorStatus>, now: NodeTime) -> ClusterStatus {
+        let Views { node, knowledge, replica, beacon_interval: beat, .. } = &*self.views;
         let word = self.word.lock().unwrap_or_else(PoisonError::into_inner).clone();
         let leadership = replica.as_ref().map(|replica| replica.leadership().borrow().clone()).unwrap_or_default();
         let heard = word.as_ref().map(|(beacon, at)| (beacon, now.since(*at)));
         let millis = |time: Duration| u64::try_from(time.as_millis()).unwrap_or(u64::MAX);
         let own_id = replica.as_ref().map(Replica::id);
-        let is_member = |id: &RaftId| leadership.voters.contains_key(id) || leadership.observers.contains_key(id);
+        let is_member = |id: &RaftId| leadership.voters.contains_key(id) || leadership.learners.contains_key(id);
         // One that was replaced while it was away does not know it; the coordinator's word says so.
         let is_named = heard.is_none_or(|(beacon, _)| {
-            beacon.voters.contains(node) || leadership.observers.values().any(|observer| observer == node)
+            beacon.voters.contains(node) || leadership.learners.values().any(|observer| observer == node)
         });
         // What a leader has committed in its own term stands behind all that was committed before: a copy that has that
         // lacks nothing, and one that was started anew may lack anything.
@@ -282,11 +282,11 @@ impl Looks {
         });
         let is_keeper = own_id.as_ref().is_some_and(is_member) && is_named;
         let keeps_ledger = shown.is_some() || is_keeper && has_all;
-        let mut standing = Standing {
-            keeps_ledger,
-            observers: leadership.observers.values().cloned().collect(),
-            quorum_age_ms: replica.as_ref().and_then(Replica::quorum_age).map(millis),
-            ..Standing::default()
+        let mut standing = ClusterStatus {
+            has_ledger: keeps_ledger,
+            observers: leadership.learners.values().cloned().collect(),
+            quorum_age_ms: replica.as_ref().and_then(Replica::quorum_ack_age).map(millis),
+            ..ClusterStatus::default()
         };
         match (shown, heard) {
             (Some(shown), _) => {
@@ -295,7 +295,7 @@ impl Looks {
                 standing.autopilot = Some(shown.autopilot);
             }
             (None, Some((beacon, age))) => {
-                let there = beacon.node != *node && knowledge.alive(&beacon.node) && age < *beat * BEATS_MISSED;
+                let there = beacon.node != *node && knowledge.is_alive(&beacon.node) && age < *beat * BEATS_MISSED;
                 standing.term = beacon.term;
                 standing.age_ms = Some(millis(age));
                 if there {

@@ -1,9 +1,11 @@
 //! Elections, crashes, partitions, restarts: one ledger, whatever happens.
 
-use crate::support::{Ask, Fleet, SOON, node, on_virtual_time, usual, with_short_logs};
+use crate::support::{Fleet, NumberCommand, TIMEOUT, default_settings, node, on_virtual_time, with_short_logs};
 use consort_actors::bus::Bus as _;
 use consort_actors::bus::virtual_bus::LinkModel;
-use consort_actors::replica::{BootstrapError, Journal as _, Leadership, MemberError, ProposeError, Reign, Replica};
+use consort_actors::raft::{
+    BootstrapError, LeaderId, LeadershipView, LogStore as _, MemberError, ProposeError, Replica,
+};
 use consort_protocol::ids::NodeId;
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
@@ -13,19 +15,19 @@ use tokio::time::Instant;
 fn three_and_five_nodes_elect_one_leader_and_apply_all_writes_in_one_order() {
     for size in [3, 5] {
         on_virtual_time(async {
-            let fleet = Fleet::founded(1, size, usual).await;
+            let fleet = Fleet::bootstrapped(1, size, default_settings).await;
             let leader = fleet.leader().await;
             for number in 0..300 {
-                fleet.live[&leader].propose(Ask::Note(number), SOON).await.expect("a commit");
+                fleet.replicas[&leader].propose(NumberCommand::Append(number), TIMEOUT).await.expect("a commit");
             }
             fleet.until_all_hold(300).await;
             assert_eq!(fleet.common().numbers(), (0..300).collect::<Vec<_>>());
             assert!(fleet.common().written.is_sorted());
-            for name in fleet.live.keys() {
-                let believed = fleet.believed(name);
+            for name in fleet.replicas.keys() {
+                let believed = fleet.view(name);
                 assert_eq!(believed.leader, Some(leader.clone()));
                 assert_eq!(believed.voters.len(), size);
-                assert_eq!(believed.is_me, *name == leader);
+                assert_eq!(believed.is_leader, *name == leader);
             }
         });
     }
@@ -35,20 +37,21 @@ fn three_and_five_nodes_elect_one_leader_and_apply_all_writes_in_one_order() {
 fn a_killed_leader_is_replaced_and_nothing_acknowledged_is_lost() {
     for seed in 0..50 {
         on_virtual_time(async {
-            let mut fleet = Fleet::founded(seed, 5, usual).await;
+            let mut fleet = Fleet::bootstrapped(seed, 5, default_settings).await;
             let mut acknowledged = BTreeMap::new();
             for round in 0..2 {
                 for number in round * 100..round * 100 + 20 {
-                    acknowledged.insert(fleet.note(number).await, number);
+                    acknowledged.insert(fleet.write(number).await, number);
                 }
                 // One more is under way when the leader dies: whether it is committed, nobody can say.
                 let leader = fleet.leader().await;
-                let dying = fleet.live[&leader].clone();
-                let open = tokio::spawn(async move { dying.propose(Ask::Note(1_000_000 + round), SOON).await });
+                let dying = fleet.replicas[&leader].clone();
+                let open =
+                    tokio::spawn(async move { dying.propose(NumberCommand::Append(1_000_000 + round), TIMEOUT).await });
                 tokio::time::sleep(Duration::from_micros(500)).await;
                 open.abort();
                 fleet.kill(&leader);
-                acknowledged.insert(fleet.note(round * 100 + 50).await, round * 100 + 50);
+                acknowledged.insert(fleet.write(round * 100 + 50).await, round * 100 + 50);
             }
             fleet.until_all_hold(acknowledged.len()).await;
             fleet.until_all_agree().await;
@@ -65,16 +68,16 @@ type Chronicle = Vec<(Duration, NodeId, u64, Option<NodeId>, bool)>;
 
 /// Tells a run with two dead leaders, and the digest of all its messages.
 async fn chronicle(seed: u64) -> (Chronicle, u64) {
-    let mut fleet = Fleet::founded(seed, 5, usual).await;
+    let mut fleet = Fleet::bootstrapped(seed, 5, default_settings).await;
     let mut told = Vec::new();
-    let mut last: BTreeMap<NodeId, Leadership> = BTreeMap::new();
+    let mut last: BTreeMap<NodeId, LeadershipView> = BTreeMap::new();
     let mut number = 0;
     for step in 0..3000 {
-        for name in fleet.live.keys() {
-            let believed = fleet.believed(name);
+        for name in fleet.replicas.keys() {
+            let believed = fleet.view(name);
             if last.get(name) != Some(&believed) {
                 let leader = believed.leader.clone();
-                told.push((fleet.began.elapsed(), name.clone(), believed.term, leader, believed.is_me));
+                told.push((fleet.began.elapsed(), name.clone(), believed.term, leader, believed.is_leader));
                 last.insert(name.clone(), believed);
             }
         }
@@ -86,7 +89,7 @@ async fn chronicle(seed: u64) -> (Chronicle, u64) {
             && let [leader] = &fleet.leaders()[..]
         {
             number += 1;
-            let _ = fleet.live[leader].propose(Ask::Note(number), Duration::from_millis(3)).await;
+            let _ = fleet.replicas[leader].propose(NumberCommand::Append(number), Duration::from_millis(3)).await;
         }
         tokio::time::sleep(Duration::from_millis(1)).await;
     }
@@ -107,44 +110,44 @@ fn one_seed_gives_one_run_and_another_gives_another() {
 fn a_leader_in_the_minority_knows_it_and_refuses_while_the_majority_goes_on() {
     for seed in 0..20 {
         on_virtual_time(async {
-            let fleet = Fleet::founded(seed, 5, usual).await;
-            fleet.note(1).await;
+            let fleet = Fleet::bootstrapped(seed, 5, default_settings).await;
+            fleet.write(1).await;
             let old = fleet.leader().await;
-            let companion = fleet.live.keys().find(|name| **name != old).expect("five nodes").clone();
+            let companion = fleet.replicas.keys().find(|name| **name != old).expect("five nodes").clone();
             let majority: Vec<_> =
-                fleet.live.keys().filter(|name| ![&old, &companion].contains(name)).cloned().collect();
-            let old_reign = fleet.believed(&old).reign.expect("a reign");
+                fleet.replicas.keys().filter(|name| ![&old, &companion].contains(name)).cloned().collect();
+            let old_reign = fleet.view(&old).leader_id.expect("a reign");
             fleet.network.partition([vec![old.clone(), companion.clone()], majority.clone()]);
 
             // It cannot know yet: what it proposes now is open for ever, as far as the caller can tell.
             let cut_at = Instant::now();
             let limit = Duration::from_millis(100);
-            let open = fleet.live[&old].propose(Ask::Note(2), limit).await;
+            let open = fleet.replicas[&old].propose(NumberCommand::Append(2), limit).await;
             assert_eq!(open, Err(ProposeError::TimedOut { limit }));
             assert!(cut_at.elapsed() <= limit + Duration::from_millis(2), "{:?}", cut_at.elapsed());
 
-            let mut believed = fleet.live[&old].leadership();
-            believed.wait_for(|now| !now.is_me).await.expect("a replica");
+            let mut believed = fleet.replicas[&old].leadership();
+            believed.wait_for(|now| !now.is_leader).await.expect("a replica");
             let doubted_after = cut_at.elapsed();
             assert!(doubted_after <= Duration::from_millis(281), "{doubted_after:?}, seed {seed}");
             assert!(fleet.leaders().is_empty(), "another led at the same time, seed {seed}");
-            let now = fleet.believed(&old);
-            assert!(now.cut_off && now.reign.is_none() && now.leader.is_none());
+            let now = fleet.view(&old);
+            assert!(now.lost_quorum && now.leader_id.is_none() && now.leader.is_none());
             let refused_at = Instant::now();
-            let refused = fleet.live[&old].propose(Ask::Note(3), limit).await;
+            let refused = fleet.replicas[&old].propose(NumberCommand::Append(3), limit).await;
             assert_eq!(refused, Err(ProposeError::NoQuorum { reachable: 2, voters: 5 }));
             assert_eq!(refused_at.elapsed(), Duration::ZERO);
-            assert!(fleet.live[&old].ensure_leader(limit).await.is_err());
+            assert!(fleet.replicas[&old].ensure_leader(limit).await.is_err());
 
             let new = fleet.leader().await;
             assert!(majority.contains(&new));
-            let new_reign = fleet.believed(&new).reign.expect("a reign");
+            let new_reign = fleet.view(&new).leader_id.expect("a reign");
             assert!(new_reign > old_reign);
-            fleet.live[&new].ensure_leader(SOON).await.expect("a confirmation");
-            fleet.live[&new].propose(Ask::Note(4), SOON).await.expect("a commit");
+            fleet.replicas[&new].ensure_leader(TIMEOUT).await.expect("a confirmation");
+            fleet.replicas[&new].propose(NumberCommand::Append(4), TIMEOUT).await.expect("a commit");
 
             fleet.network.heal();
-            fleet.note(5).await;
+            fleet.write(5).await;
             fleet.until_all_hold(3).await;
             assert_eq!(fleet.common().numbers(), [1, 4, 5], "seed {seed}");
         });
@@ -155,22 +158,22 @@ fn a_leader_in_the_minority_knows_it_and_refuses_while_the_majority_goes_on() {
 fn at_no_instant_do_two_nodes_count_themselves_leader() {
     for seed in 0..12 {
         on_virtual_time(async {
-            let fleet = Fleet::founded(seed, 5, usual).await;
-            let mut last = Reign::default();
+            let fleet = Fleet::bootstrapped(seed, 5, default_settings).await;
+            let mut last = LeaderId::default();
             for round in 0..8 {
                 let leader = fleet.leader().await;
-                let others: Vec<_> = fleet.live.keys().filter(|name| **name != leader).cloned().collect();
+                let others: Vec<_> = fleet.replicas.keys().filter(|name| **name != leader).cloned().collect();
                 match round % 4 {
                     0 => fleet.network.partition([vec![leader.clone()], others]),
-                    1 => fleet.network.mute(leader.clone()),
-                    2 => fleet.network.deafen(leader.clone()),
+                    1 => fleet.network.block_outgoing(leader.clone()),
+                    2 => fleet.network.block_incoming(leader.clone()),
                     _ => fleet.network.pause(&leader),
                 }
                 for step in 0..1500 {
                     let leaders = fleet.leaders();
                     assert!(leaders.len() <= 1, "{leaders:?} at once, seed {seed}, round {round}");
                     if let [leader] = &leaders[..] {
-                        let reign = fleet.believed(leader).reign.expect("a reign");
+                        let reign = fleet.view(leader).leader_id.expect("a reign");
                         assert!(reign >= last, "{reign} after {last}, seed {seed}");
                         last = reign;
                     }
@@ -190,19 +193,19 @@ fn a_leader_that_no_one_hears_is_replaced_and_a_leader_that_hears_no_one_steps_d
     for seed in 0..20 {
         for sending in [true, false] {
             on_virtual_time(async {
-                let fleet = Fleet::founded(seed, 3, usual).await;
-                fleet.note(1).await;
+                let fleet = Fleet::bootstrapped(seed, 3, default_settings).await;
+                fleet.write(1).await;
                 let old = fleet.leader().await;
                 if sending {
-                    fleet.network.mute(old.clone());
+                    fleet.network.block_outgoing(old.clone());
                 } else {
-                    fleet.network.deafen(old.clone());
+                    fleet.network.block_incoming(old.clone());
                 }
-                fleet.until("the old leader doubts", |fleet| !fleet.believed(&old).is_me).await;
+                fleet.until("the old leader doubts", |fleet| !fleet.view(&old).is_leader).await;
                 fleet.until("another leads", |fleet| fleet.leaders().iter().any(|leader| *leader != old)).await;
-                fleet.note(2).await;
+                fleet.write(2).await;
                 fleet.network.heal();
-                fleet.note(3).await;
+                fleet.write(3).await;
                 fleet.until_all_hold(3).await;
                 assert_eq!(fleet.common().numbers(), [1, 2, 3], "seed {seed}");
             });
@@ -213,22 +216,22 @@ fn a_leader_that_no_one_hears_is_replaced_and_a_leader_that_hears_no_one_steps_d
 #[test]
 fn a_node_that_was_cut_off_for_long_catches_up_by_a_snapshot_of_many_chunks() {
     on_virtual_time(async {
-        let fleet = Fleet::founded(3, 3, with_short_logs).await;
+        let fleet = Fleet::bootstrapped(3, 3, with_short_logs).await;
         let leader = fleet.leader().await;
-        let lost = fleet.live.keys().find(|name| **name != leader).expect("three nodes").clone();
-        let others = fleet.live.keys().filter(|name| **name != lost).cloned().collect();
+        let lost = fleet.replicas.keys().find(|name| **name != leader).expect("three nodes").clone();
+        let others = fleet.replicas.keys().filter(|name| **name != lost).cloned().collect();
         fleet.network.partition([vec![lost.clone()], others]);
-        fleet.live[&leader].propose(Ask::Grow(300_000), SOON).await.expect("a commit");
+        fleet.replicas[&leader].propose(NumberCommand::Grow(300_000), TIMEOUT).await.expect("a commit");
         for number in 0..200 {
-            fleet.live[&leader].propose(Ask::Note(number), SOON).await.expect("a commit");
+            fleet.replicas[&leader].propose(NumberCommand::Append(number), TIMEOUT).await.expect("a commit");
         }
-        assert!(fleet.live[&lost].read(|tally| tally.written.is_empty()));
+        assert!(fleet.replicas[&lost].read(|tally| tally.written.is_empty()));
         fleet.network.heal();
         fleet.until_all_hold(200).await;
-        fleet.note(200).await;
+        fleet.write(200).await;
         fleet.until_all_hold(201).await;
         assert_eq!(fleet.common().numbers(), (0..=200).collect::<Vec<_>>());
-        let kept = fleet.disks[&lost].load().await.expect("a memory journal");
+        let kept = fleet.log_stores[&lost].load().await.expect("a memory journal");
         assert!(kept.snapshot.is_some_and(|bytes| bytes.len() > 300_000));
         assert!(kept.entries.len() <= 30, "{} entries kept", kept.entries.len());
     });
@@ -238,20 +241,20 @@ fn a_node_that_was_cut_off_for_long_catches_up_by_a_snapshot_of_many_chunks() {
 fn a_fleet_that_lost_power_takes_up_where_its_journals_end() {
     for seed in 0..10 {
         on_virtual_time(async {
-            let mut fleet = Fleet::founded(seed, 3, with_short_logs).await;
+            let mut fleet = Fleet::bootstrapped(seed, 3, with_short_logs).await;
             for number in 0..50 {
-                fleet.note(number).await;
+                fleet.write(number).await;
             }
-            let ids: Vec<_> = fleet.live.values().map(Replica::id).collect();
-            for name in fleet.live.keys().cloned().collect::<Vec<_>>() {
+            let ids: Vec<_> = fleet.replicas.values().map(Replica::id).collect();
+            for name in fleet.replicas.keys().cloned().collect::<Vec<_>>() {
                 fleet.kill(&name);
             }
-            tokio::time::sleep(SOON).await;
+            tokio::time::sleep(TIMEOUT).await;
             for name in ["ada", "bob", "cyd"] {
                 fleet.start(name).await;
             }
-            assert_eq!(fleet.live.values().map(Replica::id).collect::<Vec<_>>(), ids);
-            fleet.note(50).await;
+            assert_eq!(fleet.replicas.values().map(Replica::id).collect::<Vec<_>>(), ids);
+            fleet.write(50).await;
             fleet.until_all_hold(51).await;
             assert_eq!(fleet.common().numbers(), (0..=50).collect::<Vec<_>>());
         });
@@ -261,42 +264,42 @@ fn a_fleet_that_lost_power_takes_up_where_its_journals_end() {
 #[test]
 fn a_node_that_comes_back_empty_is_another_voter_and_may_take_the_place_of_the_former() {
     on_virtual_time(async {
-        let mut fleet = Fleet::founded(5, 3, usual).await;
-        fleet.note(1).await;
+        let mut fleet = Fleet::bootstrapped(5, 3, default_settings).await;
+        fleet.write(1).await;
         let leader = fleet.leader().await;
-        let lost = fleet.live.keys().find(|name| **name != leader).expect("three nodes").clone();
-        let former = fleet.live[&lost].id();
+        let lost = fleet.replicas.keys().find(|name| **name != leader).expect("three nodes").clone();
+        let former = fleet.replicas[&lost].id();
         fleet.kill(&lost);
         let present = fleet.start_empty(lost.as_str()).await;
         assert_ne!(present, former);
 
         // It is nobody to Raft: it neither stands for election nor counts towards a majority.
-        tokio::time::sleep(SOON).await;
-        let newcomer = fleet.believed(&lost);
-        assert_eq!((newcomer.term, newcomer.reign, newcomer.voters.len()), (0, None, 0));
+        tokio::time::sleep(TIMEOUT).await;
+        let newcomer = fleet.view(&lost);
+        assert_eq!((newcomer.term, newcomer.leader_id, newcomer.voters.len()), (0, None, 0));
         let leader = fleet.leader().await;
-        let voters = fleet.believed(&leader).voters;
+        let voters = fleet.view(&leader).voters;
         assert!(voters.contains_key(&former) && !voters.contains_key(&present));
 
-        let chief = fleet.live[&leader].clone();
+        let chief = fleet.replicas[&leader].clone();
         let kept: BTreeSet<_> = voters.keys().copied().filter(|id| *id != former).chain([present]).collect();
-        let refused = chief.set_voters(kept.clone(), SOON).await;
-        assert_eq!(refused, Err(MemberError::NotObserver(present)));
-        chief.add_observer(present, lost.clone(), SOON).await.expect("a commit");
+        let refused = chief.set_voters(kept.clone(), TIMEOUT).await;
+        assert_eq!(refused, Err(MemberError::NotLearner(present)));
+        chief.add_learner(present, lost.clone(), TIMEOUT).await.expect("a commit");
         fleet.until_all_hold(1).await;
-        chief.set_voters(kept.clone(), SOON).await.expect("a commit");
+        chief.set_voters(kept.clone(), TIMEOUT).await.expect("a commit");
         fleet
             .until("all know", |fleet| {
                 fleet
-                    .live
+                    .replicas
                     .keys()
-                    .all(|name| fleet.believed(name).voters.keys().copied().collect::<BTreeSet<_>>() == kept)
+                    .all(|name| fleet.view(name).voters.keys().copied().collect::<BTreeSet<_>>() == kept)
             })
             .await;
         // The other old voter dies: the newcomer's vote is needed, and given.
-        let third = fleet.live.keys().find(|name| ![&lost, &leader].contains(name)).expect("three nodes").clone();
+        let third = fleet.replicas.keys().find(|name| ![&lost, &leader].contains(name)).expect("three nodes").clone();
         fleet.kill(&third);
-        fleet.note(2).await;
+        fleet.write(2).await;
         fleet.until_all_hold(2).await;
         assert_eq!(fleet.common().numbers(), [1, 2]);
     });
@@ -305,17 +308,17 @@ fn a_node_that_comes_back_empty_is_another_voter_and_may_take_the_place_of_the_f
 #[test]
 fn what_cannot_be_read_is_refused_and_counted_and_what_is_too_large_is_not_proposed() {
     on_virtual_time(async {
-        let fleet = Fleet::founded(6, 3, usual).await;
-        fleet.note(1).await;
+        let fleet = Fleet::bootstrapped(6, 3, default_settings).await;
+        fleet.write(1).await;
         let target = fleet.on("bob").id();
         let stranger = fleet.network.bus(node("zed"));
         for verb in ["vote", "append", "snapshot", "canvass", "succeed", "dance"] {
             let key = format!("consort/ward/wire/raft/{target}/{verb}");
-            let mut replies = stranger.query(&key, vec![1, 255, 255].into(), SOON).await.expect("a query");
+            let mut replies = stranger.query(&key, vec![1, 255, 255].into(), TIMEOUT).await.expect("a query");
             assert!(replies.recv().await.is_some_and(|reply| reply.payload.is_err()), "{verb}");
         }
-        assert_eq!(fleet.on("bob").refused(), 6);
-        fleet.note(2).await;
+        assert_eq!(fleet.on("bob").rejected_requests(), 6);
+        fleet.write(2).await;
         fleet.until_all_hold(2).await;
     });
 }
@@ -324,20 +327,20 @@ fn what_cannot_be_read_is_refused_and_counted_and_what_is_too_large_is_not_propo
 fn a_bad_link_delays_commits_and_loses_none() {
     for seed in 0..10 {
         on_virtual_time(async {
-            let fleet = Fleet::founded(seed, 5, with_short_logs).await;
-            fleet.note(0).await;
+            let fleet = Fleet::bootstrapped(seed, 5, with_short_logs).await;
+            fleet.write(0).await;
             let slow = Duration::from_millis(5);
             let bad = LinkModel { latency_max: slow, loss: 0.1, duplication: 0.1, ..LinkModel::LAN };
             fleet.network.set_link_model(bad);
             let mut acknowledged = BTreeMap::new();
             for number in 1..100 {
-                acknowledged.insert(fleet.note(number).await, number);
+                acknowledged.insert(fleet.write(number).await, number);
             }
             fleet.network.set_link_model(LinkModel::LAN);
-            acknowledged.insert(fleet.note(100).await, 100);
+            acknowledged.insert(fleet.write(100).await, 100);
             let last = *acknowledged.keys().last().expect("a commit");
             fleet
-                .until("all have applied it", |fleet| fleet.live.values().all(|r| *r.applied().borrow() >= last))
+                .until("all have applied it", |fleet| fleet.replicas.values().all(|r| *r.applied().borrow() >= last))
                 .await;
             let held: BTreeMap<_, _> = fleet.common().written.into_iter().collect();
             assert!(acknowledged.iter().all(|(at, number)| held.get(at) == Some(number)), "seed {seed}");
@@ -348,14 +351,15 @@ fn a_bad_link_delays_commits_and_loses_none() {
 #[test]
 fn founding_twice_changes_nothing() {
     on_virtual_time(async {
-        let fleet = Fleet::founded(7, 3, usual).await;
-        let members: BTreeMap<_, _> = fleet.live.iter().map(|(name, replica)| (replica.id(), name.clone())).collect();
+        let fleet = Fleet::bootstrapped(7, 3, default_settings).await;
+        let members: BTreeMap<_, _> =
+            fleet.replicas.iter().map(|(name, replica)| (replica.id(), name.clone())).collect();
         // Two of them founded the same fleet, the second perhaps before it heard of the first.
         let _ = fleet.on("bob").bootstrap(members.clone()).await;
-        fleet.note(1).await;
+        fleet.write(1).await;
         fleet.until_all_hold(1).await;
         let again = fleet.on("cyd").bootstrap(members).await;
-        assert_eq!(again, Err(BootstrapError::Already));
+        assert_eq!(again, Err(BootstrapError::AlreadyBootstrapped));
         assert_eq!(fleet.common().numbers(), [1]);
     });
 }
@@ -364,20 +368,20 @@ fn founding_twice_changes_nothing() {
 fn a_voter_that_returns_does_not_unseat_the_leader() {
     for seed in 0..15 {
         on_virtual_time(async {
-            let fleet = Fleet::founded(seed, 5, usual).await;
-            fleet.note(1).await;
+            let fleet = Fleet::bootstrapped(seed, 5, default_settings).await;
+            fleet.write(1).await;
             let leader = fleet.leader().await;
-            let reign = fleet.believed(&leader).reign;
-            let lost = fleet.live.keys().find(|name| **name != leader).expect("five nodes").clone();
-            let others = fleet.live.keys().filter(|name| **name != lost).cloned().collect();
+            let reign = fleet.view(&leader).leader_id;
+            let lost = fleet.replicas.keys().find(|name| **name != leader).expect("five nodes").clone();
+            let others = fleet.replicas.keys().filter(|name| **name != lost).cloned().collect();
             fleet.network.partition([vec![lost.clone()], others]);
-            tokio::time::sleep(SOON).await;
+            tokio::time::sleep(TIMEOUT).await;
             fleet.network.heal();
-            tokio::time::sleep(SOON).await;
-            fleet.note(2).await;
+            tokio::time::sleep(TIMEOUT).await;
+            fleet.write(2).await;
             fleet.until_all_hold(2).await;
-            for name in fleet.live.keys() {
-                assert_eq!(fleet.believed(name).reign, reign, "{name}, seed {seed}");
+            for name in fleet.replicas.keys() {
+                assert_eq!(fleet.view(name).leader_id, reign, "{name}, seed {seed}");
             }
         });
     }

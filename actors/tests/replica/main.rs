@@ -1,7 +1,7 @@
 //! A replicated ledger on the virtual bus.
 
-mod gathering;
+mod failover;
+mod group_commit;
+mod leadership_transfer;
 mod ledger;
-mod succession;
 mod support;
-mod takeover;

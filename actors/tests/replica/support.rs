@@ -2,8 +2,8 @@
 
 use consort_actors::bus::SharedBus;
 use consort_actors::bus::virtual_bus::{LinkModel, VirtualNetwork};
-use consort_actors::replica::{
-    Epoch, Journal, Leadership, MemoryJournal, RaftId, Replica, ReplicaSettings, StateMachine,
+use consort_actors::raft::{
+    Epoch, LeadershipView, LogStore, MemoryLogStore, RaftId, RaftSettings, Replica, StateMachine,
 };
 use consort_protocol::ids::{FleetId, NodeId};
 use serde::{Deserialize, Serialize};
@@ -13,36 +13,36 @@ use std::sync::Arc;
 use std::time::Duration;
 use tokio::time::Instant;
 
-pub(crate) const SOON: Duration = Duration::from_secs(5);
+pub(crate) const TIMEOUT: Duration = Duration::from_secs(5);
 pub(crate) const NAMES: [&str; 7] = ["ada", "bob", "cyd", "dan", "eve", "fay", "gus"];
 
 /// A list of numbers, each with the place at which it was written.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
-pub(crate) struct Tally {
+pub(crate) struct NumberList {
     pub(crate) written: Vec<(Epoch, u64)>,
     pub(crate) ballast: Vec<u8>,
 }
 
 #[derive(Debug, Clone, Serialize, Deserialize)]
-pub(crate) enum Ask {
-    Note(u64),
+pub(crate) enum NumberCommand {
+    Append(u64),
     Grow(usize),
 }
 
-impl StateMachine for Tally {
-    type Command = Ask;
+impl StateMachine for NumberList {
+    type Command = NumberCommand;
     type Outcome = Epoch;
 
-    fn apply(&mut self, at: Epoch, command: Ask) -> Epoch {
+    fn apply(&mut self, at: Epoch, command: NumberCommand) -> Epoch {
         match command {
-            Ask::Note(number) => self.written.push((at, number)),
-            Ask::Grow(bytes) => self.ballast.resize(bytes, 7),
+            NumberCommand::Append(number) => self.written.push((at, number)),
+            NumberCommand::Grow(bytes) => self.ballast.resize(bytes, 7),
         }
         at
     }
 }
 
-impl Tally {
+impl NumberList {
     pub(crate) fn numbers(&self) -> Vec<u64> {
         self.written.iter().map(|(_, number)| *number).collect()
     }
@@ -65,37 +65,38 @@ pub(crate) fn on_virtual_time<T>(story: impl Future<Output = T>) -> T {
 pub(crate) struct Fleet {
     pub(crate) seed: u64,
     pub(crate) network: VirtualNetwork,
-    pub(crate) settings: fn(NodeId) -> ReplicaSettings,
-    pub(crate) live: BTreeMap<NodeId, Replica<Tally>>,
-    pub(crate) disks: BTreeMap<NodeId, MemoryJournal>,
+    pub(crate) settings: fn(NodeId) -> RaftSettings,
+    pub(crate) replicas: BTreeMap<NodeId, Replica<NumberList>>,
+    pub(crate) log_stores: BTreeMap<NodeId, MemoryLogStore>,
     pub(crate) began: Instant,
     pub(crate) starts: u64,
 }
 
-pub(crate) fn usual(node: NodeId) -> ReplicaSettings {
-    ReplicaSettings::new(FleetId::new("ward").expect("a slug"), node)
+pub(crate) fn default_settings(node: NodeId) -> RaftSettings {
+    RaftSettings::new(FleetId::new("ward").expect("a slug"), node)
 }
 
-pub(crate) fn with_short_logs(node: NodeId) -> ReplicaSettings {
-    ReplicaSettings { snapshot_every: 20, log_kept: 5, ..usual(node) }
+pub(crate) fn with_short_logs(node: NodeId) -> RaftSettings {
+    RaftSettings { snapshot_every: 20, log_entries_kept: 5, ..default_settings(node) }
 }
 
 impl Fleet {
     /// `size` nodes that have met and founded a fleet; no leader yet.
-    pub(crate) async fn founded(seed: u64, size: usize, settings: fn(NodeId) -> ReplicaSettings) -> Fleet {
+    pub(crate) async fn bootstrapped(seed: u64, size: usize, settings: fn(NodeId) -> RaftSettings) -> Fleet {
         let mut fleet = Fleet {
             seed,
             network: VirtualNetwork::new(seed, LinkModel::LAN),
             settings,
-            live: BTreeMap::new(),
-            disks: BTreeMap::new(),
+            replicas: BTreeMap::new(),
+            log_stores: BTreeMap::new(),
             began: Instant::now(),
             starts: 0,
         };
         for name in &NAMES[..size] {
             fleet.start_empty(name).await;
         }
-        let members: BTreeMap<_, _> = fleet.live.iter().map(|(name, replica)| (replica.id(), name.clone())).collect();
+        let members: BTreeMap<_, _> =
+            fleet.replicas.iter().map(|(name, replica)| (replica.id(), name.clone())).collect();
         fleet.on("ada").bootstrap(members).await.expect("a first founding");
         fleet
     }
@@ -104,7 +105,7 @@ impl Fleet {
     pub(crate) async fn start_empty(&mut self, name: &str) -> RaftId {
         self.starts += 1;
         let seed = self.seed.wrapping_mul(1000) + self.starts;
-        self.disks.insert(node(name), MemoryJournal::new(seed));
+        self.log_stores.insert(node(name), MemoryLogStore::new(seed));
         self.start(name).await
     }
 
@@ -112,31 +113,31 @@ impl Fleet {
     pub(crate) async fn start(&mut self, name: &str) -> RaftId {
         self.starts += 1;
         let seed = self.seed.wrapping_mul(1000) + self.starts;
-        let disk: Arc<dyn Journal> = Arc::new(self.disks[&node(name)].clone());
+        let disk: Arc<dyn LogStore> = Arc::new(self.log_stores[&node(name)].clone());
         let bus: SharedBus = Arc::new(self.network.bus(node(name)));
         let replica = Replica::start((self.settings)(node(name)), bus, disk, seed).await.expect("a start");
         let id = replica.id();
-        self.live.insert(node(name), replica);
+        self.replicas.insert(node(name), replica);
         id
     }
 
     /// Ends a node as a power cut does.
     pub(crate) fn kill(&mut self, name: &NodeId) {
         self.network.crash(name);
-        self.live.remove(name).expect("a live node");
+        self.replicas.remove(name).expect("a live node");
     }
 
-    pub(crate) fn on(&self, name: &str) -> &Replica<Tally> {
-        &self.live[&node(name)]
+    pub(crate) fn on(&self, name: &str) -> &Replica<NumberList> {
+        &self.replicas[&node(name)]
     }
 
-    pub(crate) fn believed(&self, name: &NodeId) -> Leadership {
-        self.live[name].leadership().borrow().clone()
+    pub(crate) fn view(&self, name: &NodeId) -> LeadershipView {
+        self.replicas[name].leadership().borrow().clone()
     }
 
     /// Who count themselves leader at this moment.
     pub(crate) fn leaders(&self) -> Vec<NodeId> {
-        self.live.keys().filter(|name| self.believed(name).is_me).cloned().collect()
+        self.replicas.keys().filter(|name| self.view(name).is_leader).cloned().collect()
     }
 
     /// Waits until `done`, looking every virtual millisecond.
@@ -154,10 +155,12 @@ impl Fleet {
     }
 
     /// Writes a number through whoever leads, as often as it takes; tells where it stands.
-    pub(crate) async fn note(&self, number: u64) -> Epoch {
+    pub(crate) async fn write(&self, number: u64) -> Epoch {
         loop {
             let leader = self.leader().await;
-            if let Ok(at) = self.live[&leader].propose(Ask::Note(number), Duration::from_millis(500)).await {
+            if let Ok(at) =
+                self.replicas[&leader].propose(NumberCommand::Append(number), Duration::from_millis(500)).await
+            {
                 return at;
             }
             tokio::time::sleep(Duration::from_millis(1)).await;
@@ -166,7 +169,7 @@ impl Fleet {
 
     pub(crate) async fn until_all_hold(&self, count: usize) {
         self.until("all have applied everything", |fleet| {
-            fleet.live.values().all(|replica| replica.read(|tally| tally.written.len()) >= count)
+            fleet.replicas.values().all(|replica| replica.read(|tally| tally.written.len()) >= count)
         })
         .await;
     }
@@ -174,7 +177,7 @@ impl Fleet {
     /// Waits until all have applied the same, which is all that was acknowledged: whoever leads had it applied before.
     pub(crate) async fn until_all_agree(&self) {
         self.until("all hold the same", |fleet| {
-            let mut held = fleet.live.values().map(|replica| replica.read(Tally::clone));
+            let mut held = fleet.replicas.values().map(|replica| replica.read(NumberList::clone));
             let first = held.next();
             held.all(|tally| Some(&tally) == first.as_ref())
         })
@@ -182,8 +185,8 @@ impl Fleet {
     }
 
     /// What all nodes hold, which must be one and the same.
-    pub(crate) fn common(&self) -> Tally {
-        let mut all = self.live.values().map(|replica| replica.read(Tally::clone));
+    pub(crate) fn common(&self) -> NumberList {
+        let mut all = self.replicas.values().map(|replica| replica.read(NumberList::clone));
         let first = all.next().expect("a live node");
         for other in all {
             assert_eq!(first, other, "seed {}", self.seed);

@@ -3,7 +3,7 @@
 //! The disk is simulated: what was written and not synced may be on it after a power cut, sector by sector, or not.
 
 use super::{bytes, owner};
-use consort_actors::replica::{Journal, Recorded, StoreIdentity};
+use consort_actors::raft::{LogStore, PersistentState, StoreIdentity};
 use consort_actors::store::{DurableStore, OpenError, StorageBackend};
 use rand::{RngExt as _, SeedableRng as _};
 use rand_chacha::ChaCha8Rng;
@@ -171,8 +171,13 @@ impl StorageBackend for File {
 }
 
 /// Writes `count` times, and tells what must be there after each of them, and before the first.
-async fn write_all(store: &DurableStore, machine: &Machine, rng: &mut ChaCha8Rng, count: usize) -> Vec<Recorded> {
-    let mut now = Recorded::default();
+async fn write_all(
+    store: &DurableStore,
+    machine: &Machine,
+    rng: &mut ChaCha8Rng,
+    count: usize,
+) -> Vec<PersistentState> {
+    let mut now = PersistentState::default();
     let mut all = vec![now.clone()];
     let mut next = 0;
     let mut first = 0;
@@ -181,7 +186,7 @@ async fn write_all(store: &DurableStore, machine: &Machine, rng: &mut ChaCha8Rng
             0..2 => {
                 let vote = bytes(rng, 40);
                 now.vote = Some(vote.clone());
-                store.record_vote(vote).await
+                store.save_vote(vote).await
             }
             2 if next > first => {
                 next = rng.random_range(first..next);
@@ -191,7 +196,7 @@ async fn write_all(store: &DurableStore, machine: &Machine, rng: &mut ChaCha8Rng
             3 => {
                 let snapshot = bytes(rng, 30_000);
                 now.snapshot = Some(snapshot.clone());
-                store.keep_snapshot(snapshot).await
+                store.save_snapshot(snapshot).await
             }
             4 if next > first => {
                 let through = rng.random_range(first..next);
@@ -236,7 +241,7 @@ fn whatever_moment_the_power_fails_at_all_that_was_acknowledged_is_there() {
         for (number, Image { files, acknowledged, kind }) in images.into_iter().enumerate() {
             let what = format!("{kind} {number} after {acknowledged} writes, seed {seed}");
             let store = Machine::holding(files).open().unwrap_or_else(|problem| panic!("{what}: {problem}"));
-            let found = store.recorded().expect("a journal");
+            let found = store.persistent_state().expect("a journal");
             // The write under way may have been finished or not.
             let possible = &all[acknowledged..all.len().min(acknowledged + 2)];
             assert!(possible.contains(&found), "{what}: something else is there");
@@ -264,10 +269,10 @@ fn a_store_whose_disk_is_full_says_so_writes_nothing_more_and_has_lost_nothing()
     assert_eq!(problem.to_string(), "ledger.redb cannot be written: No space left on device (os error 28)");
     // Even if there is room again: what is on disk is known again only after the next start.
     machine.inside().room = None;
-    let problem = super::block_on(store.record_vote(vec![1])).expect_err("a store that has failed");
+    let problem = super::block_on(store.save_vote(vec![1])).expect_err("a store that has failed");
     assert!(problem.to_string().contains("an earlier write has failed: No space left on device"), "{problem}");
     drop(store);
-    let found = machine.open().expect("the same store").recorded().expect("a journal");
+    let found = machine.open().expect("the same store").persistent_state().expect("a journal");
     assert!(found.entries.len() as u64 >= acknowledged, "{} of {acknowledged}", found.entries.len());
     assert_eq!(found.vote, None);
 }

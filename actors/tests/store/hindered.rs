@@ -1,7 +1,7 @@
 //! A journal with something in the way of its writes.
 
 use async_trait::async_trait;
-use consort_actors::replica::{Journal, Recorded, StoreIdentity};
+use consort_actors::raft::{LogStore, PersistentState, StoreIdentity};
 use std::io;
 
 /// A kind of write.
@@ -16,60 +16,60 @@ pub(super) enum Write {
 
 /// What is in the way.
 #[async_trait]
-pub(super) trait Hindrance: Send + Sync + 'static {
+pub(super) trait WriteHook: Send + Sync + 'static {
     /// Comes before each write, which is not carried out after an error.
     async fn before(&self, write: Write) -> io::Result<()>;
 
     /// Comes after each write, with all that the journal has recorded.
-    fn after(&self, _: Write, _: Recorded) {}
+    fn after(&self, _: Write, _: PersistentState) {}
 }
 
 /// The journal.
-pub(super) struct Hindered<J, H> {
-    pub(super) journal: J,
-    pub(super) by: H,
+pub(super) struct HookedLogStore<J, H> {
+    pub(super) inner: J,
+    pub(super) hook: H,
 }
 
-impl<J: Journal, H: Hindrance> Hindered<J, H> {
+impl<J: LogStore, H: WriteHook> HookedLogStore<J, H> {
     async fn around(&self, write: Write, carried_out: impl Future<Output = io::Result<()>>) -> io::Result<()> {
-        self.by.before(write).await?;
+        self.hook.before(write).await?;
         carried_out.await?;
-        self.by.after(write, self.journal.load().await?);
+        self.hook.after(write, self.inner.load().await?);
         Ok(())
     }
 }
 
 #[async_trait]
-impl<J: Journal, H: Hindrance> Journal for Hindered<J, H> {
+impl<J: LogStore, H: WriteHook> LogStore for HookedLogStore<J, H> {
     fn identity(&self) -> StoreIdentity {
-        self.journal.identity()
+        self.inner.identity()
     }
 
-    async fn load(&self) -> io::Result<Recorded> {
-        self.journal.load().await
+    async fn load(&self) -> io::Result<PersistentState> {
+        self.inner.load().await
     }
 
-    async fn record_vote(&self, vote: Vec<u8>) -> io::Result<()> {
-        self.around(Write::Vote, self.journal.record_vote(vote)).await
+    async fn save_vote(&self, vote: Vec<u8>) -> io::Result<()> {
+        self.around(Write::Vote, self.inner.save_vote(vote)).await
     }
 
-    async fn record_committed(&self, committed: Option<Vec<u8>>) -> io::Result<()> {
-        self.journal.record_committed(committed).await
+    async fn save_committed(&self, committed: Option<Vec<u8>>) -> io::Result<()> {
+        self.inner.save_committed(committed).await
     }
 
     async fn append(&self, entries: Vec<(u64, Vec<u8>)>) -> io::Result<()> {
-        self.around(Write::Append, self.journal.append(entries)).await
+        self.around(Write::Append, self.inner.append(entries)).await
     }
 
     async fn truncate(&self, index: u64) -> io::Result<()> {
-        self.around(Write::Truncate, self.journal.truncate(index)).await
+        self.around(Write::Truncate, self.inner.truncate(index)).await
     }
 
     async fn purge(&self, index: u64, last: Vec<u8>) -> io::Result<()> {
-        self.around(Write::Purge, self.journal.purge(index, last)).await
+        self.around(Write::Purge, self.inner.purge(index, last)).await
     }
 
-    async fn keep_snapshot(&self, snapshot: Vec<u8>) -> io::Result<()> {
-        self.around(Write::Snapshot, self.journal.keep_snapshot(snapshot)).await
+    async fn save_snapshot(&self, snapshot: Vec<u8>) -> io::Result<()> {
+        self.around(Write::Snapshot, self.inner.save_snapshot(snapshot)).await
     }
 }

@@ -1,14 +1,14 @@
 //! A replica on a store on disk: it comes back as the same member, with its vote and all that it held.
 
-use super::hindered::{Hindered, Hindrance, Write};
+use super::hindered::{HookedLogStore, Write, WriteHook};
 use super::{Folder, owner};
 use async_trait::async_trait;
 use consort_actors::bus::virtual_bus::{LinkModel, VirtualNetwork};
-use consort_actors::replica::{
-    Epoch, Journal, MemoryJournal, RaftId, Recorded, Replica, ReplicaSettings, StartError, StateMachine, StoreIdentity,
-    holdings, sole_voter,
+use consort_actors::raft::{
+    Epoch, LogStore, MemoryLogStore, PersistentState, RaftId, RaftSettings, Replica, StartError, StateMachine,
+    StoreIdentity, inspect_log_store, recover_as_only_voter,
 };
-use consort_actors::store::{DurableStore, LEDGER, recover};
+use consort_actors::store::{DurableStore, LEDGER_FILE, recover};
 use consort_protocol::ids::{ClusterId, NodeId};
 use consort_protocol::ledger::{Command, Ledger};
 use serde::{Deserialize, Serialize};
@@ -24,9 +24,9 @@ pub(super) const NAMES: [&str; 3] = ["ada", "bob", "cyd"];
 
 /// A list of numbers.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
-pub(super) struct Tally(pub(super) Vec<u64>);
+pub(super) struct NumberList(pub(super) Vec<u64>);
 
-impl StateMachine for Tally {
+impl StateMachine for NumberList {
     type Command = u64;
     type Outcome = usize;
 
@@ -38,42 +38,42 @@ impl StateMachine for Tally {
 
 pub(super) struct Fleet {
     pub(super) network: VirtualNetwork,
-    pub(super) live: BTreeMap<&'static str, Replica<Tally>>,
+    pub(super) replicas: BTreeMap<&'static str, Replica<NumberList>>,
     starts: u64,
 }
 
-pub(super) fn settings(name: &str) -> ReplicaSettings {
+pub(super) fn settings(name: &str) -> RaftSettings {
     let owner = owner(name);
-    ReplicaSettings { snapshot_every: 50, log_kept: 20, ..ReplicaSettings::new(owner.fleet, owner.node) }
+    RaftSettings { snapshot_every: 50, log_entries_kept: 20, ..RaftSettings::new(owner.fleet, owner.node) }
 }
 
-pub(super) fn on_disk(folder: &Path, name: &str) -> Arc<dyn Journal> {
+pub(super) fn on_disk(folder: &Path, name: &str) -> Arc<dyn LogStore> {
     let fresh = StoreIdentity(name.len() as u128 + u128::from(name.as_bytes()[0]));
     Arc::new(DurableStore::open(&folder.join(name), &owner(name), fresh).expect("a store"))
 }
 
 impl Fleet {
     pub(super) fn new(seed: u64) -> Fleet {
-        Fleet { network: VirtualNetwork::new(seed, LinkModel::LAN), live: BTreeMap::new(), starts: seed * 100 }
+        Fleet { network: VirtualNetwork::new(seed, LinkModel::LAN), replicas: BTreeMap::new(), starts: seed * 100 }
     }
 
-    pub(super) async fn start(&mut self, name: &'static str, journal: Arc<dyn Journal>) -> RaftId {
+    pub(super) async fn start(&mut self, name: &'static str, journal: Arc<dyn LogStore>) -> RaftId {
         self.starts += 1;
         let bus = Arc::new(self.network.bus(NodeId::new(name).expect("a slug")));
         let replica = Replica::start(settings(name), bus, journal, self.starts).await.expect("a start");
         let id = replica.id();
-        self.live.insert(name, replica);
+        self.replicas.insert(name, replica);
         id
     }
 
-    pub(super) async fn found(&self) {
-        let members = self.live.iter().map(|(name, replica)| (replica.id(), NodeId::new(*name).expect("a slug")));
-        self.live["ada"].bootstrap(members.collect()).await.expect("a first founding");
+    pub(super) async fn bootstrap(&self) {
+        let members = self.replicas.iter().map(|(name, replica)| (replica.id(), NodeId::new(*name).expect("a slug")));
+        self.replicas["ada"].bootstrap(members.collect()).await.expect("a first founding");
     }
 
     /// Ends all nodes at once.
     pub(super) async fn stop(&mut self) {
-        for (name, replica) in std::mem::take(&mut self.live) {
+        for (name, replica) in std::mem::take(&mut self.replicas) {
             self.network.crash(&NodeId::new(name).expect("a slug"));
             replica.shutdown().await;
         }
@@ -92,17 +92,17 @@ impl Fleet {
 
     pub(super) async fn leader(&self) -> &'static str {
         let leads = |fleet: &Fleet| {
-            let mut all = fleet.live.iter();
-            all.find(|(_, replica)| replica.leadership().borrow().is_me).map(|(name, _)| *name)
+            let mut all = fleet.replicas.iter();
+            all.find(|(_, replica)| replica.leadership().borrow().is_leader).map(|(name, _)| *name)
         };
         self.until("somebody leads", leads).await
     }
 
-    pub(super) async fn note(&self, numbers: impl IntoIterator<Item = u64>) {
+    pub(super) async fn write(&self, numbers: impl IntoIterator<Item = u64>) {
         for number in numbers {
             loop {
                 let leader = self.leader().await;
-                if self.live[leader].propose(number, Duration::from_secs(2)).await.is_ok() {
+                if self.replicas[leader].propose(number, Duration::from_secs(2)).await.is_ok() {
                     break;
                 }
                 tokio::time::sleep(Duration::from_millis(1)).await;
@@ -112,7 +112,7 @@ impl Fleet {
 
     pub(super) async fn until_all_hold(&self, count: usize) {
         let hold = |fleet: &Fleet| {
-            fleet.live.values().all(|replica| replica.read(|tally| tally.0.len() == count)).then_some(())
+            fleet.replicas.values().all(|replica| replica.read(|tally| tally.0.len() == count)).then_some(())
         };
         self.until("all hold everything", hold).await;
     }
@@ -142,13 +142,13 @@ fn a_fleet_that_was_switched_off_comes_back_as_the_same_members_with_all_that_it
         for name in NAMES {
             ids.insert(name, fleet.start(name, on_disk(&folder, name)).await);
         }
-        fleet.found().await;
+        fleet.bootstrap().await;
         let mut terms = 0;
         for round in 1..4_u64 {
-            fleet.note((round - 1) * 150..round * 150).await;
+            fleet.write((round - 1) * 150..round * 150).await;
             let count = usize::try_from(round * 150).expect("a small number");
             fleet.until_all_hold(count).await;
-            let term = |fleet: &Fleet| fleet.live["ada"].leadership().borrow().term;
+            let term = |fleet: &Fleet| fleet.replicas["ada"].leadership().borrow().term;
             assert!(term(&fleet) >= terms, "a vote was forgotten");
             terms = term(&fleet);
             fleet.stop().await;
@@ -156,12 +156,12 @@ fn a_fleet_that_was_switched_off_comes_back_as_the_same_members_with_all_that_it
                 until_free(&folder, name).await;
                 assert_eq!(fleet.start(name, on_disk(&folder, name)).await, ids[name]);
                 // Its vote is what it starts from: it knows the term before it has heard anybody.
-                let mut leadership = fleet.live[name].leadership();
+                let mut leadership = fleet.replicas[name].leadership();
                 let first = leadership.wait_for(|now| now.term > 0).await.expect("a replica").term;
                 assert!(first >= terms, "{name} knows of term {first} only, and it voted in {terms}");
             }
             fleet.until_all_hold(count).await;
-            assert_eq!(fleet.live["cyd"].read(Tally::clone).0, (0..round * 150).collect::<Vec<_>>());
+            assert_eq!(fleet.replicas["cyd"].read(NumberList::clone).0, (0..round * 150).collect::<Vec<_>>());
         }
     });
 }
@@ -172,18 +172,18 @@ fn the_disk_a_store_takes_stays_bounded_however_much_is_written() {
     on_virtual_time(async {
         let mut fleet = Fleet::new(2);
         fleet.start("ada", on_disk(&folder, "ada")).await;
-        fleet.found().await;
-        let size = || std::fs::metadata(folder.join("ada").join(LEDGER)).expect("a file").len();
-        fleet.note(0..150).await;
+        fleet.bootstrap().await;
+        let size = || std::fs::metadata(folder.join("ada").join(LEDGER_FILE)).expect("a file").len();
+        fleet.write(0..150).await;
         let early = size();
         // Twenty snapshots more; the state itself grows by some kilobytes.
-        fleet.note(150..1150).await;
+        fleet.write(150..1150).await;
         let late = size();
         assert!(late <= early.max(2 << 20), "{early} bytes became {late}");
         fleet.stop().await;
         until_free(&folder, "ada").await;
         let reopened = on_disk(&folder, "ada");
-        let Recorded { entries, snapshot, purged, .. } = reopened.load().await.expect("a journal");
+        let PersistentState { entries, snapshot, purged, .. } = reopened.load().await.expect("a journal");
         assert!(entries.len() <= 2 * 50 + 20, "{} entries are kept", entries.len());
         assert!(snapshot.is_some() && purged.is_some());
         fleet.start("ada", reopened).await;
@@ -196,7 +196,7 @@ fn the_disk_a_store_takes_stays_bounded_however_much_is_written() {
 struct Filling(AtomicBool);
 
 #[async_trait]
-impl Hindrance for Filling {
+impl WriteHook for Filling {
     async fn before(&self, _: Write) -> io::Result<()> {
         if self.0.load(Ordering::SeqCst) { Err(io::ErrorKind::StorageFull.into()) } else { Ok(()) }
     }
@@ -208,28 +208,29 @@ fn a_leader_whose_disk_is_full_gives_up_for_good_and_says_so_and_another_takes_o
         let mut fleet = Fleet::new(3);
         let mut disks = BTreeMap::new();
         for (seed, name) in (70..).zip(NAMES) {
-            let disk = Arc::new(Hindered { journal: MemoryJournal::new(seed), by: Filling::default() });
+            let disk = Arc::new(HookedLogStore { inner: MemoryLogStore::new(seed), hook: Filling::default() });
             fleet.start(name, Arc::clone(&disk) as _).await;
             disks.insert(name, disk);
         }
-        fleet.found().await;
-        fleet.note(0..10).await;
+        fleet.bootstrap().await;
+        fleet.write(0..10).await;
         let old = fleet.leader().await;
-        disks[old].by.0.store(true, Ordering::SeqCst);
-        let answer = fleet.live[old].propose(10, Duration::from_secs(2)).await;
+        disks[old].hook.0.store(true, Ordering::SeqCst);
+        let answer = fleet.replicas[old].propose(10, Duration::from_secs(2)).await;
         assert!(answer.is_err(), "{answer:?}");
-        let failed = fleet.live[old].failed();
+        let failed = fleet.replicas[old].wait_failed();
         let problem = tokio::time::timeout(Duration::from_secs(5), failed).await.expect("an end");
         assert!(problem.contains("no storage space"), "{problem}");
-        assert!(!fleet.live[old].leadership().borrow().is_me);
+        assert!(!fleet.replicas[old].leadership().borrow().is_leader);
         fleet.network.crash(&NodeId::new(old).expect("a slug"));
-        fleet.live.remove(old);
-        fleet.note(11..20).await;
+        fleet.replicas.remove(old);
+        fleet.write(11..20).await;
         fleet
             .until("all hold everything", |fleet| {
-                let whole =
-                    |tally: &Tally| tally.0.iter().filter(|number| **number != 10).copied().eq((0..10).chain(11..20));
-                fleet.live.values().all(|replica| replica.read(whole)).then_some(())
+                let whole = |tally: &NumberList| {
+                    tally.0.iter().filter(|number| **number != 10).copied().eq((0..10).chain(11..20))
+                };
+                fleet.replicas.values().all(|replica| replica.read(whole)).then_some(())
             })
             .await;
     });
@@ -241,12 +242,12 @@ fn a_log_with_a_gap_or_without_its_beginning_is_refused() {
     on_virtual_time(async {
         let mut fleet = Fleet::new(4);
         fleet.start("ada", on_disk(&folder, "ada")).await;
-        fleet.found().await;
-        fleet.note(0..40).await;
+        fleet.bootstrap().await;
+        fleet.write(0..40).await;
         fleet.stop().await;
         until_free(&folder, "ada").await;
         let whole = on_disk(&folder, "ada").load().await.expect("a journal");
-        let with = |change: fn(&mut Recorded)| {
+        let with = |change: fn(&mut PersistentState)| {
             let mut changed = whole.clone();
             change(&mut changed);
             changed
@@ -263,9 +264,11 @@ fn a_log_with_a_gap_or_without_its_beginning_is_refused() {
             let store = DurableStore::open_existing(&folder.join("ada")).expect("a store");
             store.replace(recorded).expect("a write");
             let bus = Arc::new(fleet.network.bus(NodeId::new("ada").expect("a slug")));
-            let refused = Replica::<Tally>::start(settings("ada"), bus, Arc::new(store), 1).await;
-            let Err(StartError::Journal { place, problem }) = refused else { panic!("{what}: it was taken up") };
-            assert!(place.ends_with(LEDGER), "{place}");
+            let refused = Replica::<NumberList>::start(settings("ada"), bus, Arc::new(store), 1).await;
+            let Err(StartError::LogStore { location: place, problem }) = refused else {
+                panic!("{what}: it was taken up")
+            };
+            assert!(place.ends_with(LEDGER_FILE), "{place}");
             assert_eq!(problem.kind(), io::ErrorKind::InvalidData);
             assert!(problem.to_string().contains(what), "{problem}");
         }
@@ -280,55 +283,56 @@ fn the_last_of_three_is_made_the_only_voter_with_all_that_it_held_and_others_joi
         for name in NAMES {
             fleet.start(name, on_disk(&folder, name)).await;
         }
-        fleet.found().await;
-        fleet.note(0..70).await;
+        fleet.bootstrap().await;
+        fleet.write(0..70).await;
         fleet.until_all_hold(70).await;
-        let term = fleet.live["cyd"].leadership().borrow().term;
+        let term = fleet.replicas["cyd"].leadership().borrow().term;
         fleet.stop().await;
         until_free(&folder, "cyd").await;
 
         let store = DurableStore::open_existing(&folder.join("cyd")).expect("a store");
-        let before = holdings::<Tally>(store.recorded().expect("a journal")).expect("a whole one");
+        let before =
+            inspect_log_store::<NumberList>(store.persistent_state().expect("a journal")).expect("a whole one");
         assert_eq!(before.state.0, (0..70).collect::<Vec<_>>());
         assert_eq!(before.voters.into_values().collect::<BTreeSet<_>>(), NAMES.map(|n| NodeId::new(n).unwrap()).into());
         assert!(before.committed <= before.last && before.term >= term);
-        let recovered = sole_voter::<Tally>(
-            store.recorded().expect("a journal"),
+        let recovered = recover_as_only_voter::<NumberList>(
+            store.persistent_state().expect("a journal"),
             &NodeId::new("cyd").expect("a slug"),
             store.identity(),
             |tally| tally.0.push(1000),
         );
         store.replace(recovered.expect("something to recover")).expect("a write");
-        let after = holdings::<Tally>(store.recorded().expect("a journal")).expect("a whole one");
+        let after = inspect_log_store::<NumberList>(store.persistent_state().expect("a journal")).expect("a whole one");
         assert_eq!((after.term, after.last, after.committed), (before.term, before.last, before.last));
         assert_eq!(after.voters.len(), 1);
         drop(store);
 
         let id = fleet.start("cyd", on_disk(&folder, "cyd")).await;
         assert_eq!(fleet.leader().await, "cyd");
-        let now = fleet.live["cyd"].leadership().borrow().clone();
+        let now = fleet.replicas["cyd"].leadership().borrow().clone();
         assert_eq!(now.voters.keys().copied().collect::<Vec<_>>(), [id]);
         assert!(now.term > term, "{} after {term}", now.term);
-        fleet.note([70]).await;
+        fleet.write([70]).await;
         let held = || (0..70).chain([1000, 70]).collect::<Vec<_>>();
-        assert_eq!(fleet.live["cyd"].read(Tally::clone).0, held());
+        assert_eq!(fleet.replicas["cyd"].read(NumberList::clone).0, held());
 
         // The others come with empty stores.
         std::fs::remove_dir_all(folder.join("ada")).expect("a folder");
         let other = fleet.start("ada", on_disk(&folder, "ada")).await;
-        let leader = &fleet.live["cyd"];
+        let leader = &fleet.replicas["cyd"];
         let soon = Duration::from_secs(5);
-        leader.add_observer(other, NodeId::new("ada").expect("a slug"), soon).await.expect("an observer");
+        leader.add_learner(other, NodeId::new("ada").expect("a slug"), soon).await.expect("an observer");
         fleet.until_all_hold(72).await;
         leader.set_voters([id, other].into(), soon).await.expect("two voters");
-        assert_eq!(fleet.live["ada"].read(Tally::clone).0, held());
+        assert_eq!(fleet.replicas["ada"].read(NumberList::clone).0, held());
     });
 }
 
 #[test]
 fn a_store_that_holds_nothing_is_not_made_a_ledger() {
     let name = NodeId::new("ada").expect("a slug");
-    let refused = sole_voter::<Tally>(Recorded::default(), &name, StoreIdentity(1), |_| ());
+    let refused = recover_as_only_voter::<NumberList>(PersistentState::default(), &name, StoreIdentity(1), |_| ());
     assert_eq!(refused.expect_err("nothing").to_string(), "it holds no entry: there is nothing to recover");
 }
 
@@ -341,8 +345,8 @@ fn a_recovered_ledger_is_a_stranger_to_voters_that_come_back_with_the_former_one
             let bus = Arc::new(network.bus(NodeId::new(name).expect("a slug")));
             Replica::<Ledger>::start(settings(name), bus, on_disk(&folder, name), seed).await.expect("a start")
         };
-        let found = Command::Found { cluster: ClusterId(1) };
-        let leads = |replica: &&Replica<Ledger>| replica.leadership().borrow().is_me;
+        let found = Command::Bootstrap { cluster: ClusterId(1) };
+        let leads = |replica: &&Replica<Ledger>| replica.leadership().borrow().is_leader;
         let soon = Duration::from_secs(5);
         let mut former = Vec::new();
         for (seed, name) in (1..).zip(NAMES) {
@@ -373,18 +377,18 @@ fn a_recovered_ledger_is_a_stranger_to_voters_that_come_back_with_the_former_one
         recover(&store, 1, ClusterId(2)).expect("something to recover");
         drop(store);
         let cyd = start("cyd", 4).await;
-        cyd.leadership().wait_for(|now| now.is_me).await.expect("a replica");
-        let reign = cyd.leadership().borrow().reign;
+        cyd.leadership().wait_for(|now| now.is_leader).await.expect("a replica");
+        let reign = cyd.leadership().borrow().leader_id;
 
         // Against all advice the others come back, and they are a majority of their own.
         let others = [start("ada", 5).await, start("bob", 6).await];
         let began = Instant::now();
-        while !others.iter().any(|other| leads(&other)) || cyd.refused() < 10 {
-            assert!(began.elapsed() < Duration::from_secs(30), "{} messages refused", cyd.refused());
+        while !others.iter().any(|other| leads(&other)) || cyd.rejected_requests() < 10 {
+            assert!(began.elapsed() < Duration::from_secs(30), "{} messages refused", cyd.rejected_requests());
             tokio::time::sleep(Duration::from_millis(1)).await;
         }
         let now = cyd.leadership().borrow().clone();
-        assert!(now.is_me && now.reign == reign, "{now:?} after {reign:?}");
+        assert!(now.is_leader && now.leader_id == reign, "{now:?} after {reign:?}");
         assert_eq!(now.voters.len(), 1);
         assert_eq!(*cyd.cluster().borrow(), Some(ClusterId(2)));
         assert_eq!(*others[0].cluster().borrow(), Some(ClusterId(1)));

@@ -1,8 +1,8 @@
 //! What has been issued, read back from the certificates themselves.
 
-use super::{now, of};
-use crate::config::Problem;
-use consort_actors::trust::issue::{Revoked, authority_of};
+use super::{file_error, unix_time};
+use crate::config::Diagnostic;
+use consort_actors::trust::issue::{RevokedCertificate, fleet_of_authority};
 use consort_protocol::ids::FleetId;
 use consort_protocol::trust::Identity;
 use std::fs;
@@ -16,7 +16,7 @@ use x509_parser::revocation_list::CertificateRevocationList;
 
 /// Somebody who has a certificate.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Holder {
+pub struct CertificateEntry {
     /// The name, which is the folder's.
     pub name: String,
     /// Whose it is.
@@ -26,14 +26,14 @@ pub struct Holder {
     /// The serial number.
     pub serial: Vec<u8>,
     /// Until when it is valid, in time since 1970.
-    pub until: Duration,
+    pub expires: Duration,
     /// Whether it is good.
-    pub state: State,
+    pub state: CertificateState,
 }
 
 /// Whether a certificate is good.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum State {
+pub enum CertificateState {
     /// It is, for so many days more.
     Valid {
         /// How many.
@@ -45,25 +45,34 @@ pub enum State {
     Revoked,
 }
 
-impl Holder {
+impl CertificateEntry {
     /// Reads a certificate, with what is revoked.
     ///
     /// # Errors
     /// [`Problem`] if it is none, or does not say whose it is.
-    pub fn read(file: &Path, revoked: &[Revoked]) -> Result<Holder, Problem> {
+    pub fn read(file: &Path, revoked: &[RevokedCertificate]) -> Result<CertificateEntry, Diagnostic> {
         let pem = pem(file)?;
-        let certificate = pem.parse_x509().map_err(|problem| of(file, problem))?;
-        let (identity, addresses) = names(&certificate).map_err(|problem| of(file, problem))?;
+        let certificate = pem.parse_x509().map_err(|problem| file_error(file, problem))?;
+        let (identity, addresses) = names(&certificate).map_err(|problem| file_error(file, problem))?;
         let until = certificate.validity().not_after.timestamp();
         let until = Duration::from_secs(u64::try_from(until).unwrap_or(0));
         let serial = certificate.raw_serial().to_vec();
         let state = if revoked.iter().any(|revoked| revoked.serial == serial) {
-            State::Revoked
+            CertificateState::Revoked
         } else {
-            until.checked_sub(now()).map_or(State::Expired, |left| State::Valid { days: left.as_secs() / 86_400 })
+            until
+                .checked_sub(unix_time())
+                .map_or(CertificateState::Expired, |left| CertificateState::Valid { days: left.as_secs() / 86_400 })
         };
         let name = file.parent().and_then(Path::file_name).unwrap_or_default();
-        Ok(Holder { name: name.to_string_lossy().into_owned(), identity, addresses, serial, until, state })
+        Ok(CertificateEntry {
+            name: name.to_string_lossy().into_owned(),
+            identity,
+            addresses,
+            serial,
+            expires: until,
+            state,
+        })
     }
 }
 
@@ -94,27 +103,30 @@ fn address(bytes: &[u8]) -> Option<String> {
 ///
 /// # Errors
 /// [`Problem`] if it is not the certificate of a fleet's authority.
-pub fn fleet_of(file: &Path) -> Result<FleetId, Problem> {
+pub fn read_fleet_of_authority(file: &Path) -> Result<FleetId, Diagnostic> {
     let pem = pem(file)?;
-    let certificate = pem.parse_x509().map_err(|problem| of(file, problem))?;
+    let certificate = pem.parse_x509().map_err(|problem| file_error(file, problem))?;
     let mut names = certificate.subject().iter_common_name().filter_map(|name| name.as_str().ok());
-    let fleet =
-        names.find_map(authority_of).ok_or_else(|| of(file, "it is not the certificate of a fleet's authority"))?;
-    fleet.parse().map_err(|problem| of(file, problem))
+    let fleet = names
+        .find_map(fleet_of_authority)
+        .ok_or_else(|| file_error(file, "it is not the certificate of a fleet's authority"))?;
+    fleet.parse().map_err(|problem| file_error(file, problem))
 }
 
 /// What a list has revoked.
-pub(super) fn revoked_in(file: &Path) -> Result<Vec<Revoked>, Problem> {
+pub(super) fn read_revocation_list(file: &Path) -> Result<Vec<RevokedCertificate>, Diagnostic> {
     let pem = pem(file)?;
-    let (_, list) = CertificateRevocationList::from_der(&pem.contents).map_err(|problem| of(file, problem))?;
+    let (_, list) = CertificateRevocationList::from_der(&pem.contents).map_err(|problem| file_error(file, problem))?;
     let revoked = list.iter_revoked_certificates().map(|revoked| {
         let since = u64::try_from(revoked.revocation_date.timestamp()).unwrap_or(0);
-        Revoked { serial: revoked.raw_serial().to_vec(), since: Duration::from_secs(since) }
+        RevokedCertificate { serial: revoked.raw_serial().to_vec(), since: Duration::from_secs(since) }
     });
     Ok(revoked.collect())
 }
 
-fn pem(file: &Path) -> Result<Pem, Problem> {
-    let text = fs::read(file).map_err(|problem| of(file, problem))?;
-    parse_x509_pem(&text).map(|(_, pem)| pem).map_err(|problem| of(file, format!("it is not in PEM: {problem}")))
+fn pem(file: &Path) -> Result<Pem, Diagnostic> {
+    let text = fs::read(file).map_err(|problem| file_error(file, problem))?;
+    parse_x509_pem(&text)
+        .map(|(_, pem)| pem)
+        .map_err(|problem| file_error(file, format!("it is not in PEM: {problem}")))
 }

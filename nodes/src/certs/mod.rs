@@ -8,14 +8,16 @@
 
 mod issued;
 
-pub use issued::{Holder, State, fleet_of};
+pub use issued::{CertificateEntry, CertificateState, read_fleet_of_authority};
 
-use crate::config::{Problem, trust_files};
-use crate::file::write_whole;
-use consort_actors::trust::issue::{Authorising, Issued, Revoked, Validity, found};
+use crate::config::{Diagnostic, trust_files};
+use crate::file::write_atomically;
+use consort_actors::trust::issue::{
+    CertificateAuthority, IssuedCertificate, RevokedCertificate, Validity, create_authority,
+};
 use consort_protocol::ids::FleetId;
-use consort_protocol::trust::{Bearer, Identity};
-use issued::revoked_in;
+use consort_protocol::trust::{Identity, Principal};
+use issued::read_revocation_list;
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
@@ -30,39 +32,39 @@ const SLOW_CLOCKS: Duration = Duration::from_secs(600);
 const LIST_DUE: Duration = Duration::from_secs(3650 * 86_400);
 
 /// The folder of a fleet's certificates.
-pub struct Certs {
+pub struct CertificateStore {
     folder: PathBuf,
     ca: String,
-    authorising: Authorising,
+    authorising: CertificateAuthority,
 }
 
-fn of(path: &Path, problem: impl std::fmt::Display) -> Problem {
-    Problem::of(path.display(), problem)
+fn file_error(path: &Path, problem: impl std::fmt::Display) -> Diagnostic {
+    Diagnostic::for_file(path.display(), problem)
 }
 
 /// The time since 1970, by this machine's clock.
-pub fn now() -> Duration {
+pub fn unix_time() -> Duration {
     SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default()
 }
 
-impl Certs {
+impl CertificateStore {
     /// Founds the authority of a fleet in a folder that has none, valid for so many days.
     ///
     /// # Errors
     /// [`Problem`] if there is one already, which is left as it is, or if it cannot be written.
-    pub fn found(folder: &Path, fleet: &FleetId, days: u32) -> Result<(), Problem> {
+    pub fn create_authority(folder: &Path, fleet: &FleetId, days: u32) -> Result<(), Diagnostic> {
         let authority = folder.join(AUTHORITY);
         if authority.join("ca.pem").exists() {
-            return Err(of(
+            return Err(file_error(
                 &authority,
                 "there is an authority already; whoever holds its certificates trusts no other",
             ));
         }
-        let issued = found(fleet, validity(days)).map_err(|problem| of(&authority, problem))?;
+        let issued = create_authority(fleet, validity(days)).map_err(|problem| file_error(&authority, problem))?;
         create(&authority)?;
         write_secret(&authority.join("ca.key"), &issued.key)?;
         write(&authority.join("ca.pem"), &issued.certificate)?;
-        let certs = Certs::open(folder)?;
+        let certs = CertificateStore::open(folder)?;
         certs.write_list(&[])
     }
 
@@ -70,15 +72,16 @@ impl Certs {
     ///
     /// # Errors
     /// [`Problem`] of the folder.
-    pub fn open(folder: &Path) -> Result<Certs, Problem> {
+    pub fn open(folder: &Path) -> Result<CertificateStore, Diagnostic> {
         let authority = folder.join(AUTHORITY);
         if !authority.join("ca.pem").exists() {
             let what = "there is no authority here; `consort cert init --fleet NAME` founds one";
-            return Err(of(folder, what));
+            return Err(file_error(folder, what));
         }
         let (ca, key) = (read(&authority.join("ca.pem"))?, read(&authority.join("ca.key"))?);
-        let authorising = Authorising::read(&ca, &key).map_err(|problem| of(&authority.join("ca.key"), problem))?;
-        Ok(Certs { folder: folder.to_owned(), ca, authorising })
+        let authorising = CertificateAuthority::from_pem(&ca, &key)
+            .map_err(|problem| file_error(&authority.join("ca.key"), problem))?;
+        Ok(CertificateStore { folder: folder.to_owned(), ca, authorising })
     }
 
     /// Gives a bearer a certificate, in a folder of its name, which is returned. Refuses where there is one already, unless it is
@@ -86,20 +89,24 @@ impl Certs {
     ///
     /// # Errors
     /// [`Problem`]; a folder that is there is left as it is.
-    pub fn issue(&self, to: &Identity, addresses: &[String], days: u32, renewed: bool) -> Result<PathBuf, Problem> {
-        let name = match &to.bearer {
-            Bearer::Node { name, .. } => name.as_str(),
-            Bearer::Person { name, .. } => name.as_str(),
+    pub fn issue(&self, to: &Identity, addresses: &[String], days: u32, renewed: bool) -> Result<PathBuf, Diagnostic> {
+        let name = match &to.principal {
+            Principal::Node { name, .. } => name.as_str(),
+            Principal::Person { name, .. } => name.as_str(),
         };
         let folder = self.folder.join(name);
         if name == AUTHORITY {
-            return Err(of(&folder, "that is where the authority is: nobody else can be called so"));
+            return Err(file_error(&folder, "that is where the authority is: nobody else can be called so"));
         }
         if folder.exists() && !renewed {
-            return Err(of(&folder, "it is there already; `consort cert renew` makes a new certificate and key"));
+            return Err(file_error(
+                &folder,
+                "it is there already; `consort cert renew` makes a new certificate and key",
+            ));
         }
-        let issued = self.authorising.issue(to, addresses, validity(days)).map_err(|problem| of(&folder, problem))?;
-        let Issued { certificate, key } = issued;
+        let issued =
+            self.authorising.issue(to, addresses, validity(days)).map_err(|problem| file_error(&folder, problem))?;
+        let IssuedCertificate { certificate, key } = issued;
         create(&folder)?;
         let files = trust_files(&folder);
         write_secret(&files.key, &key)?;
@@ -113,13 +120,13 @@ impl Certs {
     ///
     /// # Errors
     /// [`Problem`] of a folder, or of a certificate in it.
-    pub fn holders(&self) -> Result<Vec<Holder>, Problem> {
+    pub fn certificates(&self) -> Result<Vec<CertificateEntry>, Diagnostic> {
         let revoked = self.revoked()?;
-        let entries = fs::read_dir(&self.folder).map_err(|problem| of(&self.folder, problem))?;
+        let entries = fs::read_dir(&self.folder).map_err(|problem| file_error(&self.folder, problem))?;
         let mut folders: Vec<PathBuf> = entries.filter_map(|entry| entry.ok().map(|entry| entry.path())).collect();
         folders.retain(|folder| folder.join("cert.pem").exists());
         folders.sort();
-        let read = |folder: &PathBuf| Holder::read(&folder.join("cert.pem"), &revoked);
+        let read = |folder: &PathBuf| CertificateEntry::read(&folder.join("cert.pem"), &revoked);
         folders.iter().map(read).collect()
     }
 
@@ -127,30 +134,30 @@ impl Certs {
     ///
     /// # Errors
     /// [`Problem`] if there is none.
-    pub fn holder(&self, name: &str) -> Result<Holder, Problem> {
+    pub fn certificate(&self, name: &str) -> Result<CertificateEntry, Diagnostic> {
         let file = self.folder.join(name).join("cert.pem");
         if !file.exists() {
-            let names: Vec<String> = self.holders()?.into_iter().map(|holder| holder.name).collect();
+            let names: Vec<String> = self.certificates()?.into_iter().map(|holder| holder.name).collect();
             let known = if names.is_empty() { "nobody yet".to_owned() } else { names.join(", ") };
-            return Err(of(&self.folder, format!("nobody here is called {name:?}; there are: {known}")));
+            return Err(file_error(&self.folder, format!("nobody here is called {name:?}; there are: {known}")));
         }
-        Holder::read(&file, &self.revoked()?)
+        CertificateEntry::read(&file, &self.revoked()?)
     }
 
     /// Revokes the certificate of a bearer, and puts the new list into all bearers' folders, which are returned.
     ///
     /// # Errors
     /// [`Problem`] if there is no such bearer, or a file cannot be written.
-    pub fn revoke(&self, name: &str) -> Result<Vec<PathBuf>, Problem> {
-        let holder = self.holder(name)?;
+    pub fn revoke(&self, name: &str) -> Result<Vec<PathBuf>, Diagnostic> {
+        let holder = self.certificate(name)?;
         let mut revoked = self.revoked()?;
         if !revoked.iter().any(|known| known.serial == holder.serial) {
-            revoked.push(Revoked { serial: holder.serial, since: now() });
+            revoked.push(RevokedCertificate { serial: holder.serial, since: unix_time() });
         }
         self.write_list(&revoked)?;
         let list = read(&self.list())?;
         let mut written = Vec::new();
-        for holder in self.holders()? {
+        for holder in self.certificates()? {
             let file = self.folder.join(&holder.name).join("revoked.pem");
             write(&file, &list)?;
             written.push(file);
@@ -162,47 +169,50 @@ impl Certs {
     ///
     /// # Errors
     /// [`Problem`] if its certificate does not say.
-    pub fn fleet(&self) -> Result<FleetId, Problem> {
-        fleet_of(&self.folder.join(AUTHORITY).join("ca.pem"))
+    pub fn fleet(&self) -> Result<FleetId, Diagnostic> {
+        read_fleet_of_authority(&self.folder.join(AUTHORITY).join("ca.pem"))
     }
 
     fn list(&self) -> PathBuf {
         self.folder.join(AUTHORITY).join("revoked.pem")
     }
 
-    fn revoked(&self) -> Result<Vec<Revoked>, Problem> {
-        revoked_in(&self.list())
+    fn revoked(&self) -> Result<Vec<RevokedCertificate>, Diagnostic> {
+        read_revocation_list(&self.list())
     }
 
     /// Writes the list of what is revoked; its number is one more than the last one's.
-    fn write_list(&self, revoked: &[Revoked]) -> Result<(), Problem> {
+    fn write_list(&self, revoked: &[RevokedCertificate]) -> Result<(), Diagnostic> {
         let counter = self.folder.join(AUTHORITY).join("number");
         let last = fs::read_to_string(&counter).ok().and_then(|text| text.trim().parse::<u64>().ok()).unwrap_or(0);
-        let validity = Validity { from: now(), until: now() + LIST_DUE };
-        let list = self.authorising.revoke(revoked, last + 1, validity).map_err(|problem| of(&self.list(), problem))?;
+        let validity = Validity { from: unix_time(), until: unix_time() + LIST_DUE };
+        let list = self
+            .authorising
+            .revocation_list(revoked, last + 1, validity)
+            .map_err(|problem| file_error(&self.list(), problem))?;
         write(&self.list(), &list)?;
         write(&counter, &format!("{}\n", last + 1))
     }
 }
 
 fn validity(days: u32) -> Validity {
-    Validity { from: now().saturating_sub(SLOW_CLOCKS), until: now() + DAY * days }
+    Validity { from: unix_time().saturating_sub(SLOW_CLOCKS), until: unix_time() + DAY * days }
 }
 
-fn create(folder: &Path) -> Result<(), Problem> {
-    fs::create_dir_all(folder).map_err(|problem| of(folder, problem))
+fn create(folder: &Path) -> Result<(), Diagnostic> {
+    fs::create_dir_all(folder).map_err(|problem| file_error(folder, problem))
 }
 
-fn read(file: &Path) -> Result<String, Problem> {
-    fs::read_to_string(file).map_err(|problem| of(file, problem))
+fn read(file: &Path) -> Result<String, Diagnostic> {
+    fs::read_to_string(file).map_err(|problem| file_error(file, problem))
 }
 
 /// Writes a file as a whole or not at all: a node may be reading it.
-fn write(file: &Path, text: &str) -> Result<(), Problem> {
-    write_whole(file, text, 0o644)
+fn write(file: &Path, text: &str) -> Result<(), Diagnostic> {
+    write_atomically(file, text, 0o644)
 }
 
 /// The same of a file that only its owner may read.
-fn write_secret(file: &Path, text: &str) -> Result<(), Problem> {
-    write_whole(file, text, 0o600)
+fn write_secret(file: &Path, text: &str) -> Result<(), Diagnostic> {
+    write_atomically(file, text, 0o600)
 }

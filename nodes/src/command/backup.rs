@@ -2,7 +2,7 @@
 
 use crate::client::ClientFlags;
 use crate::exit::Failure;
-use crate::file::{there_already, write_whole};
+use crate::file::{already_exists, write_atomically};
 use crate::output;
 use consort_actors::store::Backup;
 use consort_protocol::count::count;
@@ -47,14 +47,14 @@ pub struct Args {
 pub fn run(args: Args) -> Result<(), Failure> {
     let Args { out, force, json, client } = args;
     if !force && out.exists() {
-        return Err(there_already(&out));
+        return Err(already_exists(&out));
     }
-    let given = client.connected(async |client| client.api(ApiCall::Backup, &json!({})).await)?;
+    let given = client.with_client(async |client| client.api(ApiCall::Backup, &json!({})).await)?;
     let unsound = |problem: String| Failure::Unsuccessful(format!("what was given is not whole: {problem}"));
     let backup: Backup = serde_json::from_value(given.clone()).map_err(|problem| unsound(problem.to_string()))?;
     // Nobody wants to learn of it when the copy is needed.
-    backup.open().map_err(unsound)?;
-    write_whole(&out, &format!("{given}\n"), 0o600)?;
+    backup.decode().map_err(unsound)?;
+    write_atomically(&out, &format!("{given}\n"), 0o600)?;
     let Backup { fleet, by, term, index, missions, under_way, .. } = &backup;
     if json {
         let mut said = given;

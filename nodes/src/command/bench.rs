@@ -1,9 +1,9 @@
 //! `consort bench`: how quick the simulator is on this machine.
 
 use crate::exit::Failure;
-use crate::output::{self, Waiting};
+use crate::output::{self, Progress};
 use clap::{Args as ClapArgs, Subcommand};
-use consort_sim::swarm::{HEADING, Swarm, fly};
+use consort_sim::swarm::{Swarm, TABLE_HEADER, run_swarm};
 use std::time::{Duration, Instant};
 
 /// Measures how quick the simulator is on this machine.
@@ -61,22 +61,22 @@ const SAY: Duration = Duration::from_millis(500);
 pub fn run(args: Args) -> Result<(), Failure> {
     let What::Swarm(SwarmArgs { drones, seed, json }) = args.what;
     if !json {
-        output::line(HEADING)?;
+        output::line(TABLE_HEADER)?;
     }
     for drones in drones {
         let (began, mut asked, mut said) = (Instant::now(), 0_u32, Duration::ZERO);
-        let mut progress = Waiting::on_terminal();
+        let mut progress = Progress::on_terminal();
         // It asks for the time at the beginning and after each simulated second. To say so now and then costs next to nothing.
         let clock = || {
             let now = began.elapsed();
             if now > said + SAY {
-                progress.say(format_args!("{drones} drones: {asked} s flown"));
+                progress.show(format_args!("{drones} drones: {asked} s flown"));
                 said = now;
             }
             asked += 1;
             now
         };
-        let row = fly(Swarm { drones, seed }, clock).map_err(|why| Failure::Usage(why.to_string()))?;
+        let row = run_swarm(Swarm { drones, seed }, clock).map_err(|why| Failure::Usage(why.to_string()))?;
         drop(progress);
         if json {
             output::line(serde_json::to_string(&row).expect("numbers are JSON"))?;

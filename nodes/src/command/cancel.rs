@@ -1,6 +1,6 @@
 //! `consort cancel`: withdraw a mission.
 
-use super::on_word::OnWordFlags;
+use super::mission_action::MissionActionFlags;
 use crate::exit::Failure;
 use consort_protocol::keys::ApiCall;
 use serde_json::Value;
@@ -15,7 +15,7 @@ Examples:
   consort cancel lab-samples-1 --by 'ward 3, Nia'")]
 pub struct Args {
     #[command(flatten)]
-    on_word: OnWordFlags,
+    on_word: MissionActionFlags,
 }
 
 /// Runs the command.

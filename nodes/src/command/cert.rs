@@ -1,11 +1,11 @@
 //! `consort cert`: the certificates of a fleet.
 
-use crate::certs::{Certs, Holder, State};
+use crate::certs::{CertificateEntry, CertificateState, CertificateStore};
 use crate::exit::Failure;
 use crate::output;
 use consort_protocol::count::count;
 use consort_protocol::ids::{FleetId, NodeId, PersonId};
-use consort_protocol::trust::{Bearer, Identity, NodeRole, Scope};
+use consort_protocol::trust::{AccessScope, Identity, NodeRole, Principal};
 use serde_json::json;
 use std::path::{Path, PathBuf};
 
@@ -72,7 +72,7 @@ enum What {
         name: PersonId,
         /// What the person may do: read; submit (and cancel) missions; operate (rescue, make nodes leave). Each includes those before
         #[arg(long, value_name = "SCOPE", default_value = "read")]
-        scope: Scope,
+        scope: AccessScope,
         #[command(flatten)]
         validity: ValidityFlag,
     },
@@ -114,7 +114,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
     let dir = args.dir;
     match args.what {
         What::Init { fleet, days } => {
-            Certs::found(&dir, &fleet, days)?;
+            CertificateStore::create_authority(&dir, &fleet, days)?;
             output::line(format_args!(
                 "{} is the authority of fleet {fleet}. Whoever reads {} can make anybody part of it.",
                 dir.join("authority").display(),
@@ -122,30 +122,30 @@ pub fn run(args: Args) -> Result<(), Failure> {
             ))
         }
         What::Node { name, roles, address, validity } => {
-            let bearer = Bearer::Node { name, roles: roles.into_iter().collect() };
+            let bearer = Principal::Node { name, roles: roles.into_iter().collect() };
             issue(&dir, bearer, &address, validity.days)
         }
-        What::Person { name, scope, validity } => issue(&dir, Bearer::Person { name, scope }, &[], validity.days),
+        What::Person { name, scope, validity } => issue(&dir, Principal::Person { name, scope }, &[], validity.days),
         What::Renew { name, validity } => renew(&dir, &name, validity.days),
         What::Revoke { name } => {
-            let written = Certs::open(&dir)?.revoke(&name)?;
+            let written = CertificateStore::open(&dir)?.revoke(&name)?;
             let files = written.iter().map(|file| format!("  {}", file.display())).collect::<Vec<_>>().join("\n");
             output::line(format_args!("{name}'s certificate is revoked. Carry the list to every machine:\n{files}"))
         }
-        What::Show { json } => show(&Certs::open(&dir)?.holders()?, json),
+        What::Show { json } => show(&CertificateStore::open(&dir)?.certificates()?, json),
     }
 }
 
-fn issue(dir: &Path, bearer: Bearer, addresses: &[String], days: u32) -> Result<(), Failure> {
-    let certs = Certs::open(dir)?;
-    let identity = Identity { fleet: certs.fleet()?, bearer };
+fn issue(dir: &Path, bearer: Principal, addresses: &[String], days: u32) -> Result<(), Failure> {
+    let certs = CertificateStore::open(dir)?;
+    let identity = Identity { fleet: certs.fleet()?, principal: bearer };
     let folder = certs.issue(&identity, addresses, days, false)?;
     tell(&folder, &identity, days)
 }
 
 fn renew(dir: &Path, name: &str, days: u32) -> Result<(), Failure> {
-    let certs = Certs::open(dir)?;
-    let holder = certs.holder(name)?;
+    let certs = CertificateStore::open(dir)?;
+    let holder = certs.certificate(name)?;
     let folder = certs.issue(&holder.identity, &holder.addresses, days, true)?;
     tell(&folder, &holder.identity, days)
 }
@@ -153,10 +153,10 @@ fn renew(dir: &Path, name: &str, days: u32) -> Result<(), Failure> {
 fn tell(folder: &Path, identity: &Identity, days: u32) -> Result<(), Failure> {
     let folder = folder.display();
     let good_for = count(days, "day", "days");
-    output::line(format_args!("{folder} is for {} of fleet {}, for {good_for}", identity.bearer, identity.fleet))
+    output::line(format_args!("{folder} is for {} of fleet {}, for {good_for}", identity.principal, identity.fleet))
 }
 
-fn show(holders: &[Holder], json: bool) -> Result<(), Failure> {
+fn show(holders: &[CertificateEntry], json: bool) -> Result<(), Failure> {
     if json {
         let holders: Vec<_> = holders.iter().map(described).collect();
         return output::line(json!(holders));
@@ -164,24 +164,24 @@ fn show(holders: &[Holder], json: bool) -> Result<(), Failure> {
     let mut rows = vec![["NAME", "WHO", "GOOD FOR", "SERIAL"].map(str::to_owned).to_vec()];
     rows.extend(holders.iter().map(|holder| {
         let state = match holder.state {
-            State::Valid { days } => count(days, "day", "days"),
-            State::Expired => "expired".to_owned(),
-            State::Revoked => "revoked".to_owned(),
+            CertificateState::Valid { days } => count(days, "day", "days"),
+            CertificateState::Expired => "expired".to_owned(),
+            CertificateState::Revoked => "revoked".to_owned(),
         };
-        vec![holder.name.clone(), holder.identity.bearer.to_string(), state, hex(&holder.serial)]
+        vec![holder.name.clone(), holder.identity.principal.to_string(), state, hex(&holder.serial)]
     }));
     output::line(output::table(&rows))
 }
 
-fn described(holder: &Holder) -> serde_json::Value {
+fn described(holder: &CertificateEntry) -> serde_json::Value {
     let (state, days) = match holder.state {
-        State::Valid { days } => ("valid", Some(days)),
-        State::Expired => ("expired", None),
-        State::Revoked => ("revoked", None),
+        CertificateState::Valid { days } => ("valid", Some(days)),
+        CertificateState::Expired => ("expired", None),
+        CertificateState::Revoked => ("revoked", None),
     };
     json!({
         "name": holder.name, "identity": holder.identity.to_string(), "addresses": holder.addresses,
-        "state": state, "days_left": days, "valid_until_s": holder.until.as_secs(), "serial": hex(&holder.serial),
+        "state": state, "days_left": days, "valid_until_s": holder.expires.as_secs(), "serial": hex(&holder.serial),
     })
 }
 

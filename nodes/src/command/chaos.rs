@@ -1,14 +1,16 @@
 //! `consort chaos`: whole fleets under generated faults, watched at every step.
 
 use crate::exit::Failure;
-use crate::output::{self, Waiting};
+use crate::output::{self, Progress};
 use clap::{ArgGroup, Args as ClapArgs};
 use consort_protocol::count::count;
 use consort_protocol::mutants::{self, Mutant};
-use consort_tests::chaos::many::percentiles;
-use consort_tests::chaos::mutants::{HUNTS, hunt};
+use consort_tests::chaos::mutants::{MUTANT_CHECKS, check_mutant};
 use consort_tests::chaos::scoreboard::{self, markdown};
-use consort_tests::chaos::{Cast, Kind, Many, Order, Outcome, Schedule, Violation, cast, generate, shrink};
+use consort_tests::chaos::seed_sweep::percentiles;
+use consort_tests::chaos::{
+    ChaosFleet, FaultKind, RunConfig, RunOutcome, Schedule, SeedSweep, Violation, chaos_fleet, generate, shrink,
+};
 use indicatif::{ProgressBar, ProgressStyle};
 use std::fmt::Display;
 use std::ops::RangeInclusive;
@@ -80,7 +82,7 @@ pub struct Args {
     jobs: Option<usize>,
     /// The kinds of faults [default: all]
     #[arg(long, value_name = "KIND,…", value_delimiter = ',', conflicts_with_all = ["schedule", "mutants", "scoreboard"])]
-    faults: Vec<Kind>,
+    faults: Vec<FaultKind>,
     /// Have the fleet make a deliberate mistake (in programs built with the feature `mutants`)
     #[arg(long, value_name = "NAME", conflicts_with_all = ["mutants", "scoreboard"])]
     mutant: Option<Mutant>,
@@ -118,7 +120,7 @@ fn minutes(text: &str) -> Result<f64, String> {
 }
 
 fn nodes(text: &str) -> Result<usize, String> {
-    let (least, most) = (cast::NODES_MIN, cast::NODES_MAX);
+    let (least, most) = (chaos_fleet::NODES_MIN, chaos_fleet::NODES_MAX);
     let number = text.parse().ok().filter(|number| (least..=most).contains(number));
     number.ok_or_else(|| format!("from {least} to {most} nodes"))
 }
@@ -129,7 +131,7 @@ fn nodes(text: &str) -> Result<usize, String> {
 /// [`Failure::Usage`] for a wrong schedule; [`Failure::Unsuccessful`] if something did not hold.
 pub fn run(args: &Args) -> Result<(), Failure> {
     // Whether this program can make mistakes is found out here, and not on each thread.
-    mutants::choose(args.mutant).map_err(|problem| Failure::Usage(problem.to_string()))?;
+    mutants::activate(args.mutant).map_err(|problem| Failure::Usage(problem.to_string()))?;
     match args.seed {
         _ if args.mutants => hunts(args),
         _ if args.scoreboard => score(args),
@@ -139,13 +141,13 @@ pub fn run(args: &Args) -> Result<(), Failure> {
 }
 
 impl Args {
-    fn order(&self, seed: u64) -> Order {
-        Order { seed, nodes: self.nodes, minutes: self.minutes, closed: false }
+    fn order(&self, seed: u64) -> RunConfig {
+        RunConfig { seed, nodes: self.nodes, minutes: self.minutes, closed: false }
     }
 
     fn generated(&self, seed: u64) -> Schedule {
-        let kinds = if self.faults.is_empty() { &Kind::FAULTS[..] } else { &self.faults };
-        generate(seed, &Cast::of(self.nodes), self.minutes, kinds)
+        let kinds = if self.faults.is_empty() { &FaultKind::FAULTS[..] } else { &self.faults };
+        generate(seed, &ChaosFleet::of(self.nodes), self.minutes, kinds)
     }
 
     fn jobs(&self) -> usize {
@@ -169,7 +171,7 @@ impl Args {
 
     /// Makes the chosen mistake on the current thread.
     fn make_mistakes(&self) {
-        mutants::choose(self.mutant).expect("it was chosen before");
+        mutants::activate(self.mutant).expect("it was chosen before");
     }
 
     /// The flags that a run depends on besides its seed and its schedule, where they are not the default.
@@ -193,11 +195,11 @@ fn hunts(args: &Args) -> Result<(), Failure> {
     let bar = ProgressBar::new_spinner();
     let mut rows = vec![["mutant", "must be found within", "found by seed", "by"].map(str::to_owned).to_vec()];
     let mut missed = vec![];
-    for wanted in HUNTS {
+    for wanted in MUTANT_CHECKS {
         let mut runs = 0;
-        let found = hunt(wanted, args.jobs(), || {
+        let found = check_mutant(wanted, args.jobs(), || {
             runs += 1;
-            bar.set_message(format!("{}: {runs} of {} seeds", wanted.mutant, wanted.within));
+            bar.set_message(format!("{}: {runs} of {} seeds", wanted.mutant, wanted.seeds_max));
             bar.tick();
         })
         .map_err(|problem| Failure::Usage(problem.to_string()))?;
@@ -226,7 +228,7 @@ fn score(args: &Args) -> Result<(), Failure> {
     let mut rows = vec![];
     for (name, kinds) in kinds {
         bar.set_message(name);
-        rows.push(scoreboard::row(name, &kinds, args.runs, args.minutes, args.jobs(), || bar.inc(1)));
+        rows.push(scoreboard::run_row(name, &kinds, args.runs, args.minutes, args.jobs(), || bar.inc(1)));
     }
     bar.finish_and_clear();
     if let Some(file) = &args.save {
@@ -249,15 +251,15 @@ fn score(args: &Args) -> Result<(), Failure> {
 
 fn one(args: &Args, seed: u64) -> Result<(), Failure> {
     let schedule = match &args.schedule {
-        Some(file) => read(file, &Cast::of(args.nodes))?,
+        Some(file) => read(file, &ChaosFleet::of(args.nodes))?,
         None => args.generated(seed),
     };
     if args.verbose {
         args.tell(format_args!("{schedule}"))?;
     }
     let order = args.order(seed);
-    let mut waiting = Waiting::on_terminal();
-    waiting.say(format_args!("seed {seed}: {} minutes of a fleet's time", args.minutes));
+    let mut waiting = Progress::on_terminal();
+    waiting.show(format_args!("seed {seed}: {} minutes of a fleet's time", args.minutes));
     let outcome = in_quiet(args, &order, &schedule);
     waiting.clear();
     if args.json {
@@ -277,10 +279,10 @@ fn many(args: &Args) -> Result<(), Failure> {
     bar.set_style(ProgressStyle::with_template(style).expect("the template is sound"));
     let began = Instant::now();
     let mut totals = Totals::default();
-    let many = Many {
+    let many = SeedSweep {
         seeds: args.seeds.clone(),
         jobs: args.jobs(),
-        order: &|seed| (args.order(seed), args.generated(seed)),
+        config: &|seed| (args.order(seed), args.generated(seed)),
         prepare: &|| args.make_mistakes(),
     };
     let mut printed = Ok(());
@@ -341,7 +343,7 @@ struct Totals {
 }
 
 impl Totals {
-    fn add(&mut self, outcome: &Outcome) {
+    fn add(&mut self, outcome: &RunOutcome) {
         let tally = &outcome.tally;
         self.acknowledged += tally.acknowledged;
         self.completed += tally.completed;
@@ -353,7 +355,7 @@ impl Totals {
     }
 }
 
-fn summary(outcome: &Outcome) -> String {
+fn summary(outcome: &RunOutcome) -> String {
     let tally = &outcome.tally;
     format!(
         "seed {} held: {} acknowledged, none lost ({} completed, {} failed with a cause, {} withdrawn); {}; \
@@ -371,7 +373,7 @@ fn summary(outcome: &Outcome) -> String {
 /// Says what did not hold, cuts the schedule down, and says how to repeat it.
 fn broken(
     args: &Args,
-    order: &Order,
+    order: &RunConfig,
     schedule: &Schedule,
     violation: &Violation,
     cut_down: bool,
@@ -412,12 +414,12 @@ fn broken(
 }
 
 /// A run on a thread where its own panics are not printed.
-fn in_quiet(args: &Args, order: &Order, schedule: &Schedule) -> Outcome {
+fn in_quiet(args: &Args, order: &RunConfig, schedule: &Schedule) -> RunOutcome {
     let again = (order.clone(), schedule.clone());
-    let many = Many {
+    let many = SeedSweep {
         seeds: order.seed..=order.seed,
         jobs: 1,
-        order: &move |_| again.clone(),
+        config: &move |_| again.clone(),
         prepare: &|| args.make_mistakes(),
     };
     let mut outcome = None;
@@ -425,7 +427,7 @@ fn in_quiet(args: &Args, order: &Order, schedule: &Schedule) -> Outcome {
     outcome.expect("a run has an outcome")
 }
 
-fn read(file: &Path, cast: &Cast) -> Result<Schedule, Failure> {
+fn read(file: &Path, cast: &ChaosFleet) -> Result<Schedule, Failure> {
     let wrong = |problem: String| Failure::Usage(format!("{}: {problem}", file.display()));
     let text = std::fs::read_to_string(file).map_err(|problem| wrong(problem.to_string()))?;
     let schedule: Schedule =

@@ -1,6 +1,6 @@
 //! `consort check`: is a file right?
 
-use crate::check::{Kind, check};
+use crate::check::{FileKind, check_file};
 use crate::exit::Failure;
 use crate::output;
 use consort_protocol::count::count;
@@ -22,7 +22,7 @@ pub struct Args {
     files: Vec<PathBuf>,
     /// What they are, instead of telling by their content
     #[arg(long, value_enum)]
-    kind: Option<Kind>,
+    kind: Option<FileKind>,
 }
 
 /// Runs the command.
@@ -32,7 +32,7 @@ pub struct Args {
 pub fn run(args: Args) -> Result<(), Failure> {
     let mut wrong = 0;
     for path in &args.files {
-        match check(path, args.kind) {
+        match check_file(path, args.kind) {
             Ok(what) => output::line(format_args!("{}: ok, {what}", path.display()))?,
             Err(problems) => {
                 wrong += 1;

@@ -1,7 +1,7 @@
 //! `consort doctor`: what keeps a node, or a client, from its fleet.
 
 use crate::client::ClientFlags;
-use crate::doctor::{Patient, State, examine};
+use crate::doctor::{DiagnosisTarget, Severity, run_checks};
 use crate::exit::Failure;
 use crate::output;
 use consort_protocol::count::count;
@@ -36,11 +36,11 @@ pub struct Args {
 /// [`Failure::Unsuccessful`] if there is any error; [`Failure::Usage`] of files and flags.
 pub fn run(args: Args) -> Result<(), Failure> {
     let patient = match &args.config {
-        Some(file) => Patient::node(file, &args.client)?,
-        None => Patient::client(args.client)?,
+        Some(file) => DiagnosisTarget::node(file, &args.client)?,
+        None => DiagnosisTarget::client(args.client)?,
     };
     let mut told = Ok(());
-    let findings = examine(&patient, |finding| {
+    let findings = run_checks(&patient, |finding| {
         if !args.json && told.is_ok() {
             told = output::line(finding);
         }
@@ -50,10 +50,10 @@ pub fn run(args: Args) -> Result<(), Failure> {
         output::line(json!(findings))?;
     }
     let number = |state| findings.iter().filter(|finding| finding.state == state).count();
-    match number(State::Error) {
+    match number(Severity::Error) {
         0 => Ok(()),
         errors => {
-            let warnings = count(number(State::Warning), "warning", "warnings");
+            let warnings = count(number(Severity::Warning), "warning", "warnings");
             Err(Failure::Unsuccessful(format!("{}, {warnings}", count(errors, "error", "errors"))))
         }
     }

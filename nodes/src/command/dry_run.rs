@@ -1,11 +1,11 @@
 //! `consort dry-run`: what the auction of a mission would decide.
 
 use super::flags::key_value;
-use crate::dry_run::{DryRun, Offer, auction};
+use crate::dry_run::{DryRunOutcome, WorkerBid, simulate_auction};
 use crate::exit::Failure;
-use crate::wiring::{Equipment, equipment};
-use crate::{floor, kit, output, source};
-use consort_protocol::auction::{BidPart, Limits};
+use crate::wiring::{SkillResources, skill_resources};
+use crate::{extensions, inputs, map_loader, output};
+use consort_protocol::auction::{BidLimits, BidPart};
 use consort_protocol::ids::{RobotId, RoleId};
 use consort_protocol::mission::{Mission, MissionTemplate};
 use consort_protocol::plan::{Division, divide_and_check};
@@ -68,7 +68,7 @@ pub struct Args {
 #[derive(Serialize)]
 struct ScenarioLine<'a> {
     code: &'a str,
-    bids: &'a [Offer],
+    bids: &'a [WorkerBid],
     selected: Option<&'a RobotId>,
 }
 
@@ -92,7 +92,7 @@ struct RoleLine<'a> {
 #[derive(Serialize)]
 struct BidLine<'a> {
     #[serde(flatten)]
-    offer: &'a Offer,
+    offer: &'a WorkerBid,
     parts: &'a [BidPart],
 }
 
@@ -102,12 +102,12 @@ struct BidLine<'a> {
 /// [`Failure::Usage`] for wrong files; [`Failure::Unsuccessful`] if a mission is not filled (a scenario that is not is an
 /// answer like others).
 pub fn run(args: Args) -> Result<(), Failure> {
-    let limits = Limits {
+    let limits = BidLimits {
         time: args.time_limit_s.map(Seconds::new).transpose().map_err(|e| Failure::Usage(e.to_string()))?,
         charge_min: BatteryShare::new(args.charge_min).map_err(|e| Failure::Usage(e.to_string()))?,
     };
-    let template = source::mission(&args.mission)?;
-    let equipment = equipment(&floor::load(&args.map)?)?;
+    let template = inputs::mission(&args.mission)?;
+    let equipment = skill_resources(&map_loader::load(&args.map)?)?;
     let given: BTreeMap<String, String> = args.parameters.iter().cloned().collect();
     match (&args.scenarios, &args.workers) {
         (Some(path), _) => scenarios(&args, path, &template, &equipment, &limits, &given),
@@ -120,16 +120,16 @@ fn mission(
     args: &Args,
     path: &std::path::Path,
     template: &MissionTemplate,
-    equipment: &Equipment,
-    limits: &Limits,
+    equipment: &SkillResources,
+    limits: &BidLimits,
     given: &BTreeMap<String, String>,
 ) -> Result<(), Failure> {
-    let workers = source::workers(&source::text(path)?, &path.display().to_string())?;
+    let workers = inputs::workers(&inputs::read_text(path)?, &path.display().to_string())?;
     let (mission, division) = divide(template, equipment, given)?;
     let roles: BTreeSet<RoleId> = wanted(&args.roles, &mission, || mission.managed_roles().cloned().collect())?;
-    let result = auction(&division, &roles, &workers, equipment, limits);
+    let result = simulate_auction(&division, &roles, &workers, equipment, limits);
     if args.json {
-        let roles = result.offers.iter().map(|(role, offers)| RoleLine {
+        let roles = result.bids.iter().map(|(role, offers)| RoleLine {
             role,
             bids: offers.iter().map(|offer| BidLine { offer, parts: &offer.parts }).collect(),
             selected: result.holders.get(role),
@@ -156,19 +156,19 @@ fn scenarios(
     args: &Args,
     path: &std::path::Path,
     template: &MissionTemplate,
-    equipment: &Equipment,
-    limits: &Limits,
+    equipment: &SkillResources,
+    limits: &BidLimits,
     given: &BTreeMap<String, String>,
 ) -> Result<(), Failure> {
-    for scenario in source::scenarios(&source::text(path)?, &path.display().to_string())? {
+    for scenario in inputs::scenarios(&inputs::read_text(path)?, &path.display().to_string())? {
         let mut given = given.clone();
         given.entry("room".to_owned()).or_insert_with(|| scenario.room.to_string());
         let (mission, division) = divide(template, equipment, &given)?;
         let r1 = || RoleId::new("r1").into_iter().collect();
         let roles: BTreeSet<RoleId> = wanted(&args.roles, &mission, r1)?;
-        let result = auction(&division, &roles, &scenario.workers, equipment, limits);
+        let result = simulate_auction(&division, &roles, &scenario.workers, equipment, limits);
         if args.json {
-            for (role, offers) in &result.offers {
+            for (role, offers) in &result.bids {
                 json(&ScenarioLine { code: &scenario.code, bids: offers, selected: result.holders.get(role) })?;
             }
         } else {
@@ -181,11 +181,11 @@ fn scenarios(
 
 fn divide(
     template: &MissionTemplate,
-    equipment: &Equipment,
+    equipment: &SkillResources,
     given: &BTreeMap<String, String>,
 ) -> Result<(Mission, Division), Failure> {
     let usage = |problem: String| Failure::Usage(problem);
-    let domain = kit::domain().with_places(equipment.places.keys().cloned());
+    let domain = extensions::domain().with_places(equipment.places.keys().cloned());
     let mission = template.instantiate(given, &domain).map_err(|e| usage(e.to_string()))?;
     let division = divide_and_check(&mission).map_err(|e| usage(e.to_string()))?;
     Ok((mission, division))
@@ -212,14 +212,14 @@ fn json(value: &impl Serialize) -> Result<(), Failure> {
 }
 
 /// Every offer to every role, the fastest first, and who is chosen.
-fn readable(result: &DryRun) -> String {
+fn readable(result: &DryRunOutcome) -> String {
     let mut text = String::new();
-    for (role, offers) in &result.offers {
+    for (role, offers) in &result.bids {
         let chosen = result.holders.get(role);
         text.push_str(&format!("  {role}\n"));
-        let mut sorted: Vec<&Offer> = offers.iter().collect();
+        let mut sorted: Vec<&WorkerBid> = offers.iter().collect();
         sorted.sort_by(|a, b| {
-            let rank = |offer: &Offer| (!offer.viable, offer.time_s.unwrap_or(f64::INFINITY));
+            let rank = |offer: &WorkerBid| (!offer.viable, offer.time_s.unwrap_or(f64::INFINITY));
             let ((a_out, a_time), (b_out, b_time)) = (rank(a), rank(b));
             a_out.cmp(&b_out).then(a_time.total_cmp(&b_time)).then(a.worker.cmp(&b.worker))
         });
@@ -248,7 +248,7 @@ fn readable(result: &DryRun) -> String {
     text
 }
 
-fn row(offer: &Offer, chosen: Option<&RobotId>) -> Vec<String> {
+fn row(offer: &WorkerBid, chosen: Option<&RobotId>) -> Vec<String> {
     let reason = offer.reason.as_deref();
     let (Some(time), Some(energy), Some(remaining)) = (offer.time_s, offer.energy, offer.remaining) else {
         let [time, energy, remaining] = ["-"; 3].map(str::to_owned);

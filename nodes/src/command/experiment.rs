@@ -1,20 +1,20 @@
 //! `consort experiment`: the published evaluation, and others, on whole fleets.
 
-use crate::config::{self, Problem, Problems};
-use crate::evaluation::{Evaluation, Instead};
+use crate::config::{self, Diagnostic, Diagnostics};
+use crate::evaluation::{Evaluation, InputOverrides};
 use crate::exit::Failure;
-use crate::output::{self, Waiting};
+use crate::output::{self, Progress};
 use clap::{Args as ClapArgs, Subcommand};
 use consort_protocol::count::count;
-use consort_sim::experiment::calibration::{Calibration, Observation, QUANTILE};
+use consort_sim::experiment::calibration::{Calibration, DEFAULT_QUANTILE, Observation};
 use consort_sim::experiment::design::{self, Design};
 use consort_sim::experiment::outcome::EndState;
 use consort_sim::experiment::policy::Policy;
-use consort_sim::experiment::report::{Gain, Heading, ReportFile, report, tallies};
+use consort_sim::experiment::report::{CalibrationGain, ReportFile, ReportHeader, report, tallies};
 use consort_sim::experiment::results::{self, Treatment, TrialRow};
 use consort_sim::experiment::seeds::derive;
 use consort_sim::experiment::stats::Summary;
-use consort_tests::experiment::{Outcome, Stage, run as run_trials, trials};
+use consort_tests::experiment::{ExperimentSetup, TrialOutcome, run as run_trials, trials};
 use indicatif::{ProgressBar, ProgressStyle};
 use std::fmt::Display;
 use std::path::{Path, PathBuf};
@@ -88,7 +88,7 @@ struct CalibrateArgs {
     #[command(flatten)]
     common: Common,
     /// The share of drives for which the battery is to last
-    #[arg(long, default_value_t = QUANTILE, value_parser = share)]
+    #[arg(long, default_value_t = DEFAULT_QUANTILE, value_parser = share)]
     quantile: f64,
 }
 
@@ -155,9 +155,12 @@ impl Common {
         let mut design = self.design()?;
         design.repetitions = self.repetitions.unwrap_or(design.repetitions);
         design.seed = self.seed.unwrap_or(design.seed);
-        let instead =
-            Instead { scenarios: self.scenarios.as_deref(), map: self.map.as_deref(), legs: self.legs.as_deref() };
-        Ok(Evaluation::of(design, &instead)?)
+        let instead = InputOverrides {
+            scenarios: self.scenarios.as_deref(),
+            map: self.map.as_deref(),
+            legs: self.legs.as_deref(),
+        };
+        Ok(Evaluation::load(design, &instead)?)
     }
 
     fn design(&self) -> Result<Design, Failure> {
@@ -169,7 +172,7 @@ impl Common {
             _ => {
                 let known: Vec<&str> = design::SHIPPED.iter().map(|(name, _)| *name).collect();
                 let what = format!("no such file; it is the path of a file, or one of {}", known.join(", "));
-                Err(Problems::from(Problem::of(&self.design, what)).into())
+                Err(Diagnostics::from(Diagnostic::for_file(&self.design, what)).into())
             }
         }
     }
@@ -183,8 +186,8 @@ impl Common {
     }
 }
 
-fn heading(evaluation: &Evaluation) -> Heading {
-    Heading {
+fn heading(evaluation: &Evaluation) -> ReportHeader {
+    ReportHeader {
         design: evaluation.design.name.clone(),
         seed: evaluation.design.seed,
         map: evaluation.map.name().to_owned(),
@@ -194,9 +197,9 @@ fn heading(evaluation: &Evaluation) -> Heading {
 }
 
 /// The report. Its tests of significance rearrange the rows many thousand times.
-fn written(heading: &Heading, rows: &[TrialRow], gain: Option<&Gain>) -> Vec<ReportFile> {
-    let mut waiting = Waiting::on_terminal();
-    waiting.say("working out the report");
+fn written(heading: &ReportHeader, rows: &[TrialRow], gain: Option<&CalibrationGain>) -> Vec<ReportFile> {
+    let mut waiting = Progress::on_terminal();
+    waiting.show("working out the report");
     report(heading, rows, gain)
 }
 
@@ -206,7 +209,7 @@ fn carry_out(args: &RunArgs) -> Result<(), Failure> {
     let mut design = evaluation.design.clone();
     design.policies = args.policies.clone().unwrap_or(design.policies);
     design.treatments = args.treatments.clone().unwrap_or(design.treatments);
-    let stage = evaluation.stage(design, learned.map(Arc::new))?;
+    let stage = evaluation.trial_fixture(design, learned.map(Arc::new))?;
     args.common.folder()?;
     let began = Instant::now();
     let outcomes = with_progress(&stage, args.common.jobs(), "");
@@ -233,15 +236,15 @@ fn calibrate(args: &CalibrateArgs) -> Result<(), Failure> {
     // Other chance than that of the trials by which the gain is judged; chance sends robots where we would not.
     let seed = derive(evaluation.design.seed, &["calibrate"]);
     let learning = Design { seed, ..one(&evaluation.design, vec![Policy::Consort, Policy::Random]) };
-    let stage = evaluation.stage(learning, None)?;
+    let stage = evaluation.trial_fixture(learning, None)?;
     let outcomes = with_progress(&stage, jobs, "learning ");
     let trials = outcomes.len();
     let (_, observations) = parted(outcomes);
     let learned = Arc::new(Calibration::of(&observations, args.quantile));
     let judged = one(&evaluation.design, vec![Policy::Consort]);
-    let stage = evaluation.stage(judged.clone(), None)?;
+    let stage = evaluation.trial_fixture(judged.clone(), None)?;
     let (before, observed_before) = parted(with_progress(&stage, jobs, "as they were "));
-    let stage = evaluation.stage(judged, Some(Arc::clone(&learned)))?;
+    let stage = evaluation.trial_fixture(judged, Some(Arc::clone(&learned)))?;
     let (after, observed_after) = parted(with_progress(&stage, jobs, "calibrated "));
     let out = &args.common.out;
     write(&out.join("calibration.toml"), &config::to_toml(&*learned))?;
@@ -249,14 +252,14 @@ fn calibrate(args: &CalibrateArgs) -> Result<(), Failure> {
     write_rows(out, "rows-before.csv", &before)?;
     write_rows(out, "rows-after.csv", &after)?;
     let learned = (*learned).clone();
-    let gain = Gain { learned, trials, before, after, observed_before, observed_after };
+    let gain = CalibrationGain { calibration: learned, trials, before, after, observed_before, observed_after };
     write_report(out, &written(&heading(&evaluation), &gain.before, Some(&gain)))?;
     output::line(format_args!("as they were:\n{}\ncalibrated:\n{}", summary(&gain.before), summary(&gain.after)))?;
     let trials = count(trials, "trial", "trials");
     output::line(format_args!("learned from {trials}; see {}", out.join("report.md").display()))
 }
 
-fn with_progress(stage: &Stage, jobs: usize, what: &'static str) -> Vec<Outcome> {
+fn with_progress(stage: &ExperimentSetup, jobs: usize, what: &'static str) -> Vec<TrialOutcome> {
     let all = trials(stage);
     let bar = ProgressBar::new(all.len() as u64);
     bar.set_style(
@@ -277,7 +280,7 @@ fn with_progress(stage: &Stage, jobs: usize, what: &'static str) -> Vec<Outcome>
     outcomes
 }
 
-fn parted(outcomes: Vec<Outcome>) -> (Vec<TrialRow>, Vec<Observation>) {
+fn parted(outcomes: Vec<TrialOutcome>) -> (Vec<TrialRow>, Vec<Observation>) {
     let (mut rows, mut observations) = (vec![], vec![]);
     for outcome in outcomes {
         rows.push(outcome.row);

@@ -1,6 +1,6 @@
 //! `consort explain`: why each robot did or did not get each role of a mission.
 
-use crate::client::{AskFlags, Client};
+use crate::client::{Client, QueryFlags};
 use crate::exit::Failure;
 use consort_protocol::keys::ApiCall;
 use serde_json::{Value, json};
@@ -18,7 +18,7 @@ pub struct Args {
     /// The mission
     mission: String,
     #[command(flatten)]
-    ask: AskFlags,
+    ask: QueryFlags,
 }
 
 /// Runs the command.

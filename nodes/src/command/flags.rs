@@ -1,11 +1,11 @@
 //! Flags that several commands share.
 
 use crate::config::{
-    BusConfig, ConfigFile, FleetConfig, FleetRef, LogFormat, NodeFile, Problems, TelemetryConfig, load, to_toml,
+    BusConfig, ConfigFile, Diagnostics, FleetConfig, FleetRef, LogFormat, NodeFile, TelemetryConfig, load, to_toml,
 };
 use crate::exit::Failure;
-use crate::wiring::Life;
-use crate::{output, running};
+use crate::wiring::NodeIncarnation;
+use crate::{node_runtime, output};
 use consort_actors::node::NodeSettings;
 use consort_actors::timing::Timing;
 use consort_protocol::ids::FleetId;
@@ -75,7 +75,7 @@ impl RunFlags {
     /// Puts what was given in the place of what the file says.
     fn apply(&self, telemetry: &mut TelemetryConfig) {
         let TelemetryConfig { log, log_format, metrics, otlp } = telemetry;
-        *log = self.log.clone().or_else(running::rust_log).or(log.take());
+        *log = self.log.clone().or_else(node_runtime::rust_log).or(log.take());
         set(log_format, self.log_format);
         *metrics = self.metrics.or(*metrics);
         *otlp = self.otlp.clone().or(otlp.take());
@@ -84,7 +84,7 @@ impl RunFlags {
 
 /// What the autopilot is told of a node.
 #[derive(Debug, clap::Args)]
-pub(super) struct KeeperFlags {
+pub(super) struct VoterFlags {
     /// Whether it stays where it is
     #[arg(long, env = "CONSORT_STATIONARY", value_name = "BOOL", num_args = 0..=1, default_missing_value = "true")]
     pub(super) stationary: Option<bool>,
@@ -92,12 +92,12 @@ pub(super) struct KeeperFlags {
     #[arg(long, env = "CONSORT_MAINS_POWERED", value_name = "BOOL", num_args = 0..=1, default_missing_value = "true")]
     pub(super) mains_powered: Option<bool>,
     #[command(flatten)]
-    pub(super) vote: VoteFlag,
+    pub(super) vote: MayVoteFlag,
 }
 
 /// Whether a node may be a keeper of the ledger at all.
 #[derive(Debug, clap::Args)]
-pub(super) struct VoteFlag {
+pub(super) struct MayVoteFlag {
     /// Whether it may keep a copy of the ledger, and coordinate
     #[arg(long, env = "CONSORT_MAY_VOTE", value_name = "BOOL", num_args = 0..=1, default_missing_value = "true")]
     pub(super) may_vote: Option<bool>,
@@ -127,9 +127,9 @@ impl NodeFlags {
     pub(super) fn run<C: NodeFile + Clone>(
         self,
         mut file: C,
-        wire: impl FnOnce(&C, &FleetConfig, Life) -> Result<NodeSettings, Problems>,
+        wire: impl FnOnce(&C, &FleetConfig, NodeIncarnation) -> Result<NodeSettings, Diagnostics>,
     ) -> Result<(), Failure> {
-        let surroundings = file.surroundings();
+        let surroundings = file.common_mut();
         self.store.apply(surroundings.data_dir);
         self.bus.apply(surroundings.bus);
         self.run.apply(surroundings.telemetry);
@@ -141,10 +141,10 @@ impl NodeFlags {
             return output::line(to_toml(&file).trim_end());
         }
         let wired = file.clone();
-        let surroundings = file.surroundings();
-        running::node(self.run.until_stdin_closes, &surroundings, &fleet, || {
+        let surroundings = file.common_mut();
+        node_runtime::run_node(self.run.until_stdin_closes, &surroundings, &fleet, || {
             let data_dir = surroundings.data_dir.as_deref();
-            wire(&wired, &fleet, Life::real(&wired.node(), &fleet, data_dir)?)
+            wire(&wired, &fleet, NodeIncarnation::start(&wired.node(), &fleet, data_dir)?)
         })
     }
 }
@@ -302,7 +302,7 @@ pub(super) fn set<T>(place: &mut T, given: Option<T>) {
 /// [`Failure::Usage`] for what is wrong.
 fn settled<C: ConfigFile>(config: &mut C) -> Result<(), Failure> {
     let here = std::env::current_dir().unwrap_or_else(|_| PathBuf::from("/"));
-    config.settle(Path::new(&here));
-    let problems = config.problems();
+    config.resolve_paths(Path::new(&here));
+    let problems = config.validate();
     if problems.is_empty() { Ok(()) } else { Err(Failure::Usage(problems.join("\n"))) }
 }

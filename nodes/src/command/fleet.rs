@@ -1,6 +1,6 @@
 //! `consort fleet`: the nodes of a fleet, and who coordinates.
 
-use crate::client::{AskFlags, Client};
+use crate::client::{Client, QueryFlags};
 use crate::exit::Failure;
 use crate::output;
 use consort_protocol::keys::Key;
@@ -16,7 +16,7 @@ Examples:
   consort fleet --json --connect tcp/192.0.2.7:7447")]
 pub struct Args {
     #[command(flatten)]
-    ask: AskFlags,
+    ask: QueryFlags,
 }
 
 /// Runs the command.
@@ -25,8 +25,8 @@ pub struct Args {
 /// As [`Client::view`].
 pub fn run(args: Args) -> Result<(), Failure> {
     let look = async |client: &mut Client| {
-        let fleet = client.view(&Key::ViewFleet).await?;
-        let coordinator = client.view(&Key::ViewCoordinator).await?;
+        let fleet = client.query_view(&Key::ViewFleet).await?;
+        let coordinator = client.query_view(&Key::ViewCoordinator).await?;
         Ok(json!({ "fleet": fleet, "coordinator": coordinator }))
     };
     args.ask.print(look, |seen| words(&seen["fleet"], &seen["coordinator"]))

@@ -3,7 +3,7 @@
 use crate::config::DEFAULT_FLEET;
 use crate::exit::Failure;
 use crate::output;
-use consort_protocol::keys::{About, TABLE};
+use consort_protocol::keys::{KeyInfo, TABLE};
 use serde_json::json;
 
 /// List every key that a fleet uses on Zenoh
@@ -29,7 +29,7 @@ pub struct Args {
 /// # Errors
 /// [`Failure::OutputClosed`].
 pub fn run(args: Args) -> Result<(), Failure> {
-    let key = |about: &About| format!("consort/{}/{}", args.fleet, about.pattern);
+    let key = |about: &KeyInfo| format!("consort/{}/{}", args.fleet, about.pattern);
     if args.json {
         let keys = TABLE.iter().map(|about| {
             json!({
@@ -48,7 +48,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
         vec![
             key(about),
             about.who.to_owned(),
-            about.usage.word().to_owned(),
+            about.usage.as_str().to_owned(),
             encoding.to_owned(),
             about.what.to_owned(),
         ]

@@ -1,6 +1,6 @@
 //! `consort leave`: a node leaves the fleet for good.
 
-use crate::client::AskFlags;
+use crate::client::QueryFlags;
 use crate::exit::Failure;
 use consort_protocol::ids::NodeId;
 use consort_protocol::keys::Key;
@@ -24,7 +24,7 @@ pub struct Args {
     /// The node, as `consort fleet` names it
     node: NodeId,
     #[command(flatten)]
-    ask: AskFlags,
+    ask: QueryFlags,
 }
 
 /// Runs the command.
@@ -35,8 +35,10 @@ pub fn run(args: Args) -> Result<(), Failure> {
     let leave = Key::Leave(args.node.clone());
     args.ask.print(
         async |client| {
-            client.waiting().say(format_args!("{} is leaving: its robot's role and its vote go to others", args.node));
-            client.ask_node(&leave, &args.node, LEAVES_WITHIN).await
+            client
+                .progress()
+                .show(format_args!("{} is leaving: its robot's role and its vote go to others", args.node));
+            client.query_node(&leave, &args.node, LEAVES_WITHIN).await
         },
         |answer| words(&args.node, answer),
     )

@@ -1,11 +1,11 @@
 //! `consort map`: look at a map.
 
 use super::drawn_world;
-use crate::config::{Problem, Problems, to_toml};
+use crate::config::{Diagnostic, Diagnostics, to_toml};
 use crate::exit::Failure;
-use crate::{floor, output};
+use crate::{map_loader, output};
 use consort_protocol::count::count;
-use consort_sim::map::{self, Drawing, Map, Options, show};
+use consort_sim::map::{self, Drawing, ImportOptions, Map, render};
 use std::path::{Path, PathBuf};
 
 /// Draw, check and convert maps
@@ -113,19 +113,19 @@ fn scale(text: &str) -> Result<f64, String> {
 }
 
 impl Reading {
-    fn read(&self, file: &Path) -> Result<(Drawing, Map), Problems> {
+    fn read(&self, file: &Path) -> Result<(Drawing, Map), Diagnostics> {
         let name = file.to_string_lossy();
-        let wrong = |error| floor::problems(&name, error);
-        if floor::is_shipped(&name) {
+        let wrong = |error| map_loader::diagnostics(&name, error);
+        if map_loader::is_shipped(&name) {
             return Ok((map::shipped_drawing(&name).map_err(wrong)?, map::shipped(&name).map_err(wrong)?));
         }
-        let text = floor::text(&name)?;
-        if floor::is_published_form(&text) {
+        let text = map_loader::read_text(&name)?;
+        if map_loader::is_published_format(&text) {
             let what = "this map is of the published form, which has routes and no floor: there is nothing to draw";
-            return Err(Problem::of(&name, what).into());
+            return Err(Diagnostic::for_file(&name, what).into());
         }
-        let options = Options { scale_m: self.scale, graph: self.graph };
-        let drawing = map::open(&text, &name, &options).map_err(wrong)?;
+        let options = ImportOptions { scale_m: self.scale, graph: self.graph };
+        let drawing = map::parse_drawing(&text, &name, &options).map_err(wrong)?;
         let map = drawing.map.check(&name).map_err(wrong)?;
         Ok((drawing, map))
     }
@@ -147,13 +147,13 @@ pub fn run(args: Args) -> Result<(), Failure> {
 fn draw(source: &Source, out: Option<PathBuf>) -> Result<(), Failure> {
     let (drawing, map) = source.reading.read(&source.file)?;
     notes(&source.file, &drawing);
-    let svg = show::svg(&map, &drawing.bodies().collect::<Vec<_>>());
+    let svg = render::svg(&map, &drawing.items().collect::<Vec<_>>());
     let out = out.unwrap_or_else(|| picture_of(&source.file));
     if out.as_os_str() == "-" {
         return output::line(svg);
     }
     if ends_in(&out, "png") {
-        let png = show::png(&svg).map_err(|error| Failure::Unsuccessful(error.to_string()))?;
+        let png = render::png(&svg).map_err(|error| Failure::Unsuccessful(error.to_string()))?;
         write(&out, &png)?;
     } else {
         write(&out, svg.as_bytes())?;
@@ -192,7 +192,7 @@ fn check(files: &[PathBuf], reading: &Reading) -> Result<(), Failure> {
 fn convert(source: &Source, out: Option<&Path>, world: Option<&Path>) -> Result<(), Failure> {
     let (drawing, _) = source.reading.read(&source.file)?;
     notes(&source.file, &drawing);
-    for body in drawing.bodies().filter(|_| world.is_none()) {
+    for body in drawing.items().filter(|_| world.is_none()) {
         let near = body.place.as_ref().map_or_else(String::new, |place| format!(", near {place:?}"));
         let (x, y) = (body.x_m, body.y_m);
         let name = source.file.display();
@@ -224,7 +224,7 @@ fn write_world(source: &Path, drawing: &Drawing, map: &Path, world: &Path) -> Re
     let beside = map.parent() == world.parent();
     let named = if beside { map.file_name().map(PathBuf::from) } else { std::fs::canonicalize(map).ok() };
     let named = named.unwrap_or_else(|| map.to_owned()).display().to_string();
-    let (config, notes) = drawn_world::of(drawing, named);
+    let (config, notes) = drawn_world::world_from_drawing(drawing, named);
     for note in notes {
         output::note(format_args!("{}: note: {note}", source.display()));
     }

@@ -37,7 +37,7 @@ const LOOK: Duration = Duration::from_millis(500);
 /// # Errors
 /// As [`Client::api`].
 pub fn run(args: Args) -> Result<(), Failure> {
-    args.client.connected(
+    args.client.with_client(
         async |client| {
             if args.watch { watch(client, args.json).await } else { once(client, args.json).await }
         },
@@ -73,7 +73,7 @@ async fn watch(client: &mut Client, in_json: bool) -> Result<(), Failure> {
         for mission in entries(&answer) {
             let id = text(mission, "mission");
             if shown.get(&id) != Some(mission) {
-                client.waiting().clear();
+                client.progress().clear();
                 if in_json {
                     output::line(mission)?;
                 } else {

@@ -1,17 +1,17 @@
 //! `consort record`: what is heard of a fleet, written to a file.
 
 use crate::client::{Client, ClientFlags};
-use crate::command::length::length;
+use crate::command::duration::parse_duration;
 use crate::exit::Failure;
-use crate::file::there_already;
-use crate::output::{self, Waiting};
-use crate::picture::{Ear, FloorPlan, Picture};
-use crate::recording::{Recorded, Recorder, Tape};
-use crate::signals::Signals;
-use crate::watcher::follow;
+use crate::file::already_exists;
+use crate::fleet_model::{FleetListener, FleetModel, FloorPlan};
+use crate::output::{self, Progress};
+use crate::recording::{Recorder, RecordingStats, RecordingWriter};
+use crate::shutdown_signals::ShutdownSignals;
+use crate::subscriber::subscribe_fleet;
 use consort_actors::clock::Clock;
 use consort_protocol::count::count;
-use consort_sim::record::foxglove::Existing;
+use consort_sim::record::foxglove::ExistingFile;
 use indicatif::HumanBytes;
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -40,7 +40,7 @@ pub struct Args {
     #[arg(long, env = "CONSORT_OUT", value_name = "FILE.mcap")]
     out: PathBuf,
     /// How long to record, as 60s, 5m, 2h or 30d. Default: until Ctrl-C
-    #[arg(long = "for", env = "CONSORT_FOR", value_name = "TIME", value_parser = length)]
+    #[arg(long = "for", env = "CONSORT_FOR", value_name = "TIME", value_parser = parse_duration)]
     length: Option<Duration>,
     /// Replace the file if there is one
     #[arg(long)]
@@ -65,21 +65,21 @@ const NAME: &str = "recorder";
 /// was heard; as [`Client::open`].
 pub fn run(args: Args) -> Result<(), Failure> {
     if !args.force && args.out.exists() {
-        return Err(there_already(&args.out));
+        return Err(already_exists(&args.out));
     }
     let Args { out, length, force, json, client } = args;
-    let existing = if force { Existing::Replace } else { Existing::Keep };
-    let recorded = client.connected(async |client| {
+    let existing = if force { ExistingFile::Replace } else { ExistingFile::Keep };
+    let recorded = client.with_client(async |client| {
         let clock = Clock::real();
         let (fleet, began_ms) = (client.fleet().clone(), clock.wall_ms());
-        let tape = Tape::create(&out, existing, &fleet, NAME, began_ms);
+        let tape = RecordingWriter::create(&out, existing, &fleet, NAME, began_ms);
         let tape = tape.map_err(|problem| Failure::Usage(problem.to_string()))?;
-        let picture = Picture::new(fleet.to_string(), NAME, FloorPlan::default(), began_ms);
+        let picture = FleetModel::new(fleet.to_string(), NAME, FloorPlan::default(), began_ms);
         let recorder = Arc::new(Recorder::new(picture, tape, clock));
         let until = length.map(|length| Instant::now() + length);
         output::note(format_args!("recording {fleet} to {}; Ctrl-C ends it", out.display()));
         let ended = listen(client, &recorder, until).await;
-        let recorded = recorder.end().map_err(|problem| Failure::Unsuccessful(problem.to_string()))?;
+        let recorded = recorder.finish().map_err(|problem| Failure::Unsuccessful(problem.to_string()))?;
         ended.map(|()| recorded)
     })?;
     match json {
@@ -90,11 +90,11 @@ pub fn run(args: Args) -> Result<(), Failure> {
 
 /// Has the recorder told what is heard, until it is to end.
 async fn listen(client: &Client, recorder: &Arc<Recorder>, until: Option<Instant>) -> Result<(), Failure> {
-    let mut signals = Signals::open()?;
-    let ear: Arc<dyn Ear> = Arc::<Recorder>::clone(recorder);
+    let mut signals = ShutdownSignals::open()?;
+    let ear: Arc<dyn FleetListener> = Arc::<Recorder>::clone(recorder);
     let mut tasks = JoinSet::new();
-    follow(&mut tasks, client.bus(), client.keys().clone(), ear);
-    let mut progress = Waiting::new();
+    subscribe_fleet(&mut tasks, client.bus(), client.keys().clone(), ear);
+    let mut progress = Progress::new();
     let end = async {
         match until {
             Some(until) => sleep_until(until).await,
@@ -104,13 +104,13 @@ async fn listen(client: &Client, recorder: &Arc<Recorder>, until: Option<Instant
     tokio::pin!(end);
     loop {
         tokio::select! {
-            _ = signals.heard() => return Ok(()),
+            _ = signals.wait() => return Ok(()),
             () = &mut end => return Ok(()),
-            () = recorder.failed() => return Ok(()), // it says itself why
+            () = recorder.write_failed() => return Ok(()), // it says itself why
             () = tokio::time::sleep(LOOK) => {
-                if let (Some(recorded), coordinator) = recorder.pass() {
+                if let (Some(recorded), coordinator) = recorder.flush_due() {
                     let who = coordinator.map_or_else(|| "nobody coordinates".to_owned(), |now| format!("{} coordinates", now.node));
-                    progress.turn(format_args!("{}; {who}", words(&recorded)));
+                    progress.show_on_terminal(format_args!("{}; {who}", words(&recorded)));
                 }
             }
         }
@@ -118,8 +118,8 @@ async fn listen(client: &Client, recorder: &Arc<Recorder>, until: Option<Instant
 }
 
 /// What there is, in words.
-fn words(recorded: &Recorded) -> String {
-    let Recorded { seconds, events, reports, views, gaps, lost, bytes, .. } = recorded;
+fn words(recorded: &RecordingStats) -> String {
+    let RecordingStats { seconds, events, reports, views, gaps, lost, bytes, .. } = recorded;
     let gaps = match gaps {
         0 => String::new(),
         _ => format!(", {} not heard in {}", count(*lost, "event", "events"), count(*gaps, "gap", "gaps")),

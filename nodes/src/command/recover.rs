@@ -1,10 +1,10 @@
 //! `consort recover`: makes the store of one voter the whole ledger, when a majority is gone for good.
 
 use crate::exit::Failure;
-use crate::output::{self, Waiting};
-use crate::wiring::random;
-use consort_actors::replica::Holdings;
-use consort_actors::store::{DurableStore, OpenError, ledger_of, recover};
+use crate::output::{self, Progress};
+use crate::wiring::random_u64;
+use consort_actors::raft::LogStoreContents;
+use consort_actors::store::{DurableStore, OpenError, inspect_ledger, recover};
 use consort_protocol::count::count;
 use consort_protocol::ids::{ClusterId, NodeId};
 use consort_protocol::ledger::Ledger;
@@ -42,15 +42,15 @@ pub struct Args {
 /// [`Failure::Usage`] if there is no store; [`Failure::Unsuccessful`] if it is in use or not whole, holds nothing, or cannot
 /// be written, and if nobody agreed.
 pub fn run(args: Args) -> Result<(), Failure> {
-    let mut waiting = Waiting::on_terminal();
-    waiting.say(format_args!("reading {}", args.from.display()));
+    let mut waiting = Progress::on_terminal();
+    waiting.show(format_args!("reading {}", args.from.display()));
     let store = DurableStore::open_existing(&args.from).map_err(|problem| match problem {
-        OpenError::Absent { .. } => Failure::Usage(problem.to_string()),
+        OpenError::NotFound { .. } => Failure::Usage(problem.to_string()),
         _ => Failure::Unsuccessful(problem.to_string()),
     })?;
     let file = store.path().display().to_string();
     let failed = |problem: io::Error| Failure::Unsuccessful(format!("{file}: {problem}"));
-    let holdings = ledger_of(&store).map_err(failed)?;
+    let holdings = inspect_ledger(&store).map_err(failed)?;
     waiting.clear();
     let node = store.owner().node.clone();
     output::line(format_args!("{file} is the store of {}.\n", store.owner()))?;
@@ -71,8 +71,8 @@ pub fn run(args: Args) -> Result<(), Failure> {
         return Err(Failure::Unsuccessful(what.to_owned()));
     }
     let moment = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default().as_millis();
-    let cluster = ClusterId(random());
-    waiting.say(format_args!("writing {file}"));
+    let cluster = ClusterId(random_u64());
+    waiting.show(format_args!("writing {file}"));
     let copies = recover(&store, u64::try_from(moment).unwrap_or(u64::MAX), cluster).map_err(failed)?;
     waiting.clear();
     let copies: Vec<String> = copies.iter().map(|copy| copy.display().to_string()).collect();
@@ -85,16 +85,19 @@ pub fn run(args: Args) -> Result<(), Failure> {
 }
 
 /// What the store holds, in words.
-fn contents(holdings: &Holdings<Ledger>, node: &NodeId) -> String {
+fn contents(holdings: &LogStoreContents<Ledger>, node: &NodeId) -> String {
     let place = |epoch: Option<_>| epoch.map_or("none".to_owned(), |epoch| format!("{epoch}"));
     let voters: BTreeSet<&str> = holdings.voters.values().map(NodeId::as_str).collect();
     let voters = match voters.is_empty() {
         true => "none".to_owned(),
         false => voters.into_iter().collect::<Vec<_>>().join(", "),
     };
-    let missions: Vec<Vec<String>> =
-        holdings.state.missions().map(|entry| vec![format!("  {}", entry.id), entry.state.word().to_owned()]).collect();
-    let live = holdings.state.live().len();
+    let missions: Vec<Vec<String>> = holdings
+        .state
+        .missions()
+        .map(|entry| vec![format!("  {}", entry.id), entry.state.as_str().to_owned()])
+        .collect();
+    let live = holdings.state.active_missions().len();
     let mut lines = vec![
         format!("newest term heard of     {}", holdings.term),
         format!("last entry (term.index)  {}", place(holdings.last)),
@@ -116,7 +119,7 @@ fn contents(holdings: &Holdings<Ledger>, node: &NodeId) -> String {
 }
 
 /// What may be lost, and what must be done about the others.
-fn warning(holdings: &Holdings<Ledger>, node: &NodeId, others: BTreeSet<&str>) -> String {
+fn warning(holdings: &LogStoreContents<Ledger>, node: &NodeId, others: BTreeSet<&str>) -> String {
     let last = holdings.last.map(|last| last.to_string()).unwrap_or_default();
     let committed = holdings.committed.map_or("the beginning".to_owned(), |committed| committed.to_string());
     let others = others.into_iter().collect::<Vec<_>>().join(", ");

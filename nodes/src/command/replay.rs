@@ -1,13 +1,13 @@
 //! `consort replay`: a recording in the dashboard.
 
-use crate::address::Taken;
+use crate::address::BoundAddress;
 use crate::config::LogFormat;
 use crate::dashboard::Dashboard;
 use crate::exit::Failure;
+use crate::node_runtime::{build_runtime, rust_log, start_log};
 use crate::output;
-use crate::recording::{Player, Reel};
-use crate::running::{runtime, rust_log, start_log};
-use crate::signals::Signals;
+use crate::recording::{Player, RecordingReader};
+use crate::shutdown_signals::ShutdownSignals;
 use consort_protocol::count::count;
 use std::net::SocketAddr;
 use std::path::PathBuf;
@@ -48,14 +48,14 @@ pub struct Args {
 /// [`Failure::Usage`] if the file cannot be shown, the address not be had, or the speed is not allowed.
 pub fn run(args: Args) -> Result<(), Failure> {
     start_log(rust_log().as_deref().unwrap_or("off"), LogFormat::Human)?;
-    runtime()?.block_on(async {
-        let address = Taken::take("--dashboard", args.dashboard).await.map_err(Failure::Usage)?;
-        let reel = Reel::open(&args.file).map_err(|problem| Failure::Usage(problem.to_string()))?;
+    build_runtime()?.block_on(async {
+        let address = BoundAddress::bind("--dashboard", args.dashboard).await.map_err(Failure::Usage)?;
+        let reel = RecordingReader::open(&args.file).map_err(|problem| Failure::Usage(problem.to_string()))?;
         let player = Player::new(reel.from_ms(), reel.to_ms(), args.speed);
         let player = player.map_err(|problem| Failure::Usage(format!("--speed: {problem}")))?;
         let seconds = (reel.to_ms() - reel.from_ms()) as f64 / 1000.0;
         let (file, fleet, began) = (args.file.display(), reel.fleet().to_owned(), date(reel.from_ms()));
-        if let Some(problem) = reel.problem() {
+        if let Some(problem) = reel.damage() {
             output::note(format_args!(
                 "{file}: {problem}; what can be read of it is shown, up to {}",
                 date(reel.to_ms())
@@ -63,11 +63,11 @@ pub fn run(args: Args) -> Result<(), Failure> {
         }
         let marks = count(reel.marks().len(), "mark", "marks");
         let about = format!("{file}: {fleet} from {began} on, {seconds:.0} s, {marks}");
-        let mut signals = Signals::open()?;
+        let mut signals = ShutdownSignals::open()?;
         let dashboard = Dashboard::replay(address, reel, player);
         output::line(about)?;
         output::line(format_args!("dashboard: {}", dashboard.url()))?;
-        signals.heard().await;
+        signals.wait().await;
         Ok(())
     })
 }

@@ -1,10 +1,10 @@
 //! `consort restore`: the store of a first voter, made of a copy of the ledger.
 
-use crate::certs::now;
+use crate::certs::unix_time;
 use crate::exit::Failure;
 use crate::output;
-use crate::wiring::{fresh_store, random};
-use consort_actors::store::{Backup, DurableStore, OpenError, Owner, restore};
+use crate::wiring::{new_store_identity, random_u64};
+use consort_actors::store::{Backup, DurableStore, OpenError, StoreOwner, restore};
 use consort_protocol::count::count;
 use consort_protocol::ids::{ClusterId, NodeId};
 use std::fs;
@@ -44,9 +44,9 @@ pub fn run(args: Args) -> Result<(), Failure> {
     let text = fs::read_to_string(&from).map_err(|problem| wrong(&problem))?;
     let backup: Backup =
         serde_json::from_str(&text).map_err(|problem| wrong(&format!("it is no copy of a ledger: {problem}")))?;
-    let (ledger, last) = backup.open().map_err(|problem| wrong(&problem))?;
+    let (ledger, last) = backup.decode().map_err(|problem| wrong(&problem))?;
     match DurableStore::open_existing(&data_dir) {
-        Err(OpenError::Absent { .. }) => {}
+        Err(OpenError::NotFound { .. }) => {}
         Ok(store) => {
             let what = format!("{}: this is the store of {}; nothing was changed", data_dir.display(), store.owner());
             return Err(Failure::Usage(format!("{what}. A copy becomes a new store: name an empty directory")));
@@ -54,11 +54,11 @@ pub fn run(args: Args) -> Result<(), Failure> {
         Err(problem) => return Err(Failure::Usage(problem.to_string())),
     }
     let failed = |problem: &dyn std::fmt::Display| Failure::Unsuccessful(problem.to_string());
-    let owner = Owner { fleet: backup.fleet.clone(), node: node.clone() };
-    let store = DurableStore::open(&data_dir, &owner, fresh_store()).map_err(|problem| failed(&problem))?;
-    restore(&store, ledger, last, ClusterId(random())).map_err(|problem| failed(&problem))?;
+    let owner = StoreOwner { fleet: backup.fleet.clone(), node: node.clone() };
+    let store = DurableStore::open(&data_dir, &owner, new_store_identity()).map_err(|problem| failed(&problem))?;
+    restore(&store, ledger, last, ClusterId(random_u64())).map_err(|problem| failed(&problem))?;
     let Backup { fleet, at_ms, missions, under_way, .. } = backup;
-    let ago = now().as_secs().saturating_sub(at_ms / 1000);
+    let ago = unix_time().as_secs().saturating_sub(at_ms / 1000);
     let missions = count(missions, "mission", "missions");
     let under_way = count(under_way, "has not ended", "have not ended");
     output::line(format_args!(

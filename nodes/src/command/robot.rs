@@ -1,6 +1,6 @@
 //! `consort robot`: the node of a robot.
 
-use super::flags::{KeeperFlags, NodeFlags, quantity, set, share};
+use super::flags::{NodeFlags, VoterFlags, quantity, set, share};
 use crate::config::{RobotConfig, load};
 use crate::exit::Failure;
 use crate::wiring::robot_node;
@@ -55,7 +55,7 @@ struct RobotFlags {
     #[arg(long, env = "CONSORT_USEFUL_CHARGE", value_name = "SHARE", value_parser = share)]
     useful_charge: Option<BatteryShare>,
     #[command(flatten)]
-    keeper: KeeperFlags,
+    keeper: VoterFlags,
 }
 
 fn speed(text: &str) -> Result<MetresPerSecond, String> {

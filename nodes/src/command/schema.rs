@@ -1,9 +1,9 @@
 //! `consort schema`: the form of a kind of file, as a JSON Schema.
 
-use crate::check::Kind;
+use crate::check::FileKind;
 use crate::config::{FleetConfig, RobotConfig, StationConfig, WorldConfig};
 use crate::exit::Failure;
-use crate::{output, source};
+use crate::{inputs, output};
 use consort_protocol::mission::MissionTemplate;
 use consort_sim::experiment::calibration::Calibration;
 use consort_sim::experiment::design::Design;
@@ -26,22 +26,22 @@ An editor is told of it in the first line of a file:
   #:schema robot.json")]
 pub struct Args {
     /// The kind of file
-    kind: Kind,
+    kind: FileKind,
 }
 
 /// The form of a kind of file; none of those whose form is somebody else's.
-pub fn schema(kind: Kind) -> Option<Schema> {
+pub fn schema(kind: FileKind) -> Option<Schema> {
     Some(match kind {
-        Kind::Mission => MissionTemplate::schema(),
-        Kind::Map => schema_for!(MapFile),
-        Kind::Fleet => schema_for!(FleetConfig),
-        Kind::Robot => schema_for!(RobotConfig),
-        Kind::Station => schema_for!(StationConfig),
-        Kind::World => schema_for!(WorldConfig),
-        Kind::Workers => source::workers_schema(),
-        Kind::Design => schema_for!(Design),
-        Kind::Calibration => schema_for!(Calibration),
-        Kind::Ihtn | Kind::Scenarios => return None,
+        FileKind::Mission => MissionTemplate::schema(),
+        FileKind::Map => schema_for!(MapFile),
+        FileKind::Fleet => schema_for!(FleetConfig),
+        FileKind::Robot => schema_for!(RobotConfig),
+        FileKind::Station => schema_for!(StationConfig),
+        FileKind::World => schema_for!(WorldConfig),
+        FileKind::Workers => inputs::workers_schema(),
+        FileKind::Design => schema_for!(Design),
+        FileKind::Calibration => schema_for!(Calibration),
+        FileKind::Ihtn | FileKind::Scenarios => return None,
     })
 }
 

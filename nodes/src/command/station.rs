@@ -1,6 +1,6 @@
 //! `consort station`: a node without a robot.
 
-use super::flags::{KeeperFlags, NodeFlags, set};
+use super::flags::{NodeFlags, VoterFlags, set};
 use crate::config::{StationConfig, load};
 use crate::exit::Failure;
 use crate::wiring::station_node;
@@ -36,7 +36,7 @@ struct StationFlags {
     #[arg(long, env = "CONSORT_NAME")]
     name: Option<NodeId>,
     #[command(flatten)]
-    keeper: KeeperFlags,
+    keeper: VoterFlags,
 }
 
 /// Runs the command.

@@ -3,7 +3,7 @@
 use super::flags::key_value;
 use crate::client::{Client, ClientFlags};
 use crate::exit::Failure;
-use crate::{output, running, source};
+use crate::{inputs, node_runtime, output};
 use consort_protocol::ids::RequestId;
 use consort_protocol::keys::ApiCall;
 use consort_protocol::ledger::{Priority, time_until_deadline};
@@ -64,7 +64,7 @@ const LOOK: Duration = Duration::from_millis(500);
 /// As [`Client::api`], with what repeats the request if it was not answered; [`Failure::Unsuccessful`] if the mission is
 /// waited for and does not complete.
 pub fn run(args: Args) -> Result<(), Failure> {
-    let mission = source::mission_request(&args.mission)?;
+    let mission = inputs::mission_request(&args.mission)?;
     let parameters: BTreeMap<&str, &str> = args.parameters.iter().map(|(k, v)| (k.as_str(), v.as_str())).collect();
     let name = args.request.as_ref().map_or_else(by_chance, ToString::to_string);
     let mut request = json!({ "mission": mission, "parameters": parameters, "request": name });
@@ -72,7 +72,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
     if let Some(deadline) = args.deadline {
         request["deadline_s"] = json!(deadline);
     }
-    running::runtime()?.block_on(async {
+    node_runtime::build_runtime()?.block_on(async {
         let mut client = Client::open(&args.client).await?;
         let ended = submit(&mut client, &args, &name, &request).await;
         client.close().await;
@@ -83,7 +83,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
 async fn submit(client: &mut Client, args: &Args, name: &str, request: &Value) -> Result<(), Failure> {
     let again = || again(env::args_os().map(|word| word.to_string_lossy().into_owned()), args.request.is_none(), name);
     let mut answer = client.api(ApiCall::Submit, request).await.map_err(|failure| match failure {
-        Failure::Unreached(problem) => Failure::Unreached(format!(
+        Failure::Unreachable(problem) => Failure::Unreachable(format!(
             "{problem}\nWhether request {name} was taken is not known. It can be repeated safely, for it gets one mission \
              however often it is made:\n  {}",
             again()
@@ -104,7 +104,7 @@ async fn submit(client: &mut Client, args: &Args, name: &str, request: &Value) -
         return Ok(());
     }
     wait(client, &id, args.json).await.map_err(|failure| match failure {
-        Failure::Unreached(problem) => Failure::Unreached(format!(
+        Failure::Unreachable(problem) => Failure::Unreachable(format!(
             "{problem}\n{id} was acknowledged, and is not lost; how it ends was not heard. To wait for it again:\n  {}",
             again()
         )),
@@ -144,7 +144,7 @@ async fn wait(client: &mut Client, id: &str, in_json: bool) -> Result<(), Failur
         let state = mission.get("state").and_then(Value::as_str).unwrap_or("unknown");
         let number = |key: &str| mission.get(key).and_then(Value::as_u64).unwrap_or(0);
         if !["pending", "running"].contains(&state) {
-            client.waiting().clear();
+            client.progress().clear();
             if in_json {
                 output::line(&mission)?;
             } else {
@@ -159,7 +159,7 @@ async fn wait(client: &mut Client, id: &str, in_json: bool) -> Result<(), Failur
         }
         let why = mission.pointer("/auction/failure").and_then(Value::as_str).filter(|_| state == "pending");
         let why = why.map(|why| format!(" ({why})")).unwrap_or_default();
-        client.waiting().say(format_args!("{id} {state}{why}: {} of {} steps", number("done"), number("steps")));
+        client.progress().show(format_args!("{id} {state}{why}: {} of {} steps", number("done"), number("steps")));
         tokio::time::sleep(LOOK).await;
     }
 }

@@ -4,7 +4,7 @@ use crate::exit::Failure;
 use crate::output;
 use clap::Args as ClapArgs;
 use consort_protocol::count::count;
-use consort_tests::behavior::{self, Features, Filter, Order, listed};
+use consort_tests::behavior::{self, Features, RunOptions, ScenarioFilter, step_docs};
 use std::io::{IsTerminal, stdout};
 use std::path::PathBuf;
 
@@ -70,11 +70,11 @@ pub fn run(args: Args) -> Result<(), Failure> {
     if args.steps {
         return steps();
     }
-    let tags = args.tags.as_deref().map(Filter::tags).transpose().map_err(Failure::Usage)?;
-    let filter = Filter { tags, name: args.name };
+    let tags = args.tags.as_deref().map(ScenarioFilter::tags).transpose().map_err(Failure::Usage)?;
+    let filter = ScenarioFilter { tags, name: args.name };
     let features = Features::read(&args.features, &filter).map_err(|bad| Failure::Usage(bad.to_string()))?;
     let cores = std::thread::available_parallelism().map_or(1, usize::from);
-    let order = Order {
+    let order = RunOptions {
         seed: args.seed,
         jobs: args.jobs.unwrap_or(cores),
         steps: args.verbose,
@@ -82,7 +82,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
     };
     let outcome = behavior::run(features, &order, stdout());
     match outcome.failed.len() {
-        _ if outcome.unheard => Err(Failure::OutputClosed),
+        _ if outcome.write_failed => Err(Failure::OutputClosed),
         0 => Ok(()),
         failed => Err(Failure::Unsuccessful(format!(
             "{failed} of {} failed",
@@ -93,7 +93,7 @@ pub fn run(args: Args) -> Result<(), Failure> {
 
 fn steps() -> Result<(), Failure> {
     let mut kind = "";
-    for step in listed() {
+    for step in step_docs() {
         if step.kind != kind {
             output::line(format_args!("{}{}:", if kind.is_empty() { "" } else { "\n" }, step.kind))?;
             kind = step.kind;

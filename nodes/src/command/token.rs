@@ -1,12 +1,12 @@
 //! `consort token`: what a person shows to the pages of a closed fleet.
 
-use crate::certs::{fleet_of, now};
-use crate::command::length::length;
+use crate::certs::{read_fleet_of_authority, unix_time};
+use crate::command::duration::parse_duration;
 use crate::exit::Failure;
 use crate::output;
-use crate::trust::of_a_person;
+use crate::trust::person_keyring;
 use consort_actors::clock::Clock;
-use consort_protocol::trust::{Bearer, Scope};
+use consort_protocol::trust::{AccessScope, Principal};
 use std::path::PathBuf;
 use std::time::Duration;
 
@@ -23,9 +23,9 @@ pub struct Args {
     certs: PathBuf,
     /// What it is good for: read; submit (and cancel) missions; operate (close rescues). Default: all that your certificate lets you do
     #[arg(long, value_name = "SCOPE")]
-    scope: Option<Scope>,
+    scope: Option<AccessScope>,
     /// How long it is good: a number and s, m, h or d
-    #[arg(long = "for", value_name = "TIME", default_value = "12h", value_parser = length)]
+    #[arg(long = "for", value_name = "TIME", default_value = "12h", value_parser = parse_duration)]
     time: Duration,
     /// Print a link to this dashboard that brings the token along, instead of the token alone
     #[arg(long, value_name = "URL")]
@@ -52,14 +52,14 @@ Examples:
 /// [`Failure::Usage`] names the file that is wrong, or says why there can be no such token.
 pub fn run(args: Args) -> Result<(), Failure> {
     let Args { certs, scope, time, link } = args;
-    let fleet = fleet_of(&certs.join("ca.pem"))?;
-    let (keyring, files) = of_a_person(&certs, &fleet, Clock::real())?;
+    let fleet = read_fleet_of_authority(&certs.join("ca.pem"))?;
+    let (keyring, files) = person_keyring(&certs, &fleet, Clock::real())?;
     let wrong = |problem: String| Failure::Usage(format!("{}: {problem}", files.certificate.display()));
-    let own = match &keyring.identity().bearer {
-        Bearer::Person { scope, .. } => *scope,
-        node @ Bearer::Node { .. } => return Err(wrong(format!("it is {node}'s, and tokens are people's"))),
+    let own = match &keyring.identity().principal {
+        Principal::Person { scope, .. } => *scope,
+        node @ Principal::Node { .. } => return Err(wrong(format!("it is {node}'s, and tokens are people's"))),
     };
-    let made = keyring.token(scope.unwrap_or(own), now() + time);
+    let made = keyring.issue_token(scope.unwrap_or(own), unix_time() + time);
     let token = made.map_err(|problem| wrong(problem.to_string()))?;
     match link {
         None => output::line(token),

@@ -38,7 +38,7 @@ pub struct Args {
 pub fn run(args: Args) -> Result<(), Failure> {
     let Args { finish, json, client } = args;
     let asked = json!({ "finish": finish });
-    let told = client.connected(async |client| client.api(ApiCall::Upgrade, &asked).await)?;
+    let told = client.with_client(async |client| client.api(ApiCall::Upgrade, &asked).await)?;
     match json {
         true => output::line(told),
         false => output::line(words(&told)),

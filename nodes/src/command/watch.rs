@@ -1,11 +1,11 @@
 //! `consort watch`: the fleet on a terminal.
 
 use crate::client::ClientFlags;
-use crate::dashboard::Board;
+use crate::dashboard::FramePublisher;
 use crate::exit::Failure;
-use crate::picture::{FloorPlan, Picture};
-use crate::screen::{Paint, Screen, Turn};
-use crate::watcher::follow;
+use crate::fleet_model::{FleetModel, FloorPlan};
+use crate::subscriber::subscribe_fleet;
+use crate::tui::{ColorMode, KeyOutcome, Tui};
 use consort_actors::clock::Clock;
 use ratatui::crossterm::event::{Event, read};
 use std::io::IsTerminal;
@@ -44,12 +44,12 @@ pub fn run(args: Args) -> Result<(), Failure> {
                 .to_owned(),
         ));
     }
-    args.client.connected(async |client| {
+    args.client.with_client(async |client| {
         let clock = Clock::real();
-        let picture = Picture::new(client.fleet().to_string(), "watch", FloorPlan::default(), clock.wall_ms());
-        let board = Arc::new(Board::new(picture, clock));
+        let picture = FleetModel::new(client.fleet().to_string(), "watch", FloorPlan::default(), clock.wall_ms());
+        let board = Arc::new(FramePublisher::new(picture, clock));
         let mut tasks = JoinSet::new();
-        follow(&mut tasks, client.bus(), client.keys().clone(), Arc::<Board>::clone(&board));
+        subscribe_fleet(&mut tasks, client.bus(), client.keys().clone(), Arc::<FramePublisher>::clone(&board));
         let mut terminal = ratatui::try_init().map_err(|problem| unusable(&problem))?;
         let ended = show(&mut terminal, &board, keys()).await;
         ratatui::restore();
@@ -59,16 +59,17 @@ pub fn run(args: Args) -> Result<(), Failure> {
 
 async fn show(
     terminal: &mut ratatui::DefaultTerminal,
-    board: &Board,
+    board: &FramePublisher,
     mut keys: UnboundedReceiver<Event>,
 ) -> Result<(), Failure> {
     let plain = std::env::var_os("NO_COLOR").is_some_and(|value| !value.is_empty());
-    let mut screen = Screen::new(if plain { Paint::Plain } else { Paint::Colours });
+    let mut screen = Tui::new(if plain { ColorMode::Plain } else { ColorMode::Color });
     loop {
-        let drawn = board.with(|picture, now_ms| terminal.draw(|frame| screen.draw(frame, picture, now_ms)).map(drop));
+        let drawn =
+            board.with_model(|picture, now_ms| terminal.draw(|frame| screen.draw(frame, picture, now_ms)).map(drop));
         drawn.map_err(|problem| unusable(&problem))?;
         match tokio::time::timeout(FRAME, keys.recv()).await {
-            Ok(Some(Event::Key(key))) if screen.press(key) == Turn::Quit => return Ok(()),
+            Ok(Some(Event::Key(key))) if screen.handle_key(key) == KeyOutcome::Quit => return Ok(()),
             Ok(None) => return Ok(()), // the terminal has gone
             Ok(Some(_)) | Err(_) => {}
         }

@@ -1,6 +1,6 @@
 //! `consort world`: a node that hosts a simulated world.
 
-use super::flags::{NodeFlags, VoteFlag, set};
+use super::flags::{MayVoteFlag, NodeFlags, set};
 use crate::config::{WorldConfig, load};
 use crate::exit::Failure;
 use crate::rendering::{self, RenderFlags};
@@ -49,7 +49,7 @@ struct WorldFlags {
     #[arg(long, env = "CONSORT_SPEED", value_name = "FACTOR")]
     speed: Option<f64>,
     #[command(flatten)]
-    vote: VoteFlag,
+    vote: MayVoteFlag,
 }
 
 /// Runs the command.
@@ -67,11 +67,11 @@ pub fn run(args: Args) -> Result<(), Failure> {
     let mut shown = None;
     let ended = args.node.run(world, |world, fleet, life| {
         let (settings, shared) = world_node(world, fleet, life)?;
-        render.begin(&shared)?;
+        render.start_recording(&shared)?;
         shown = Some(shared);
         Ok(settings)
     });
     // However it ended: what was recorded is worth having, most of all if it went wrong.
-    let rendered = shown.map_or(Ok(()), |world| rendering::end(&world, |file| info!(file, "recorded")));
+    let rendered = shown.map_or(Ok(()), |world| rendering::finish_recording(&world, |file| info!(file, "recorded")));
     ended.and(rendered)
 }

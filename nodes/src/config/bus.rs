@@ -1,6 +1,6 @@
 //! Where a node is on the network, and how it proves who it is.
 
-use super::read::settle_path;
+use super::read::resolve_path;
 use consort_actors::trust::TrustFiles;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -26,7 +26,7 @@ pub struct BusConfig {
 
 impl BusConfig {
     /// Addresses to listen on.
-    pub fn listening(&self) -> Vec<String> {
+    pub fn listen_addresses(&self) -> Vec<String> {
         if self.listen.is_empty() { vec![format!("{}/127.0.0.1:0", self.protocol())] } else { self.listen.clone() }
     }
 
@@ -36,12 +36,12 @@ impl BusConfig {
     }
 
     /// Makes paths relative to `folder`, where the file lies.
-    pub(super) fn settle(&mut self, folder: &Path) {
-        settle_path(&mut self.certs, folder);
+    pub(super) fn resolve_paths(&mut self, folder: &Path) {
+        resolve_path(&mut self.certs, folder);
     }
 
     /// What is wrong with its addresses.
-    pub fn problems(&self) -> Vec<String> {
+    pub fn validate(&self) -> Vec<String> {
         let protocol = self.protocol();
         let wrong = |key: &'static str| {
             move |address: &String| {

@@ -1,13 +1,13 @@
 //! The fleet file: what all nodes of a fleet agree on.
 
-use super::read::{settle_path, under};
+use super::read::{join_normalized, resolve_path};
 use super::{ConfigFile, load};
-use crate::floor::is_shipped;
-use crate::kit;
+use crate::extensions;
+use crate::map_loader::is_shipped;
 use consort_actors::autopilot;
-use consort_actors::coordinator::IntakeLimits;
-use consort_actors::timing::{Times, Timing};
-use consort_protocol::auction::Limits;
+use consort_actors::coordinator::RequestLimits;
+use consort_actors::timing::{Timing, TimingParameters};
+use consort_protocol::auction::BidLimits;
 use consort_protocol::ensemble::{Ensemble, EnsembleSpec};
 use consort_protocol::ids::{EnsembleId, FleetId, TaskType};
 use consort_protocol::lease::LeaseTerms;
@@ -140,14 +140,14 @@ impl Default for FleetConfig {
 
 impl Default for LimitsConfig {
     fn default() -> Self {
-        let Limits { time, charge_min } = Limits::default();
+        let BidLimits { time, charge_min } = BidLimits::default();
         LimitsConfig { time_s: time, charge_min }
     }
 }
 
 impl Default for RequestsConfig {
     fn default() -> Self {
-        let IntakeLimits { missions, requests_per_s } = IntakeLimits::default();
+        let RequestLimits { missions_max: missions, requests_per_s } = RequestLimits::default();
         RequestsConfig { missions, per_s: requests_per_s }
     }
 }
@@ -162,13 +162,13 @@ impl Default for LeaseConfig {
 
 impl FleetConfig {
     /// The times of its preset, with those that are set apart.
-    pub fn times(&self) -> Times {
-        let times = self.timing.times();
+    pub fn times(&self) -> TimingParameters {
+        let times = self.timing.parameters();
         let or = |ms: Option<u64>, preset| ms.map_or(preset, Duration::from_millis);
-        Times {
+        TimingParameters {
             dead_after: or(self.dead_after_ms, times.dead_after),
             link_lease: or(self.link_lease_ms, times.link_lease),
-            window: or(self.auction.window_ms, times.window),
+            auction_window: or(self.auction.window_ms, times.auction_window),
             ..times
         }
     }
@@ -176,7 +176,7 @@ impl FleetConfig {
     /// The ensemble whose members are asked for bids.
     pub fn ensemble(&self) -> EnsembleSpec {
         self.ensemble.first().cloned().unwrap_or_else(|| {
-            let skills = kit::domain().task_types().cloned().collect();
+            let skills = extensions::domain().task_types().cloned().collect();
             EnsembleSpec::with_any_skill_of(EnsembleId::new("workers").expect("a slug"), skills)
         })
     }
@@ -185,20 +185,20 @@ impl FleetConfig {
 impl ConfigFile for FleetConfig {
     const KIND: &'static str = "fleet";
 
-    fn settle(&mut self, folder: &Path) {
+    fn resolve_paths(&mut self, folder: &Path) {
         if !is_shipped(&self.map) {
-            self.map = under(folder, Path::new(&self.map)).display().to_string();
+            self.map = join_normalized(folder, Path::new(&self.map)).display().to_string();
         }
-        settle_path(&mut self.calibration, folder);
+        resolve_path(&mut self.calibration, folder);
     }
 
-    fn problems(&self) -> Vec<String> {
-        let mut problems = vec![];
+    fn validate(&self) -> Vec<String> {
+        let mut validate = vec![];
         let times = self.times();
         let ms = |time: Duration| u64::try_from(time.as_millis()).unwrap_or(u64::MAX);
         let mut within = |key: &str, value: u64, least: u64, most: u64| {
             if !(least..=most).contains(&value) {
-                problems.push(format!("{key} is {value}, allowed is {least} to {most}"));
+                validate.push(format!("{key} is {value}, allowed is {least} to {most}"));
             }
         };
         within("bootstrap_expect", self.bootstrap_expect as u64, 1, 1_000);
@@ -210,29 +210,29 @@ impl ConfigFile for FleetConfig {
         within("requests.per_s", self.requests.per_s.into(), 0, 1_000_000);
         within("lease.lease_ms", self.lease.lease_ms, 500, 3_600_000);
         within("lease.grace_ms", self.lease.grace_ms, 200, 3_600_000);
-        within("auction.window_ms", ms(times.window), 1, 60_000);
+        within("auction.window_ms", ms(times.auction_window), 1, 60_000);
         if self.voters.is_multiple_of(2) {
-            problems.push(format!("voters is {}, allowed is an odd number: 1, 3, 5, 7 or 9", self.voters));
+            validate.push(format!("voters is {}, allowed is an odd number: 1, 3, 5, 7 or 9", self.voters));
         }
         if self.ensemble.len() > 1 {
             let count = self.ensemble.len();
-            problems.push(format!("ensemble: {count} are declared; one is allowed, whose members are asked for bids"));
+            validate.push(format!("ensemble: {count} are declared; one is allowed, whose members are asked for bids"));
         }
         for spec in &self.ensemble {
-            let domain = kit::domain();
+            let domain = extensions::domain();
             for skill in spec.skills.iter().filter(|skill| domain.get(skill).is_none()) {
-                problems.push(format!("ensemble {}: skills: {}", spec.name, unknown_skill(skill)));
+                validate.push(format!("ensemble {}: skills: {}", spec.name, unknown_skill(skill)));
             }
-            problems.extend(Ensemble::compile(spec.clone()).err().map(|problem| problem.to_string()));
+            validate.extend(Ensemble::compile(spec.clone()).err().map(|problem| problem.to_string()));
         }
-        problems
+        validate
     }
 }
 
 /// What is wrong with a skill that no task type of the domain is named for.
 pub(super) fn unknown_skill(skill: &TaskType) -> String {
-    let domain = kit::domain();
-    let allowed = consort_protocol::mission::Allowed::instead_of(skill.as_str(), domain.task_types());
+    let domain = extensions::domain();
+    let allowed = consort_protocol::mission::AllowedNames::suggest_for(skill.as_str(), domain.task_types());
     format!("there are no tasks of type `{skill}`; {allowed}")
 }
 
@@ -262,24 +262,24 @@ impl FleetRef {
     ///
     /// # Errors
     /// [`Problems`](super::Problems) of the file.
-    pub fn resolve(&self) -> Result<FleetConfig, super::Problems> {
+    pub fn resolve(&self) -> Result<FleetConfig, super::Diagnostics> {
         match self {
             FleetRef::File(path) => load(path),
             FleetRef::Table(fleet) => Ok((**fleet).clone()),
         }
     }
 
-    pub(super) fn settle(&mut self, folder: &Path) {
+    pub(super) fn resolve_paths(&mut self, folder: &Path) {
         match self {
-            FleetRef::File(path) => *path = under(folder, path),
-            FleetRef::Table(fleet) => fleet.settle(folder),
+            FleetRef::File(path) => *path = join_normalized(folder, path),
+            FleetRef::Table(fleet) => fleet.resolve_paths(folder),
         }
     }
 
-    pub(super) fn problems(&self) -> Vec<String> {
+    pub(super) fn validate(&self) -> Vec<String> {
         match self {
             FleetRef::File(_) => vec![],
-            FleetRef::Table(fleet) => fleet.problems().into_iter().map(|problem| format!("fleet: {problem}")).collect(),
+            FleetRef::Table(fleet) => fleet.validate().into_iter().map(|problem| format!("fleet: {problem}")).collect(),
         }
     }
 }

@@ -18,9 +18,9 @@
 
 mod bus;
 mod design;
+mod diagnostic;
 mod fleet;
 mod node;
-mod problem;
 mod read;
 mod robot;
 mod station;
@@ -28,9 +28,9 @@ mod telemetry;
 mod world;
 
 pub use bus::{BusConfig, trust_files};
+pub use diagnostic::{Diagnostic, Diagnostics};
 pub use fleet::{AuctionConfig, DEFAULT_FLEET, FleetConfig, FleetRef, LeaseConfig, LimitsConfig, RequestsConfig};
-pub use node::{NodeFile, Surroundings};
-pub use problem::{Problem, Problems};
+pub use node::{CommonConfig, NodeFile};
 pub use read::{ConfigFile, from_text, load, to_toml};
 pub use robot::{RobotConfig, useful_charge};
 pub use station::StationConfig;

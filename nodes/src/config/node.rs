@@ -1,6 +1,6 @@
 //! What the files of all nodes have in common, whatever the node is for.
 
-use super::read::settle_path;
+use super::read::resolve_path;
 use super::{BusConfig, ConfigFile, FleetRef, TelemetryConfig};
 use consort_protocol::ids::NodeId;
 use std::net::SocketAddr;
@@ -12,11 +12,11 @@ pub trait NodeFile: ConfigFile {
     fn node(&self) -> NodeId;
 
     /// What the node works with and among.
-    fn surroundings(&mut self) -> Surroundings<'_>;
+    fn common_mut(&mut self) -> CommonConfig<'_>;
 }
 
 /// The part of a node's file that says what the node works with and among.
-pub struct Surroundings<'a> {
+pub struct CommonConfig<'a> {
     /// Where it keeps what it has promised.
     pub data_dir: &'a mut Option<PathBuf>,
     /// Where it serves the dashboard, if it does.
@@ -29,19 +29,19 @@ pub struct Surroundings<'a> {
     pub bus: &'a mut BusConfig,
 }
 
-impl Surroundings<'_> {
+impl CommonConfig<'_> {
     /// Makes paths relative to `folder`, where the file lies.
-    pub(super) fn settle(self, folder: &Path) {
-        self.fleet.settle(folder);
-        self.bus.settle(folder);
-        settle_path(self.data_dir, folder);
+    pub(super) fn resolve_paths(self, folder: &Path) {
+        self.fleet.resolve_paths(folder);
+        self.bus.resolve_paths(folder);
+        resolve_path(self.data_dir, folder);
     }
 }
 
 /// What is wrong with the fleet, the bus or the telemetry of a node's file.
-pub(super) fn problems_around(fleet: &FleetRef, bus: &BusConfig, telemetry: &TelemetryConfig) -> Vec<String> {
-    let mut problems = fleet.problems();
-    problems.extend(bus.problems());
-    problems.extend(telemetry.problems());
+pub(super) fn validate_common(fleet: &FleetRef, bus: &BusConfig, telemetry: &TelemetryConfig) -> Vec<String> {
+    let mut problems = fleet.validate();
+    problems.extend(bus.validate());
+    problems.extend(telemetry.validate());
     problems
 }

@@ -1,8 +1,8 @@
 //! From TOML to configuration, with every unknown key named.
 
-use super::{Problem, Problems};
+use super::{Diagnostic, Diagnostics};
 use crate::file;
-use consort_protocol::mission::Allowed;
+use consort_protocol::mission::AllowedNames;
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 use std::ops::Range;
@@ -22,22 +22,22 @@ pub trait ConfigFile: DeserializeOwned + Serialize {
     const KIND: &'static str;
 
     /// Makes paths in it relative to `folder`, where the file lies.
-    fn settle(&mut self, folder: &Path);
+    fn resolve_paths(&mut self, folder: &Path);
 
     /// What is wrong beyond the form, if anything: each with the key it is about.
-    fn problems(&self) -> Vec<String>;
+    fn validate(&self) -> Vec<String>;
 }
 
 /// Reads a file.
 ///
 /// # Errors
 /// [`Problems`] with all that is wrong.
-pub fn load<C: ConfigFile>(path: &Path) -> Result<C, Problems> {
+pub fn load<C: ConfigFile>(path: &Path) -> Result<C, Diagnostics> {
     let file = path.display().to_string();
-    let text = file::text(path, BYTES_MAX).map_err(|problem| Problem::of(&file, problem))?;
+    let text = file::read_text(path, BYTES_MAX).map_err(|problem| Diagnostic::for_file(&file, problem))?;
     let mut config: C = from_text(&text, &file)?;
     let absolute = std::path::absolute(path).unwrap_or_else(|_| path.to_owned());
-    config.settle(absolute.parent().unwrap_or(Path::new("/")));
+    config.resolve_paths(absolute.parent().unwrap_or(Path::new("/")));
     Ok(config)
 }
 
@@ -45,12 +45,16 @@ pub fn load<C: ConfigFile>(path: &Path) -> Result<C, Problems> {
 ///
 /// # Errors
 /// [`Problems`]: all unknown keys, or the first thing that is otherwise not of the form, or all that makes no sense.
-pub fn from_text<C: ConfigFile>(text: &str, file: &str) -> Result<C, Problems> {
+pub fn from_text<C: ConfigFile>(text: &str, file: &str) -> Result<C, Diagnostics> {
     let place = |span: Option<Range<usize>>| span.map(|span| line_and_column(text, span.start));
     let mut table = DeTable::parse(text).map_err(|error| {
-        Problems::from(Problem { file: file.to_owned(), at: place(error.span()), what: error.message().to_owned() })
+        Diagnostics::from(Diagnostic {
+            file: file.to_owned(),
+            position: place(error.span()),
+            message: error.message().to_owned(),
+        })
     })?;
-    let mut problems: Vec<Problem> = vec![];
+    let mut problems: Vec<Diagnostic> = vec![];
     let config = loop {
         let error = match C::deserialize(Deserializer::from(table.clone())) {
             Ok(config) => break Some(config),
@@ -58,29 +62,29 @@ pub fn from_text<C: ConfigFile>(text: &str, file: &str) -> Result<C, Problems> {
         };
         let what = match unknown_key(error.message()) {
             Some((key, allowed)) => {
-                let allowed = Allowed::instead_of(&key, allowed);
+                let allowed = AllowedNames::suggest_for(&key, allowed);
                 format!("unknown key `{key}` in a {} file; {allowed}", C::KIND)
             }
             None => error.message().replace("missing field", "missing key"),
         };
         // What is missing may be what was misspelt, or has been taken out below.
         if problems.is_empty() || !what.starts_with("missing") {
-            problems.push(Problem { file: file.to_owned(), at: place(error.span()), what });
+            problems.push(Diagnostic { file: file.to_owned(), position: place(error.span()), message: what });
         }
         // Once a mistake has been told of, the rest of the file is read without it.
         if problems.len() >= PROBLEMS_MAX || !error.span().is_some_and(|span| remove(table.get_mut(), &span)) {
             break None;
         }
     };
-    problems.sort_by_key(|problem| problem.at);
+    problems.sort_by_key(|problem| problem.position);
     match config {
         Some(config) => {
             if problems.is_empty() {
-                problems.extend(config.problems().into_iter().map(|what| Problem::of(file, what)));
+                problems.extend(config.validate().into_iter().map(|what| Diagnostic::for_file(file, what)));
             }
-            Problems::unless_none(problems).map(|()| config)
+            Diagnostics::into_result(problems).map(|()| config)
         }
-        None => Err(Problems(problems)),
+        None => Err(Diagnostics(problems)),
     }
 }
 
@@ -90,16 +94,16 @@ pub fn to_toml<C: ConfigFile>(config: &C) -> String {
 }
 
 /// The path as seen from `folder`.
-pub(super) fn under(folder: &Path, path: &Path) -> PathBuf {
+pub(super) fn join_normalized(folder: &Path, path: &Path) -> PathBuf {
     let joined = folder.join(path);
     // `./` and the like only make messages longer.
     joined.components().collect()
 }
 
 /// Makes a path, if there is one, relative to `folder`.
-pub(super) fn settle_path(path: &mut Option<PathBuf>, folder: &Path) {
+pub(super) fn resolve_path(path: &mut Option<PathBuf>, folder: &Path) {
     if let Some(path) = path {
-        *path = under(folder, path);
+        *path = join_normalized(folder, path);
     }
 }
 
@@ -188,7 +192,7 @@ mod tests {
         let mut robot: RobotConfig =
             from_text("name = \"a\"\nplace = \"Dock\"\nskills = [\"pick_up\"]\nfleet = \"x/fleet.toml\"", "f.toml")
                 .unwrap();
-        robot.settle(Path::new("/etc/consort"));
+        robot.resolve_paths(Path::new("/etc/consort"));
         assert_eq!(robot.fleet, super::super::FleetRef::File("/etc/consort/x/fleet.toml".into()));
         assert_eq!(from_text::<RobotConfig>(&to_toml(&robot), "f.toml").unwrap(), robot);
         robot.fleet = super::super::FleetRef::default();

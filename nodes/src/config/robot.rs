@@ -1,9 +1,9 @@
 //! The robot file: a node that drives a robot.
 
 use super::fleet::unknown_skill;
-use super::node::problems_around;
-use super::{BusConfig, ConfigFile, FleetRef, NodeFile, Surroundings, TelemetryConfig, yes};
-use crate::kit;
+use super::node::validate_common;
+use super::{BusConfig, CommonConfig, ConfigFile, FleetRef, NodeFile, TelemetryConfig, yes};
+use crate::extensions;
 use consort_protocol::ids::{NodeId, PlaceId, RobotId, TaskType};
 use consort_protocol::units::{BatteryShare, MetresPerSecond, SharePerSecond};
 use schemars::JsonSchema;
@@ -100,22 +100,22 @@ impl RobotConfig {
 impl ConfigFile for RobotConfig {
     const KIND: &'static str = "robot";
 
-    fn settle(&mut self, folder: &Path) {
-        self.surroundings().settle(folder);
+    fn resolve_paths(&mut self, folder: &Path) {
+        self.common_mut().resolve_paths(folder);
     }
 
-    fn problems(&self) -> Vec<String> {
-        let domain = kit::domain();
+    fn validate(&self) -> Vec<String> {
+        let domain = extensions::domain();
         let unknown = self.skills.iter().filter(|skill| domain.get(skill).is_none());
-        let mut problems: Vec<String> = unknown.map(|skill| format!("skills: {}", unknown_skill(skill))).collect();
+        let mut validate: Vec<String> = unknown.map(|skill| format!("skills: {}", unknown_skill(skill))).collect();
         if self.skills.is_empty() {
-            problems.push("skills: there are none; such a robot would get no work".to_owned());
+            validate.push("skills: there are none; such a robot would get no work".to_owned());
         }
         if self.skills.iter().any(|skill| skill.as_str() == "navigation") && self.speed_mps.is_none() {
-            problems.push("speed_mps: is missing, and the robot has the skill `navigation`".to_owned());
+            validate.push("speed_mps: is missing, and the robot has the skill `navigation`".to_owned());
         }
-        problems.extend(problems_around(&self.fleet, &self.bus, &self.telemetry));
-        problems
+        validate.extend(validate_common(&self.fleet, &self.bus, &self.telemetry));
+        validate
     }
 }
 
@@ -124,8 +124,8 @@ impl NodeFile for RobotConfig {
         NodeId::from(self.name.clone())
     }
 
-    fn surroundings(&mut self) -> Surroundings<'_> {
-        Surroundings {
+    fn common_mut(&mut self) -> CommonConfig<'_> {
+        CommonConfig {
             data_dir: &mut self.data_dir,
             dashboard: &mut self.dashboard,
             telemetry: &mut self.telemetry,

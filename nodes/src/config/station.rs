@@ -1,7 +1,7 @@
 //! The station file: a node without a robot, which keeps the ledger and may coordinate.
 
-use super::node::problems_around;
-use super::{BusConfig, ConfigFile, FleetRef, NodeFile, Surroundings, TelemetryConfig, yes};
+use super::node::validate_common;
+use super::{BusConfig, CommonConfig, ConfigFile, FleetRef, NodeFile, TelemetryConfig, yes};
 use consort_protocol::ids::NodeId;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -61,12 +61,12 @@ impl StationConfig {
 impl ConfigFile for StationConfig {
     const KIND: &'static str = "station";
 
-    fn settle(&mut self, folder: &Path) {
-        self.surroundings().settle(folder);
+    fn resolve_paths(&mut self, folder: &Path) {
+        self.common_mut().resolve_paths(folder);
     }
 
-    fn problems(&self) -> Vec<String> {
-        problems_around(&self.fleet, &self.bus, &self.telemetry)
+    fn validate(&self) -> Vec<String> {
+        validate_common(&self.fleet, &self.bus, &self.telemetry)
     }
 }
 
@@ -75,8 +75,8 @@ impl NodeFile for StationConfig {
         self.name.clone()
     }
 
-    fn surroundings(&mut self) -> Surroundings<'_> {
-        Surroundings {
+    fn common_mut(&mut self) -> CommonConfig<'_> {
+        CommonConfig {
             data_dir: &mut self.data_dir,
             dashboard: &mut self.dashboard,
             telemetry: &mut self.telemetry,

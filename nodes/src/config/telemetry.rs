@@ -35,7 +35,7 @@ pub enum LogFormat {
 }
 
 impl TelemetryConfig {
-    pub(super) fn problems(&self) -> Vec<String> {
+    pub(super) fn validate(&self) -> Vec<String> {
         let otlp = self.otlp.as_ref().filter(|address| !address.starts_with("http://"));
         let form = "a collector is written as http://127.0.0.1:4318";
         otlp.map(|address| format!("telemetry.otlp: {address:?} does not begin with http://; {form}"))

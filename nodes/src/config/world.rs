@@ -1,12 +1,13 @@
 //! The world file: a node that hosts a simulated world.
 
-use super::node::problems_around;
-use super::read::under;
-use super::{BusConfig, ConfigFile, FleetRef, NodeFile, Surroundings, TelemetryConfig};
-use crate::floor::is_shipped;
+use super::node::validate_common;
+use super::read::join_normalized;
+use super::{BusConfig, CommonConfig, ConfigFile, FleetRef, NodeFile, TelemetryConfig};
+use crate::map_loader::is_shipped;
 use consort_protocol::ids::NodeId;
 use consort_sim::world::{
-    DoorSetup, Durations, Gusts, Object, Obstacle, Person, RobotBody, WorldLimits, default_step_s, system_names,
+    DoorSetup, Durations, ObjectSetup, Obstacle, PersonSetup, RobotSetup, WindSettings, WorldLimits, default_step_s,
+    system_names,
 };
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -52,13 +53,13 @@ pub struct WorldConfig {
     pub step_s: f64,
     /// Gusts that push at what hovers. Default: none.
     #[serde(skip_serializing_if = "Option::is_none")]
-    pub gusts: Option<Gusts>,
+    pub gusts: Option<WindSettings>,
     /// The robots' bodies, by the names of their robots.
-    pub robot: Vec<RobotBody>,
+    pub robot: Vec<RobotSetup>,
     /// The people.
-    pub person: Vec<Person>,
+    pub person: Vec<PersonSetup>,
     /// Things that lie on tables at first.
-    pub object: Vec<Object>,
+    pub object: Vec<ObjectSetup>,
     /// Automatic doors of the map that are not as usual.
     pub door: Vec<DoorSetup>,
     /// What stands in the way, and when.
@@ -98,21 +99,21 @@ const SPEED: std::ops::RangeInclusive<f64> = 0.001..=10_000.0;
 impl ConfigFile for WorldConfig {
     const KIND: &'static str = "world";
 
-    fn settle(&mut self, folder: &Path) {
-        self.surroundings().settle(folder);
+    fn resolve_paths(&mut self, folder: &Path) {
+        self.common_mut().resolve_paths(folder);
         if let Some(map) = self.map.as_mut().filter(|map| !is_shipped(map)) {
-            *map = under(folder, Path::new(map)).display().to_string();
+            *map = join_normalized(folder, Path::new(map)).display().to_string();
         }
     }
 
-    fn problems(&self) -> Vec<String> {
-        let mut problems = vec![];
+    fn validate(&self) -> Vec<String> {
+        let mut validate = vec![];
         if !SPEED.contains(&self.speed) {
             let (speed, least, most) = (self.speed, SPEED.start(), SPEED.end());
-            problems.push(format!("speed is {speed}, allowed is {least} to {most}"));
+            validate.push(format!("speed is {speed}, allowed is {least} to {most}"));
         }
-        problems.extend(problems_around(&self.fleet, &self.bus, &self.telemetry));
-        problems
+        validate.extend(validate_common(&self.fleet, &self.bus, &self.telemetry));
+        validate
     }
 }
 
@@ -121,8 +122,8 @@ impl NodeFile for WorldConfig {
         self.name.clone()
     }
 
-    fn surroundings(&mut self) -> Surroundings<'_> {
-        Surroundings {
+    fn common_mut(&mut self) -> CommonConfig<'_> {
+        CommonConfig {
             data_dir: &mut self.data_dir,
             dashboard: &mut self.dashboard,
             telemetry: &mut self.telemetry,

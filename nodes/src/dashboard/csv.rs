@@ -1,6 +1,6 @@
 //! The history of missions, as a table for spreadsheets.
 
-use crate::picture::{MissionShown, Picture};
+use crate::fleet_model::{FleetModel, MissionModel};
 
 const HEAD: [&str; 13] = [
     "mission",
@@ -19,7 +19,7 @@ const HEAD: [&str; 13] = [
 ];
 
 /// All missions that are known, in the order in which they were submitted.
-pub(super) fn history(picture: &Picture) -> String {
+pub(super) fn history(picture: &FleetModel) -> String {
     let mut missions: Vec<_> = picture.missions().iter().collect();
     missions.sort_by_key(|(id, mission)| (mission.number, (*id).clone()));
     let mut table = csv::Writer::from_writer(vec![]);
@@ -31,7 +31,7 @@ pub(super) fn history(picture: &Picture) -> String {
     table.into_inner().map(|bytes| String::from_utf8_lossy(&bytes).into_owned()).unwrap_or_default()
 }
 
-fn row(id: &str, mission: &MissionShown) -> [String; 13] {
+fn row(id: &str, mission: &MissionModel) -> [String; 13] {
     let pairs = |pairs: &std::collections::BTreeMap<String, String>| {
         pairs.iter().map(|(name, value)| format!("{name}={value}")).collect::<Vec<_>>().join("; ")
     };
@@ -65,20 +65,20 @@ fn plain(text: &str) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::picture::FloorPlan;
+    use crate::fleet_model::FloorPlan;
     use consort_protocol::keys::Key;
     use serde_json::json;
 
     #[test]
     fn each_mission_is_a_row_and_no_text_is_a_formula() {
-        let mut picture = Picture::new("ward", "s1", FloorPlan::default(), 0);
+        let mut picture = FleetModel::new("ward", "s1", FloorPlan::default(), 0);
         let canceled = json!({ "canceled": { "by": "=1+1, \"me\"" } });
         let entry = |id: &str, detail: serde_json::Value| {
             json!({ "mission": id, "detail": detail, "parameters": { "room": "=A1" }, "holders": { "r1": "ada" },
                 "done": 3, "steps": 7, "submitted_at_ms": 1000, "priority": 5 })
         };
         let list = json!({ "missions": [entry("z-1", json!("running")), entry("a-2", canceled)] });
-        picture.take_view(&Key::ViewMissions, &list, 2000);
+        picture.apply_view(&Key::ViewMissions, &list, 2000);
         let text = history(&picture);
         let rows: Vec<&str> = text.lines().collect();
         assert_eq!(rows.len(), 3);

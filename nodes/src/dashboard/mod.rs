@@ -18,23 +18,23 @@
 //! site can read it by giving its own name this address; and requests that change something are taken from the page alone.
 
 mod assets;
-mod board;
 mod csv;
-mod desk;
-mod follow;
-mod guard;
+mod forwarder;
+mod frame_publisher;
 mod json;
-mod projector;
+mod origin_check;
+mod replay_server;
 mod routes;
 mod session;
+mod websocket;
 
-pub use board::{Board, FRAME};
+pub use frame_publisher::{FRAME, FramePublisher};
 
-use crate::address::Taken;
+use crate::address::BoundAddress;
 use crate::admission::Admission;
-use crate::picture::{FloorPlan, Picture};
-use crate::recording::{Player, Reel};
-use crate::watcher;
+use crate::fleet_model::{FleetModel, FloorPlan};
+use crate::recording::{Player, RecordingReader};
+use crate::subscriber;
 use consort_actors::bus::SharedBus;
 use consort_actors::clock::Clock;
 use consort_protocol::ids::FleetId;
@@ -45,13 +45,13 @@ use tokio::task::JoinSet;
 
 /// What stands behind a board.
 #[derive(Clone)]
-enum Served {
+enum DashboardSource {
     /// A fleet, which can be asked for something.
-    Fleet(Arc<desk::Desk>),
+    Fleet(Arc<forwarder::RequestForwarder>),
     /// A recording, in which one can go to and fro.
-    Recording(Arc<projector::Projector>),
+    Recording(Arc<replay_server::ReplayServer>),
     /// Whoever fills the board.
-    Board,
+    ViewOnly,
 }
 
 /// A dashboard that is being served. Dropping it ends it.
@@ -63,7 +63,7 @@ pub struct Dashboard {
 impl Dashboard {
     /// Serves a fleet to those who are admitted, as it is seen over `bus` at `node`. Called within a tokio runtime.
     pub fn open(
-        address: Taken,
+        address: BoundAddress,
         admission: Admission,
         bus: SharedBus,
         fleet: &FleetId,
@@ -71,34 +71,40 @@ impl Dashboard {
         plan: FloorPlan,
     ) -> Dashboard {
         let clock = Clock::real();
-        let picture = Picture::new(fleet.to_string(), node, plan, clock.wall_ms());
-        let board = Arc::new(Board::new(picture, clock));
-        let desk = desk::Desk::new(Arc::clone(&bus), Keys::new(fleet), node);
-        let mut dashboard = Dashboard::serve(address, Arc::clone(&board), Served::Fleet(Arc::new(desk)), admission);
+        let picture = FleetModel::new(fleet.to_string(), node, plan, clock.wall_ms());
+        let board = Arc::new(FramePublisher::new(picture, clock));
+        let desk = forwarder::RequestForwarder::new(Arc::clone(&bus), Keys::new(fleet), node);
+        let mut dashboard =
+            Dashboard::serve(address, Arc::clone(&board), DashboardSource::Fleet(Arc::new(desk)), admission);
         dashboard.draw(Arc::clone(&board));
-        watcher::follow(&mut dashboard.tasks, bus, Keys::new(fleet), board);
+        subscriber::subscribe_fleet(&mut dashboard.tasks, bus, Keys::new(fleet), board);
         dashboard
     }
 
     /// Serves a recording, as a player plays it. Called within a tokio runtime.
-    pub fn replay(address: Taken, reel: Reel, player: Player) -> Dashboard {
-        let board = Arc::new(Board::new(reel.beginning(), Clock::real()));
-        let projector = Arc::new(projector::Projector::new(reel, player, Arc::clone(&board)));
-        let served = Served::Recording(Arc::clone(&projector));
+    pub fn replay(address: BoundAddress, reel: RecordingReader, player: Player) -> Dashboard {
+        let board = Arc::new(FramePublisher::new(reel.initial_model(), Clock::real()));
+        let projector = Arc::new(replay_server::ReplayServer::new(reel, player, Arc::clone(&board)));
+        let served = DashboardSource::Recording(Arc::clone(&projector));
         let mut dashboard = Dashboard::serve(address, board, served, Admission::open());
-        dashboard.tasks.spawn(async move { projector.play_for_ever().await });
+        dashboard.tasks.spawn(async move { projector.play_forever().await });
         dashboard
     }
 
     /// Serves a board that somebody else fills, and on which nothing can be asked for. Called within a tokio runtime.
-    pub fn show(address: Taken, board: Arc<Board>) -> Dashboard {
-        let mut dashboard = Dashboard::serve(address, Arc::clone(&board), Served::Board, Admission::open());
+    pub fn serve_view_only(address: BoundAddress, board: Arc<FramePublisher>) -> Dashboard {
+        let mut dashboard = Dashboard::serve(address, Arc::clone(&board), DashboardSource::ViewOnly, Admission::open());
         dashboard.draw(board);
         dashboard
     }
 
-    fn serve(taken: Taken, board: Arc<Board>, served: Served, admission: Admission) -> Dashboard {
-        let (address, listener) = (taken.at(), taken.guarded());
+    fn serve(
+        taken: BoundAddress,
+        board: Arc<FramePublisher>,
+        served: DashboardSource,
+        admission: Admission,
+    ) -> Dashboard {
+        let (address, listener) = (taken.local_addr(), taken.with_connection_limit());
         let router = routes::router(board, served, admission, address);
         let mut tasks = JoinSet::new();
         tasks.spawn(async move {
@@ -110,8 +116,8 @@ impl Dashboard {
     }
 
     /// Has a board drawn that changes by itself.
-    fn draw(&mut self, board: Arc<Board>) {
-        self.tasks.spawn(async move { board.draw_for_ever().await });
+    fn draw(&mut self, board: Arc<FramePublisher>) {
+        self.tasks.spawn(async move { board.publish_forever().await });
     }
 
     /// Where it is.

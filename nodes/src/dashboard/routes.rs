@@ -1,12 +1,12 @@
 //! What can be asked of the dashboard's server.
 
-use super::board::Board;
-use super::desk::Problem;
-use super::follow::{FOLLOWERS, follow};
-use super::json::{JSON, answer, problem, read};
-use super::{Served, assets, csv, guard, session};
-use crate::admission::{Admission, Guest, admit};
-use crate::recording::Command;
+use super::forwarder::ForwardError;
+use super::frame_publisher::FramePublisher;
+use super::json::{JSON_HEADERS, error_reply, json_reply, parse_body};
+use super::websocket::{CLIENTS_MAX, open_websocket};
+use super::{DashboardSource, assets, csv, origin_check, session};
+use crate::admission::{Admission, AuthenticatedClient, admit};
+use crate::recording::PlayerCommand;
 use axum::body::Bytes;
 use axum::extract::{DefaultBodyLimit, Path, Query, State};
 use axum::http::{HeaderMap, StatusCode, header};
@@ -16,8 +16,8 @@ use axum::{Extension, Router};
 use consort_protocol::ids::MissionId;
 use consort_protocol::keys::ApiCall;
 use consort_protocol::mission::{FILE_BYTES_MAX, shipped};
-use consort_protocol::trust::Scope;
-use consort_protocol::trust::access::needed;
+use consort_protocol::trust::AccessScope;
+use consort_protocol::trust::access::required_scope;
 use serde::Deserialize;
 use serde_json::{Value, json};
 use std::net::SocketAddr;
@@ -29,41 +29,51 @@ const EVENTS: usize = 500;
 
 /// What stands behind the routes.
 #[derive(Clone)]
-pub(super) struct Shared {
-    pub(super) board: Arc<Board>,
-    served: Served,
+pub(super) struct DashboardState {
+    pub(super) publisher: Arc<FramePublisher>,
+    served: DashboardSource,
     pub(super) admission: Admission,
-    pub(super) followers: Arc<Semaphore>,
+    pub(super) client_permits: Arc<Semaphore>,
 }
 
 /// The server's routes.
-pub(super) fn router(board: Arc<Board>, served: Served, admission: Admission, address: SocketAddr) -> Router {
+pub(super) fn router(
+    board: Arc<FramePublisher>,
+    served: DashboardSource,
+    admission: Admission,
+    address: SocketAddr,
+) -> Router {
     let pages = assets::ALL
         .iter()
         .fold(Router::new(), |router, asset| router.route(asset.path, get(move || async move { asset })));
-    let takes = |scope, route: MethodRouter<Shared>| {
+    let takes = |scope, route: MethodRouter<DashboardState>| {
         route.layer(axum::middleware::from_fn_with_state((admission.clone(), scope), admit))
     };
     pages
-        .route("/ws", takes(Scope::Read, get(follow)))
-        .route("/api/picture", takes(Scope::Read, get(picture)))
-        .route("/api/events", takes(Scope::Read, get(events)))
-        .route("/api/shipped", takes(Scope::Read, get(shipped_missions)))
-        .route("/api/history.csv", takes(Scope::Read, get(history)))
-        .route("/api/missions", takes(needed(ApiCall::Submit), post(submit)))
-        .route("/api/missions/{id}/cancel", takes(needed(ApiCall::Cancel), post(cancel)))
-        .route("/api/missions/{id}/rescued", takes(needed(ApiCall::Rescued), post(rescued)))
-        .route("/api/replay", takes(Scope::Read, get(replay).post(move_replay)))
-        .route("/api/session", get(session::whose).post(session::begin).delete(session::end))
+        .route("/ws", takes(AccessScope::Read, get(open_websocket)))
+        .route("/api/picture", takes(AccessScope::Read, get(picture)))
+        .route("/api/events", takes(AccessScope::Read, get(events)))
+        .route("/api/shipped", takes(AccessScope::Read, get(shipped_missions)))
+        .route("/api/history.csv", takes(AccessScope::Read, get(history)))
+        .route("/api/missions", takes(required_scope(ApiCall::Submit), post(submit)))
+        .route("/api/missions/{id}/cancel", takes(required_scope(ApiCall::Cancel), post(cancel)))
+        .route("/api/missions/{id}/rescued", takes(required_scope(ApiCall::Resolve), post(rescued)))
+        .route("/api/replay", takes(AccessScope::Read, get(replay).post(move_replay)))
+        .route("/api/session", get(session::current).post(session::begin).delete(session::end))
         .route("/healthz", get(health))
         .layer(DefaultBodyLimit::max(FILE_BYTES_MAX))
-        .layer(axum::middleware::from_fn_with_state(address, guard::guard))
-        .with_state(Shared { board, served, admission, followers: Arc::new(Semaphore::new(FOLLOWERS)) })
+        .layer(axum::middleware::from_fn_with_state(address, origin_check::check_origin))
+        .with_state(DashboardState {
+            publisher: board,
+            served,
+            admission,
+            client_permits: Arc::new(Semaphore::new(CLIENTS_MAX)),
+        })
 }
 
-async fn picture(State(shared): State<Shared>) -> Response {
-    let (_, whole) = shared.board.whole();
-    (StatusCode::OK, JSON, whole.to_string()).into_response()
+async fn picture(State(shared): State<DashboardState>) -> Response {
+    let (_, whole) = shared.publisher.full_frame();
+    (StatusCode::OK, JSON_HEADERS, whole.to_string()).into_response()
 }
 
 /// Which events are wanted: those after a number, of a kind, mission or robot, with a text in them.
@@ -78,10 +88,10 @@ struct Wanted {
     limit: Option<usize>,
 }
 
-async fn events(State(shared): State<Shared>, Query(wanted): Query<Wanted>) -> Response {
+async fn events(State(shared): State<DashboardState>, Query(wanted): Query<Wanted>) -> Response {
     let text = wanted.text.as_deref().unwrap_or("").to_lowercase();
     let is = |wanted: &Option<String>, is: Option<&str>| wanted.as_deref().is_none_or(|wanted| is == Some(wanted));
-    let found = shared.board.with(|picture, _| {
+    let found = shared.publisher.with_model(|picture, _| {
         let later = picture.log().range(wanted.after.map_or(0, |after| after.saturating_add(1))..);
         let fitting = later.filter(|(_, event)| {
             is(&wanted.kind, Some(&event.kind))
@@ -92,18 +102,18 @@ async fn events(State(shared): State<Shared>, Query(wanted): Query<Wanted>) -> R
         let found = fitting.take(wanted.limit.unwrap_or(EVENTS).min(EVENTS));
         found.map(|(number, event)| json!({ "number": number, "event": event })).collect::<Vec<_>>()
     });
-    answer(StatusCode::OK, &json!({ "events": found }))
+    json_reply(StatusCode::OK, &json!({ "events": found }))
 }
 
 async fn shipped_missions() -> Response {
     let missions = shipped().values().map(|template| {
         json!({ "mission": template.name(), "title": template.title(), "parameters": template.parameters() })
     });
-    answer(StatusCode::OK, &json!({ "missions": missions.collect::<Vec<_>>() }))
+    json_reply(StatusCode::OK, &json!({ "missions": missions.collect::<Vec<_>>() }))
 }
 
-async fn history(State(shared): State<Shared>) -> Response {
-    let table = shared.board.with(|picture, _| csv::history(picture));
+async fn history(State(shared): State<DashboardState>) -> Response {
+    let table = shared.publisher.with_model(|picture, _| csv::history(picture));
     let head = [
         (header::CONTENT_TYPE, "text/csv; charset=utf-8"),
         (header::CONTENT_DISPOSITION, "attachment; filename=\"missions.csv\""),
@@ -111,19 +121,19 @@ async fn history(State(shared): State<Shared>) -> Response {
     (head, table).into_response()
 }
 
-async fn submit(State(shared): State<Shared>, headers: HeaderMap, body: Bytes) -> Response {
-    let Served::Fleet(desk) = &shared.served else { return no_desk(&shared.served) };
-    let request: Value = match read(&headers, &body) {
+async fn submit(State(shared): State<DashboardState>, headers: HeaderMap, body: Bytes) -> Response {
+    let DashboardSource::Fleet(desk) = &shared.served else { return no_desk(&shared.served) };
+    let request: Value = match parse_body(&headers, &body) {
         Ok(request) => request,
         Err(refusal) => return refusal.into_response(),
     };
-    let now_ms = shared.board.with(|_, now_ms| now_ms);
+    let now_ms = shared.publisher.with_model(|_, now_ms| now_ms);
     settled(desk.submit(request, now_ms).await)
 }
 
 async fn cancel(
-    State(shared): State<Shared>,
-    Extension(guest): Extension<Option<Guest>>,
+    State(shared): State<DashboardState>,
+    Extension(guest): Extension<Option<AuthenticatedClient>>,
     Path(id): Path<String>,
     headers: HeaderMap,
     body: Bytes,
@@ -132,13 +142,13 @@ async fn cancel(
 }
 
 async fn rescued(
-    State(shared): State<Shared>,
-    Extension(guest): Extension<Option<Guest>>,
+    State(shared): State<DashboardState>,
+    Extension(guest): Extension<Option<AuthenticatedClient>>,
     Path(id): Path<String>,
     headers: HeaderMap,
     body: Bytes,
 ) -> Response {
-    on_word(&shared, guest.as_ref(), ApiCall::Rescued, id, &headers, &body).await
+    on_word(&shared, guest.as_ref(), ApiCall::Resolve, id, &headers, &body).await
 }
 
 /// By whose word something is done; without one it is the dashboard's. Whose token it was is said beside.
@@ -150,77 +160,77 @@ struct Word {
 
 /// Has something done to a mission that somebody says is to be done.
 async fn on_word(
-    shared: &Shared,
-    guest: Option<&Guest>,
+    shared: &DashboardState,
+    guest: Option<&AuthenticatedClient>,
     call: ApiCall,
     id: String,
     headers: &HeaderMap,
     body: &[u8],
 ) -> Response {
-    let Served::Fleet(desk) = &shared.served else { return no_desk(&shared.served) };
+    let DashboardSource::Fleet(desk) = &shared.served else { return no_desk(&shared.served) };
     let mission = match MissionId::new(id) {
         Ok(mission) => mission,
-        Err(mistake) => return problem(StatusCode::BAD_REQUEST, &mistake.to_string()),
+        Err(mistake) => return error_reply(StatusCode::BAD_REQUEST, &mistake.to_string()),
     };
-    let word = if body.is_empty() { Ok(Word::default()) } else { read(headers, body) };
+    let word = if body.is_empty() { Ok(Word::default()) } else { parse_body(headers, body) };
     match word {
         Ok(Word { by }) => {
             let by = by.filter(|by| !by.trim().is_empty());
-            let by = match (by, guest.map(|guest| &guest.visitor.name)) {
+            let by = match (by, guest.map(|guest| &guest.claims.name)) {
                 (Some(by), Some(name)) if by != name.as_str() => Some(format!("{by}, says {name}")),
                 (by, name) => by.or_else(|| name.map(ToString::to_string)),
             };
-            settled(desk.on_word(call, &mission, by).await)
+            settled(desk.act_on_mission(call, &mission, by).await)
         }
         Err(refusal) => refusal.into_response(),
     }
 }
 
-async fn replay(State(shared): State<Shared>) -> Response {
+async fn replay(State(shared): State<DashboardState>) -> Response {
     match &shared.served {
-        Served::Recording(projector) => answer(StatusCode::OK, &projector.state()),
-        Served::Fleet(_) | Served::Board => no_recording(),
+        DashboardSource::Recording(projector) => json_reply(StatusCode::OK, &projector.state()),
+        DashboardSource::Fleet(_) | DashboardSource::ViewOnly => no_recording(),
     }
 }
 
-async fn move_replay(State(shared): State<Shared>, headers: HeaderMap, body: Bytes) -> Response {
-    let Served::Recording(projector) = &shared.served else { return no_recording() };
-    let command: Command = match read(&headers, &body) {
+async fn move_replay(State(shared): State<DashboardState>, headers: HeaderMap, body: Bytes) -> Response {
+    let DashboardSource::Recording(projector) = &shared.served else { return no_recording() };
+    let command: PlayerCommand = match parse_body(&headers, &body) {
         Ok(command) => command,
         Err(refusal) => return refusal.into_response(),
     };
-    match projector.obey(command) {
-        Ok(state) => answer(StatusCode::OK, &state),
-        Err(mistake) => problem(StatusCode::BAD_REQUEST, &mistake),
+    match projector.apply_command(command) {
+        Ok(state) => json_reply(StatusCode::OK, &state),
+        Err(mistake) => error_reply(StatusCode::BAD_REQUEST, &mistake),
     }
 }
 
-async fn health(State(shared): State<Shared>) -> Response {
-    let reach = shared.board.with(|picture, _| picture.reach().clone());
-    answer(StatusCode::OK, &json!({ "serving": true, "reach": reach }))
+async fn health(State(shared): State<DashboardState>) -> Response {
+    let reach = shared.publisher.with_model(|picture, _| picture.reach().clone());
+    json_reply(StatusCode::OK, &json!({ "serving": true, "reach": reach }))
 }
 
-fn settled(answered: Result<Value, Problem>) -> Response {
+fn settled(answered: Result<Value, ForwardError>) -> Response {
     match answered {
-        Ok(value) => answer(StatusCode::OK, &value),
-        Err(Problem::Refused(what)) => problem(StatusCode::BAD_REQUEST, &what),
-        Err(Problem::Unreached(what)) => problem(StatusCode::SERVICE_UNAVAILABLE, &what),
+        Ok(value) => json_reply(StatusCode::OK, &value),
+        Err(ForwardError::Rejected(what)) => error_reply(StatusCode::BAD_REQUEST, &what),
+        Err(ForwardError::Unreachable(what)) => error_reply(StatusCode::SERVICE_UNAVAILABLE, &what),
     }
 }
 
-fn no_desk(served: &Served) -> Response {
+fn no_desk(served: &DashboardSource) -> Response {
     match served {
-        Served::Recording(projector) => {
-            let what = format!("{}: a fleet that was can be asked for nothing", projector.about());
-            problem(StatusCode::CONFLICT, &what)
+        DashboardSource::Recording(projector) => {
+            let what = format!("{}: a fleet that was can be asked for nothing", projector.description());
+            error_reply(StatusCode::CONFLICT, &what)
         }
-        Served::Fleet(_) | Served::Board => {
+        DashboardSource::Fleet(_) | DashboardSource::ViewOnly => {
             let what = "what is shown here is not a fleet that could be asked for anything";
-            problem(StatusCode::SERVICE_UNAVAILABLE, what)
+            error_reply(StatusCode::SERVICE_UNAVAILABLE, what)
         }
     }
 }
 
 fn no_recording() -> Response {
-    problem(StatusCode::NOT_FOUND, "what is shown here is no recording")
+    error_reply(StatusCode::NOT_FOUND, "what is shown here is no recording")
 }

@@ -10,28 +10,28 @@
 //!
 //! The director and the narrator cannot tell the two stages apart.
 
-mod cast;
-mod director;
-mod narrator;
-mod processes;
-mod stage;
-mod virtual_stage;
+mod fleet;
+mod process_fleet;
+mod reporter;
+mod runner;
+mod scenario;
+mod virtual_fleet;
 
-pub use cast::{Cast, Request};
-pub use processes::Processes;
-pub use stage::Stage;
+pub use fleet::DemoFleet;
+pub use process_fleet::ProcessFleet;
+pub use scenario::{DemoScenario, MissionRequest};
 
-use crate::address::Taken;
+use crate::address::BoundAddress;
 use crate::admission::Admission;
 use crate::dashboard::Dashboard;
 use crate::exit::Failure;
-use crate::picture::FloorPlan;
+use crate::fleet_model::FloorPlan;
 use crate::rendering::{self, RenderFlags};
-use crate::{floor, output};
-use director::{Director, Plan};
-use narrator::Narrator;
+use crate::{map_loader, output};
+use reporter::DemoReporter;
+use runner::{DemoOptions, DemoRunner};
 use std::net::SocketAddr;
-use virtual_stage::VirtualStage;
+use virtual_fleet::VirtualFleet;
 
 /// Play the main job: a fleet delivers lab samples and survives the death of its coordinator
 ///
@@ -103,22 +103,22 @@ impl Args {
 /// # Errors
 /// [`Failure`] when it does not end with every sample in the laboratory.
 pub fn run(args: Args) -> Result<(), Failure> {
-    let mission = director::mission(&args.mission)?;
-    if args.render.any() && !args.virtual_time {
+    let mission = runner::mission_request(&args.mission)?;
+    if args.render.is_enabled() && !args.virtual_time {
         let what = "--record and --svg go with --virtual; of a fleet of processes, `consort world` records its world";
         return Err(Failure::Usage(what.to_owned()));
     }
-    let cast = Cast::new(usize::from(args.robots), usize::from(args.missions), args.speed(), args.seed);
-    let narrator = Narrator::new(args.json, &cast);
-    let plan = Plan { kill: !args.no_kill, keep_running: args.keep_running, mission };
+    let cast = DemoScenario::new(usize::from(args.robots), usize::from(args.missions), args.speed(), args.seed);
+    let narrator = DemoReporter::new(args.json, &cast);
+    let plan = DemoOptions { kill: !args.no_kill, keep_running: args.keep_running, mission };
     if args.virtual_time {
         let runtime = tokio::runtime::Builder::new_current_thread().enable_time().start_paused(true).build();
         let runtime = runtime.map_err(|problem| Failure::Unsuccessful(format!("no runtime: {problem}")))?;
         runtime.block_on(async {
-            let stage = VirtualStage::set(&cast, args.seed, &args.render).await?;
+            let stage = VirtualFleet::start(&cast, args.seed, &args.render).await?;
             let world = stage.world();
-            let played = Director::new(plan, cast, stage, narrator, None).play().await;
-            played.and(rendering::end(&world, |file| output::note(format_args!("{file}"))))
+            let played = DemoRunner::new(plan, cast, stage, narrator, None).run().await;
+            played.and(rendering::finish_recording(&world, |file| output::note(format_args!("{file}"))))
         })
     } else {
         let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build();
@@ -128,12 +128,12 @@ pub fn run(args: Args) -> Result<(), Failure> {
             let program =
                 program.map_err(|problem| Failure::Unsuccessful(format!("this program's own file: {problem}")))?;
             let address = args.dashboard.unwrap_or(SocketAddr::from(([127, 0, 0, 1], 0)));
-            let address = Taken::take("--dashboard", address).await.map_err(Failure::Usage)?;
-            let plan_of_floor = FloorPlan::new(&floor::load(&cast.fleet.map)?);
-            let stage = Processes::set(&cast, &program, args.port).await?;
+            let address = BoundAddress::bind("--dashboard", address).await.map_err(Failure::Usage)?;
+            let plan_of_floor = FloorPlan::new(&map_loader::load(&cast.fleet.map)?);
+            let stage = ProcessFleet::start(&cast, &program, args.port).await?;
             let dashboard =
                 Dashboard::open(address, Admission::open(), stage.bus(), &cast.fleet.name, "demo", plan_of_floor);
-            Director::new(plan, cast, stage, narrator, Some(dashboard)).play().await
+            DemoRunner::new(plan, cast, stage, narrator, Some(dashboard)).run().await
         })
     }
 }

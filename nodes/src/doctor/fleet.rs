@@ -1,10 +1,10 @@
 //! What the fleet itself says, once it is reached.
 
-use super::{Finding, Patient, State};
-use crate::certs::now;
+use super::{DiagnosisTarget, Finding, Severity};
+use crate::certs::unix_time;
 use crate::client::Client;
 use crate::exit::Failure;
-use crate::running::runtime;
+use crate::node_runtime::build_runtime;
 use bytes::Bytes;
 use consort_protocol::keys::Key;
 use serde_json::Value;
@@ -17,9 +17,9 @@ const LIMIT: Duration = Duration::from_secs(2);
 const APART_MAX_MS: u64 = 2_000;
 
 /// Asks the fleet how it is, and every node for its clock and version.
-pub(super) fn asked(patient: &Patient) -> Vec<Finding> {
+pub(super) fn check_fleet(patient: &DiagnosisTarget) -> Vec<Finding> {
     let about = format!("fleet {}", patient.fleet);
-    let found = runtime().and_then(|runtime| runtime.block_on(ask(patient)));
+    let found = build_runtime().and_then(|runtime| runtime.block_on(ask(patient)));
     found.unwrap_or_else(|failure| {
         let says = failure.to_string().lines().next().unwrap_or_default().to_owned();
         vec![Finding::error(
@@ -30,9 +30,9 @@ pub(super) fn asked(patient: &Patient) -> Vec<Finding> {
     })
 }
 
-async fn ask(patient: &Patient) -> Result<Vec<Finding>, Failure> {
-    let mut client = Client::open(&patient.reach).await?;
-    let health = client.view(&Key::ViewHealth).await;
+async fn ask(patient: &DiagnosisTarget) -> Result<Vec<Finding>, Failure> {
+    let mut client = Client::open(&patient.client_flags).await?;
+    let health = client.query_view(&Key::ViewHealth).await;
     let nodes = everybody(&client).await;
     client.close().await;
     let mut findings = vec![];
@@ -63,10 +63,10 @@ async fn everybody(client: &Client) -> Vec<Value> {
 }
 
 /// What the nearest node finds the matter.
-fn troubled(patient: &Patient, note: &Value) -> Option<Finding> {
+fn troubled(patient: &DiagnosisTarget, note: &Value) -> Option<Finding> {
     let state = match note["level"].as_str()? {
-        "warning" => State::Warning,
-        "error" => State::Error,
+        "warning" => Severity::Warning,
+        "error" => Severity::Error,
         _ => return None,
     };
     let says = note["says"].as_str().unwrap_or_default();
@@ -77,7 +77,7 @@ fn troubled(patient: &Patient, note: &Value) -> Option<Finding> {
 /// A node's clock and version, beside ours.
 fn node(seen: &Value) -> Vec<Finding> {
     let about = format!("node {}", seen["seen_by"].as_str().unwrap_or("?"));
-    let own = u64::try_from(now().as_millis()).unwrap_or(u64::MAX);
+    let own = u64::try_from(unix_time().as_millis()).unwrap_or(u64::MAX);
     let apart = seen["at_ms"].as_u64().map(|at| own.abs_diff(at));
     let version = seen["version"].as_str().unwrap_or("?");
     let clock = match apart {

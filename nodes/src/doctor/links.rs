@@ -1,6 +1,6 @@
 //! Whether neighbours are reached, and believe each other.
 
-use super::{Finding, Patient};
+use super::{DiagnosisTarget, Finding};
 use crate::config::trust_files;
 use consort_actors::trust::ProbeError;
 use std::io::Read;
@@ -11,11 +11,11 @@ use std::time::Duration;
 const LIMIT: Duration = Duration::from_secs(2);
 
 /// Tries every neighbour.
-pub(super) fn reached(patient: &Patient) -> Vec<Finding> {
+pub(super) fn check_links(patient: &DiagnosisTarget) -> Vec<Finding> {
     patient.bus.connect.iter().map(|address| reach(patient, address)).collect()
 }
 
-fn reach(patient: &Patient, address: &str) -> Finding {
+fn reach(patient: &DiagnosisTarget, address: &str) -> Finding {
     let about = format!("link {address}");
     let (protocol, place) = address.split_once('/').unwrap_or(("", address));
     let at = match place.to_socket_addrs().map(|mut all| all.next()) {
@@ -31,13 +31,13 @@ fn reach(patient: &Patient, address: &str) -> Finding {
     let down = "is the node up, does it listen on that address and not on loopback alone, does a firewall let the port through?";
     match (protocol, &patient.bus.certs) {
         ("tls", Some(folder)) => match trust_files(folder).probe(at, &patient.fleet, LIMIT) {
-            Ok(identity) => Finding::ok(about, format!("{} answers, and each believes the other", identity.bearer)),
-            Err(problem @ ProbeError::Unreached(_)) => Finding::error(about, problem, down),
+            Ok(identity) => Finding::ok(about, format!("{} answers, and each believes the other", identity.principal)),
+            Err(problem @ ProbeError::Unreachable(_)) => Finding::error(about, problem, down),
             Err(problem @ ProbeError::NoTls(_)) => {
                 Finding::error(about, problem, "give that node certificates too, or use tcp/ and none")
             }
-            Err(problem @ ProbeError::Own(_)) => Finding::error(about, problem, "mend the certificates first"),
-            Err(problem @ (ProbeError::Distrusted(_) | ProbeError::NotBelieved(_))) => {
+            Err(problem @ ProbeError::OwnFiles(_)) => Finding::error(about, problem, "mend the certificates first"),
+            Err(problem @ (ProbeError::UntrustedPeer(_) | ProbeError::RejectedByPeer(_))) => {
                 let advice = "both ends need certificates of one authority (consort cert show) that have not expired, and clocks that are right";
                 Finding::error(about, problem, advice)
             }

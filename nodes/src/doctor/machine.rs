@@ -1,7 +1,7 @@
 //! What a node finds on its machine: clock, disk and ports.
 
 use super::Finding;
-use crate::certs::now;
+use crate::certs::unix_time;
 use std::fs;
 use std::io::{ErrorKind, Write};
 use std::net::{SocketAddr, TcpListener, ToSocketAddrs};
@@ -18,16 +18,16 @@ const FREE_MIN: u64 = 1 << 30;
 const SYNC_MAX: Duration = Duration::from_millis(50);
 
 /// Whether the clock can be right.
-pub(super) fn clock() -> Vec<Finding> {
-    if now() >= NOT_BEFORE {
+pub(super) fn check_clock() -> Vec<Finding> {
+    if unix_time() >= NOT_BEFORE {
         return vec![Finding::ok("clock", "it is set")];
     }
-    let says = format!("it says that {} days have passed since 1970", now().as_secs() / 86_400);
+    let says = format!("it says that {} days have passed since 1970", unix_time().as_secs() / 86_400);
     vec![Finding::error("clock", says, "set it, and have it kept right (timedatectl set-ntp true)")]
 }
 
 /// Whether a directory can keep a ledger.
-pub(super) fn data_dir(folder: Option<&Path>) -> Vec<Finding> {
+pub(super) fn check_data_dir(folder: Option<&Path>) -> Vec<Finding> {
     let Some(folder) = folder else { return vec![] };
     let about = format!("data directory {}", folder.display());
     // It is made when the node starts: what counts until then is where it will be.
@@ -80,7 +80,7 @@ fn written(folder: &Path) -> std::io::Result<Duration> {
 }
 
 /// Whether the ports that a node is to listen on can be had.
-pub(super) fn ports(listen: Option<Vec<String>>, pages: &[(&'static str, SocketAddr)]) -> Vec<Finding> {
+pub(super) fn check_ports(listen: Option<Vec<String>>, pages: &[(&'static str, SocketAddr)]) -> Vec<Finding> {
     let mut findings = Vec::new();
     for address in listen.unwrap_or_default() {
         let place = address.split_once('/').map_or(address.as_str(), |(_, place)| place);

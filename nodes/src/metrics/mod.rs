@@ -36,13 +36,13 @@
 //! | `process_open_fds`, `process_max_fds` | files and connections that are open, and how many may be |
 //! | `process_start_time_seconds` | when the process began, in seconds since 1970 |
 
-mod counts;
-mod level;
-mod levels;
+mod counters;
+mod node_collector;
 mod process;
+mod sampled_metric;
 mod serve;
 
-pub use levels::Watched;
+pub use node_collector::MetricSources;
 pub use serve::serve;
 
 use consort_actors::bus::{Direction, Meter};
@@ -52,9 +52,9 @@ use consort_protocol::ids::{FleetId, NodeId};
 use consort_protocol::keys::KeyKind;
 use consort_protocol::lease::Epoch;
 use consort_protocol::ledger::Command;
-use counts::Counts;
-use levels::Levels;
-use process::Process;
+use counters::EventCounters;
+use node_collector::NodeCollector;
+use process::ProcessCollector;
 use prometheus_client::encoding::text::{encode_eof, encode_registry};
 use prometheus_client::registry::Registry;
 use std::borrow::Cow;
@@ -64,8 +64,8 @@ use std::sync::Arc;
 pub struct Metrics {
     registry: Registry,
     process: Registry,
-    counts: Counts,
-    levels: Levels,
+    counts: EventCounters,
+    levels: NodeCollector,
 }
 
 impl Metrics {
@@ -74,17 +74,17 @@ impl Metrics {
         let by = |name: &'static str, value: String| (Cow::Borrowed(name), Cow::Owned(value));
         let labels = [by("fleet", fleet.to_string()), by("node", node.to_string())];
         let mut registry = Registry::with_prefix_and_labels("consort", labels.clone().into_iter());
-        let counts = Counts::new(&mut registry);
-        let levels = Levels::default();
+        let counts = EventCounters::new(&mut registry);
+        let levels = NodeCollector::default();
         registry.register_collector(Box::new(levels.clone()));
         let mut process = Registry::with_labels(labels.into_iter());
-        process.register_collector(Box::new(Process));
+        process.register_collector(Box::new(ProcessCollector));
         Arc::new(Metrics { registry, process, counts, levels })
     }
 
     /// From now on, what this node knows is measured too.
-    pub fn watch(&self, watched: Watched) {
-        self.levels.watch(watched);
+    pub fn set_sources(&self, watched: MetricSources) {
+        self.levels.set_sources(watched);
     }
 
     /// All of it as it stands, as OpenMetrics text.
@@ -97,29 +97,29 @@ impl Metrics {
 }
 
 impl Observer for Metrics {
-    fn told(&self, event: &Event) {
-        self.counts.told(&event.what);
+    fn on_event(&self, event: &Event) {
+        self.counts.count_event(&event.kind);
     }
 
-    fn applied(&self, _: &NodeId, _: Epoch, commands: &[Command]) {
-        self.counts.applied(commands.len());
+    fn on_applied(&self, _: &NodeId, _: Epoch, commands: &[Command]) {
+        self.counts.count_commands(commands.len());
     }
 }
 
 impl Meter for Metrics {
     fn count(&self, kind: KeyKind, direction: Direction, bytes: usize) {
-        self.counts.message(kind, direction, bytes);
+        self.counts.count_message(kind, direction, bytes);
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use consort_protocol::event::Happening;
+    use consort_protocol::event::EventKind;
     use consort_protocol::ledger::MissionState;
 
-    fn told(metrics: &Metrics, what: Happening) {
-        metrics.told(&Event { node: "ada".parse().unwrap(), sequence: 1, at_ms: 0, what });
+    fn told(metrics: &Metrics, what: EventKind) {
+        metrics.on_event(&Event { node: "ada".parse().unwrap(), sequence: 1, at_ms: 0, kind: what });
     }
 
     fn metrics() -> Arc<Metrics> {
@@ -137,18 +137,18 @@ mod tests {
     #[test]
     fn what_is_told_is_counted_by_kind_with_fleet_and_node() {
         let metrics = metrics();
-        told(&metrics, Happening::Elected { term: 2, voters: vec![] });
+        told(&metrics, EventKind::Elected { term: 2, voters: vec![] });
         let mission = || "lab-samples-1".parse().unwrap();
         for state in [MissionState::Running, MissionState::Completed] {
-            told(&metrics, Happening::Mission { mission: mission(), state, submitted_at_ms: 0 });
+            told(&metrics, EventKind::Mission { mission: mission(), state, submitted_at_ms: 0 });
         }
         told(
             &metrics,
-            Happening::TaskEnded { mission: mission(), role: "r1".parse().unwrap(), task: "t".parse().unwrap() },
+            EventKind::TaskEnded { mission: mission(), role: "r1".parse().unwrap(), task: "t".parse().unwrap() },
         );
         let holders = std::collections::BTreeMap::new();
         let epoch = Epoch { term: 1, index: 3 };
-        told(&metrics, Happening::Awarded { mission: mission(), holders, epoch, after_ms: Some(7.0) });
+        told(&metrics, EventKind::Awarded { mission: mission(), holders, epoch, after_ms: Some(7.0) });
         let text = metrics.text();
         let labels = r#"fleet="ward",node="ada""#;
         assert_eq!(line(&text, "consort_elections_total"), format!("consort_elections_total{{{labels}}} 1"));
@@ -179,9 +179,9 @@ mod tests {
     #[tokio::test]
     async fn every_metric_is_documented_with_its_name_and_every_name_is_a_metric() {
         let metrics = metrics();
-        metrics.levels.watch(Watched::nothing());
+        metrics.levels.set_sources(MetricSources::empty());
         metrics.count(KeyKind::Gossip, Direction::Sent, 1);
-        told(&metrics, Happening::SteppedDown { term: 1 });
+        told(&metrics, EventKind::SteppedDown { term: 1 });
         let text = metrics.text();
         let told = text.lines().filter_map(|line| line.strip_prefix("# TYPE "));
         let told: std::collections::BTreeSet<String> = told

@@ -1,7 +1,7 @@
 //! What the system says of this process, under the names that Prometheus' own libraries use. Linux says it in `/proc`;
 //! where there is no such thing, these metrics are absent.
 
-use super::level::Level;
+use super::sampled_metric::SampledMetric;
 use procfs_core::prelude::*;
 use procfs_core::process::{LimitValue, Limits, Stat, Status};
 use procfs_core::{ExplicitSystemInfo, KernelStats, ProcResult};
@@ -18,9 +18,9 @@ const KIBIBYTE: u64 = 1024;
 
 /// Measures this process when it is asked for.
 #[derive(Debug)]
-pub(super) struct Process;
+pub(super) struct ProcessCollector;
 
-impl Collector for Process {
+impl Collector for ProcessCollector {
     fn encode(&self, mut encoder: DescriptorEncoder<'_>) -> fmt::Result {
         let Some(usage) = Usage::now() else { return Ok(()) };
         usage.levels().iter().try_for_each(|level| level.encode(&mut encoder))
@@ -78,10 +78,11 @@ impl Usage {
         })
     }
 
-    fn levels(&self) -> Vec<Level> {
-        let one = |name, help, value: u64| Level::one(name, help, value as f64);
-        let cpu = Level::counted("process_cpu_seconds", "Processor time spent in all threads", self.cpu_s);
-        let start = Level::one("process_start_time_seconds", "When the process began, since 1970", self.started_s);
+    fn levels(&self) -> Vec<SampledMetric> {
+        let one = |name, help, value: u64| SampledMetric::gauge(name, help, value as f64);
+        let cpu = SampledMetric::counter("process_cpu_seconds", "Processor time spent in all threads", self.cpu_s);
+        let start =
+            SampledMetric::gauge("process_start_time_seconds", "When the process began, since 1970", self.started_s);
         let mut levels = vec![
             cpu,
             one("process_resident_memory_bytes", "Memory that the process has in use", self.resident_bytes),

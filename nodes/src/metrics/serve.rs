@@ -1,12 +1,12 @@
 //! The page that Prometheus reads.
 
 use super::Metrics;
-use crate::address::Guarded;
+use crate::address::LimitedListener;
 use crate::admission::{Admission, admit};
 use axum::Router;
 use axum::http::header::CONTENT_TYPE;
 use axum::routing::get;
-use consort_protocol::trust::Scope;
+use consort_protocol::trust::AccessScope;
 use std::sync::Arc;
 
 /// OpenMetrics in its text form, which Prometheus asks for.
@@ -16,12 +16,12 @@ const OPEN_METRICS: &str = "application/openmetrics-text; version=1.0.0; charset
 ///
 /// # Errors
 /// What the system says if connections can no longer be accepted.
-pub async fn serve(listener: Guarded, metrics: Arc<Metrics>, admission: Admission) -> std::io::Result<()> {
+pub async fn serve(listener: LimitedListener, metrics: Arc<Metrics>, admission: Admission) -> std::io::Result<()> {
     let page = move || {
         let text = metrics.text();
         async move { ([(CONTENT_TYPE, OPEN_METRICS)], text) }
     };
     let hint = || async { "Metrics are at /metrics.\n" };
-    let page = get(page).layer(axum::middleware::from_fn_with_state((admission, Scope::Read), admit));
+    let page = get(page).layer(axum::middleware::from_fn_with_state((admission, AccessScope::Read), admit));
     axum::serve(listener, Router::new().route("/metrics", page).route("/", get(hint))).await
 }

@@ -7,7 +7,7 @@ use std::collections::BTreeMap;
 
 /// Events of one node that were not heard.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Gap {
+pub struct EventGap {
     /// Whose.
     pub node: NodeId,
     /// The number of the last one before; 0 if the node had just started.
@@ -20,40 +20,40 @@ pub struct Gap {
 
 /// The latest number of each node.
 #[derive(Debug, Clone, Default)]
-pub struct Gaps {
+pub struct GapDetector {
     latest: BTreeMap<NodeId, u64>,
 }
 
-impl Gaps {
+impl GapDetector {
     /// Takes an event in: what was not heard before it. Nothing was missed of a node that is heard for the first time: it was
     /// there before.
     ///
     /// A number that is no greater than the one before is of the node's next life: samples of one node arrive in order, or not at
     /// all.
-    pub fn take(&mut self, event: &Event) -> Option<Gap> {
+    pub fn observe(&mut self, event: &Event) -> Option<EventGap> {
         let Event { node, sequence, .. } = event;
         let latest = self.latest.insert(node.clone(), *sequence)?;
         let after = if *sequence <= latest { 0 } else { latest };
         let lost = sequence.saturating_sub(after + 1);
-        (lost > 0).then(|| Gap { node: node.clone(), after, before: *sequence, lost })
+        (lost > 0).then(|| EventGap { node: node.clone(), after, before: *sequence, lost })
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use consort_protocol::event::Happening;
+    use consort_protocol::event::EventKind;
 
-    fn heard(gaps: &mut Gaps, node: &str, sequence: u64) -> Option<(u64, u64, u64)> {
-        let what = Happening::SteppedDown { term: 1 };
-        let gap = gaps.take(&Event { node: node.parse().unwrap(), sequence, at_ms: 0, what })?;
+    fn heard(gaps: &mut GapDetector, node: &str, sequence: u64) -> Option<(u64, u64, u64)> {
+        let what = EventKind::SteppedDown { term: 1 };
+        let gap = gaps.observe(&Event { node: node.parse().unwrap(), sequence, at_ms: 0, kind: what })?;
         assert_eq!(gap.node.as_str(), node);
         Some((gap.after, gap.before, gap.lost))
     }
 
     #[test]
     fn a_number_that_is_left_out_is_a_gap_and_a_new_life_is_none() {
-        let mut gaps = Gaps::default();
+        let mut gaps = GapDetector::default();
         assert_eq!(heard(&mut gaps, "ada", 7), None, "what was before the recording is not missed");
         assert_eq!(heard(&mut gaps, "ada", 8), None);
         assert_eq!(heard(&mut gaps, "bob", 1), None);

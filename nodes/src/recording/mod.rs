@@ -34,16 +34,16 @@
 //! shown as far as it can be read.
 
 mod gaps;
-mod kinds;
+mod parser;
 mod player;
-mod read;
+mod reader;
 mod recorder;
-mod reel;
-mod tape;
+mod schemas;
+mod writer;
 
-pub use gaps::{Gap, Gaps};
-pub use player::{Command, Player, SPEEDS};
-pub use read::ReadError;
+pub use gaps::{EventGap, GapDetector};
+pub use parser::RecordingError;
+pub use player::{Player, PlayerCommand, SPEED_RANGE};
+pub use reader::{KEYFRAMES_MAX, RecordingReader, TimelineMark, TimelineMarkKind};
 pub use recorder::Recorder;
-pub use reel::{KEYFRAMES, Mark, MarkKind, Reel};
-pub use tape::{CHUNK, Recorded, Tape};
+pub use writer::{FLUSH_AFTER, RecordingStats, RecordingWriter};

@@ -5,12 +5,12 @@ use std::ops::RangeInclusive;
 use std::time::Duration;
 
 /// How many seconds of a recording may pass in one second.
-pub const SPEEDS: RangeInclusive<f64> = 0.1..=100.0;
+pub const SPEED_RANGE: RangeInclusive<f64> = 0.1..=100.0;
 
 /// What is asked of a player. Several things may be asked at once.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct Command {
+pub struct PlayerCommand {
     /// Go to this instant, in milliseconds since 1970; one before or after the recording is its beginning or end.
     pub at_ms: Option<u64>,
     /// Go on, or stand still. At the end it goes on from the beginning.
@@ -50,7 +50,7 @@ impl Player {
     ///
     /// # Errors
     /// In words, if the speed is none of [`SPEEDS`].
-    pub fn obey(&mut self, command: Command) -> Result<(), String> {
+    pub fn apply(&mut self, command: PlayerCommand) -> Result<(), String> {
         self.speed = command.speed.map(checked).transpose()?.unwrap_or(self.speed);
         if let Some(at_ms) = command.at_ms {
             self.jump(at_ms);
@@ -70,7 +70,7 @@ impl Player {
     }
 
     /// Time has passed. At its end the recording stands still.
-    pub fn pass(&mut self, time: Duration) {
+    pub fn advance(&mut self, time: Duration) {
         if self.playing {
             self.at_ms = (self.at_ms + time.as_secs_f64() * 1000.0 * self.speed).min(self.to_ms as f64);
             self.playing = self.at_ms() < self.to_ms;
@@ -93,15 +93,17 @@ impl Player {
     }
 
     /// How often it was told to go elsewhere.
-    pub fn jumps(&self) -> u64 {
+    pub fn seeks(&self) -> u64 {
         self.jumps
     }
 }
 
 fn checked(speed: f64) -> Result<f64, String> {
-    match SPEEDS.contains(&speed) {
+    match SPEED_RANGE.contains(&speed) {
         true => Ok(speed),
-        false => Err(format!("a speed of {speed} is not allowed: from {} to {}", SPEEDS.start(), SPEEDS.end())),
+        false => {
+            Err(format!("a speed of {speed} is not allowed: from {} to {}", SPEED_RANGE.start(), SPEED_RANGE.end()))
+        }
     }
 }
 
@@ -112,29 +114,29 @@ mod tests {
     #[test]
     fn it_plays_at_its_speed_to_the_end_and_from_there_from_the_beginning() {
         let mut player = Player::new(10_000, 20_000, 2.0).unwrap();
-        player.pass(Duration::from_millis(1500));
+        player.advance(Duration::from_millis(1500));
         assert_eq!((player.at_ms(), player.is_playing()), (13_000, true));
-        player.obey(Command { playing: Some(false), ..Command::default() }).unwrap();
-        player.pass(Duration::from_secs(60));
+        player.apply(PlayerCommand { playing: Some(false), ..PlayerCommand::default() }).unwrap();
+        player.advance(Duration::from_secs(60));
         assert_eq!(player.at_ms(), 13_000);
-        player.obey(Command { playing: Some(true), speed: Some(100.0), ..Command::default() }).unwrap();
-        player.pass(Duration::from_secs(60));
-        assert_eq!((player.at_ms(), player.is_playing(), player.jumps()), (20_000, false, 0));
-        player.obey(Command { playing: Some(true), ..Command::default() }).unwrap();
-        assert_eq!((player.at_ms(), player.is_playing(), player.jumps()), (10_000, true, 1));
+        player.apply(PlayerCommand { playing: Some(true), speed: Some(100.0), ..PlayerCommand::default() }).unwrap();
+        player.advance(Duration::from_secs(60));
+        assert_eq!((player.at_ms(), player.is_playing(), player.seeks()), (20_000, false, 0));
+        player.apply(PlayerCommand { playing: Some(true), ..PlayerCommand::default() }).unwrap();
+        assert_eq!((player.at_ms(), player.is_playing(), player.seeks()), (10_000, true, 1));
     }
 
     #[test]
     fn it_goes_where_it_is_told_within_the_recording_and_refuses_other_speeds() {
         let mut player = Player::new(10_000, 20_000, 1.0).unwrap();
         for (asked, at) in [(15_000, 15_000), (3, 10_000), (u64::MAX, 20_000)] {
-            player.obey(Command { at_ms: Some(asked), ..Command::default() }).unwrap();
+            player.apply(PlayerCommand { at_ms: Some(asked), ..PlayerCommand::default() }).unwrap();
             assert_eq!(player.at_ms(), at);
         }
         let before = player.clone();
         for speed in [0.0, -1.0, 101.0, f64::NAN] {
-            let command = Command { at_ms: Some(12_000), speed: Some(speed), playing: Some(false) };
-            let problem = player.obey(command).unwrap_err();
+            let command = PlayerCommand { at_ms: Some(12_000), speed: Some(speed), playing: Some(false) };
+            let problem = player.apply(command).unwrap_err();
             assert_eq!(problem, format!("a speed of {speed} is not allowed: from 0.1 to 100"));
             assert_eq!(player, before, "nothing of it is done");
         }

@@ -8,9 +8,9 @@ mod log;
 mod otlp;
 pub mod spans;
 
-pub use log::Log;
+pub use log::EventLogger;
 
-use consort_actors::allegiance::Allegiance;
+use consort_actors::cluster_membership::ClusterMembership;
 use consort_actors::node::NodeSettings;
 use consort_actors::observe::SharedObserver;
 use consort_protocol::ids::ClusterId;
@@ -22,17 +22,17 @@ const FAREWELL: std::time::Duration = std::time::Duration::from_secs(2);
 
 /// The cluster of a node that may not have started yet.
 #[derive(Clone, Default)]
-pub(crate) struct Membership(Arc<OnceLock<Allegiance>>);
+pub(crate) struct ClusterCell(Arc<OnceLock<ClusterMembership>>);
 
-impl Membership {
+impl ClusterCell {
     fn cluster(&self) -> Option<ClusterId> {
-        self.0.get().and_then(Allegiance::cluster)
+        self.0.get().and_then(ClusterMembership::cluster)
     }
 }
 
 /// The log and the spans of one node.
 pub struct Telemetry {
-    membership: Membership,
+    membership: ClusterCell,
     #[cfg(feature = "otlp")]
     exporter: Option<otlp::Exporter>,
 }
@@ -44,8 +44,8 @@ impl Telemetry {
     /// # Errors
     /// Why spans cannot be sent there, in words.
     pub fn open(endpoint: Option<&str>, settings: &NodeSettings) -> Result<(Telemetry, Vec<SharedObserver>), String> {
-        let membership = Membership::default();
-        let mut observers: Vec<SharedObserver> = vec![Arc::new(Log(membership.clone()))];
+        let membership = ClusterCell::default();
+        let mut observers: Vec<SharedObserver> = vec![Arc::new(EventLogger(membership.clone()))];
         #[cfg(feature = "otlp")]
         {
             let exporter = endpoint.map(|at| otlp::Exporter::start(at, settings, membership.clone())).transpose()?;
@@ -63,13 +63,13 @@ impl Telemetry {
     }
 
     /// From now on the cluster is known, once the node belongs to one.
-    pub fn belongs(&self, allegiance: Allegiance) {
+    pub fn set_cluster(&self, allegiance: ClusterMembership) {
         // A node lives once: there is no second.
         let _ = self.membership.0.set(allegiance);
     }
 
     /// Sends what there still is, for a moment at most.
-    pub async fn end(self) {
+    pub async fn shut_down(self) {
         #[cfg(feature = "otlp")]
         if let Some(exporter) = self.exporter {
             let _ = tokio::time::timeout(FAREWELL, exporter.end()).await;

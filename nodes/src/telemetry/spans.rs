@@ -5,7 +5,7 @@
 //! spans, and those of a process that died are missing.
 
 use super::ids::{SpanId, TraceId};
-use consort_protocol::event::{Event, Happening};
+use consort_protocol::event::{Event, EventKind};
 use consort_protocol::ids::{ClusterId, MissionId, RoleId, TaskId};
 use consort_protocol::ledger::MissionState;
 use std::collections::BTreeMap;
@@ -33,7 +33,7 @@ pub struct Span {
     /// More of it.
     pub attributes: Vec<(&'static str, String)>,
     /// What happened meanwhile, and when.
-    pub marks: Vec<(u64, String)>,
+    pub events: Vec<(u64, String)>,
 }
 
 impl Span {
@@ -41,7 +41,7 @@ impl Span {
     fn begin(trace: TraceId, id: SpanId, parent: Option<SpanId>, name: String, event: &Event) -> Span {
         let attributes = vec![("node", event.node.to_string())];
         let (begin_ms, end_ms) = (event.at_ms, event.at_ms);
-        Span { trace, id, parent, name, begin_ms, end_ms, failure: None, attributes, marks: vec![] }
+        Span { trace, id, parent, name, begin_ms, end_ms, failure: None, attributes, events: vec![] }
     }
 
     fn with(mut self, attribute: &'static str, value: impl ToString) -> Span {
@@ -57,7 +57,7 @@ impl Span {
 
 /// Spans that have begun on this node.
 #[derive(Default)]
-pub struct Spans {
+pub struct SpanTracker {
     auctions: BTreeMap<MissionId, Span>,
     roles: BTreeMap<(MissionId, RoleId), Span>,
     /// Of roles of robots and of people.
@@ -68,50 +68,50 @@ fn root(mission: &MissionId) -> SpanId {
     SpanId::of(&["mission", mission.as_str()])
 }
 
-impl Spans {
+impl SpanTracker {
     /// Takes in what the node told; returns what has ended by it.
-    pub fn take(&mut self, cluster: Option<ClusterId>, event: &Event) -> Vec<Span> {
+    pub fn on_event(&mut self, cluster: Option<ClusterId>, event: &Event) -> Vec<Span> {
         let at = event.at_ms;
-        match &event.what {
-            Happening::SteppedDown { .. } => self.auctions.clear(), // whoever follows holds them anew
-            Happening::Called { mission, round, .. } => {
+        match &event.kind {
+            EventKind::SteppedDown { .. } => self.auctions.clear(), // whoever follows holds them anew
+            EventKind::Called { mission, round, .. } => {
                 let id = SpanId::of(&["auction", mission.as_str(), &round.to_string(), event.node.as_str()]);
                 let (trace, name) = (TraceId::of(cluster, mission), format!("auction {mission}"));
                 let span = Span::begin(trace, id, Some(root(mission)), name, event).with("round", round);
                 self.auctions.insert(mission.clone(), span);
             }
-            Happening::Closed { mission, record } => {
+            EventKind::Closed { mission, record } => {
                 let Some(span) = self.auctions.remove(mission) else { return vec![] };
                 let chosen: Vec<String> =
                     record.chosen.iter().map(|(role, robot)| format!("{role}: {robot}")).collect();
                 let span = span.with("answers", record.entries.len()).with("chosen", chosen.join(", "));
                 return vec![span.end(at, record.failure.clone())];
             }
-            Happening::Mission { mission, state, submitted_at_ms } if state.is_end() => {
+            EventKind::Mission { mission, state, submitted_at_ms } if state.is_final() => {
                 let trace = TraceId::of(cluster, mission);
                 let span = Span::begin(trace, root(mission), None, format!("mission {mission}"), event);
-                let span = Span { begin_ms: (*submitted_at_ms).min(at), ..span }.with("state", state.word());
+                let span = Span { begin_ms: (*submitted_at_ms).min(at), ..span }.with("state", state.as_str());
                 let failure = match state {
                     MissionState::Completed => None,
                     MissionState::Failed { cause } => Some(cause.clone()),
-                    other => Some(other.word().to_owned()),
+                    other => Some(other.as_str().to_owned()),
                 };
                 return vec![span.end(at, failure)];
             }
-            Happening::Started { mission, role, epoch } => {
+            EventKind::Started { mission, role, epoch } => {
                 let id = SpanId::of(&["role", mission.as_str(), role.as_str(), &epoch.to_string()]);
                 let (trace, name) = (TraceId::of(cluster, mission), format!("role {role}"));
                 let span = Span::begin(trace, id, Some(root(mission)), name, event).with("epoch", epoch);
                 self.roles.insert((mission.clone(), role.clone()), span);
             }
-            Happening::Halted { mission, role, reason } => {
+            EventKind::Halted { mission, role, reason } => {
                 let reason = format!("{reason:?}").to_lowercase();
                 return self.role_ended((mission.clone(), role.clone()), at, None, &reason);
             }
-            Happening::GaveUp { mission, role, cause, .. } => {
+            EventKind::GaveUp { mission, role, cause, .. } => {
                 return self.role_ended((mission.clone(), role.clone()), at, Some(cause.clone()), "gave up");
             }
-            Happening::TaskBegan { mission, role, task } => {
+            EventKind::TaskBegan { mission, role, task } => {
                 let key = (mission.clone(), role.clone());
                 // People's tasks have no role of the fleet's: they stand below the mission.
                 let parent = self.roles.get(&key).map_or(root(mission), |role| role.id);
@@ -120,10 +120,10 @@ impl Spans {
                 let span = Span::begin(trace, SpanId::of(&words), Some(parent), name, event).with("role", role);
                 self.tasks.entry(key).or_default().insert(task.clone(), span);
             }
-            Happening::TaskEnded { mission, role, task } => {
+            EventKind::TaskEnded { mission, role, task } => {
                 return self.task_ended((mission.clone(), role.clone()), task, at, None).into_iter().collect();
             }
-            Happening::TaskFailed { mission, role, task, cause } => {
+            EventKind::TaskFailed { mission, role, task, cause } => {
                 let failure = Some(cause.clone());
                 return self.task_ended((mission.clone(), role.clone()), task, at, failure).into_iter().collect();
             }
@@ -133,11 +133,11 @@ impl Spans {
     }
 
     /// A node's robot has one role at a time: what happens in a mission happens to that.
-    fn mark(&mut self, what: &Happening, at: u64) {
+    fn mark(&mut self, what: &EventKind, at: u64) {
         let Some((mission, text)) = marked(what) else { return };
         let role = self.roles.iter_mut().find(|((of, _), _)| of == mission);
-        if let Some((_, span)) = role.filter(|(_, span)| span.marks.len() < MARKS_MAX) {
-            span.marks.push((at, text));
+        if let Some((_, span)) = role.filter(|(_, span)| span.events.len() < MARKS_MAX) {
+            span.events.push((at, text));
         }
     }
 
@@ -166,17 +166,17 @@ impl Spans {
 }
 
 /// What is told in a role's span rather than in one of its own.
-fn marked(what: &Happening) -> Option<(&MissionId, String)> {
+fn marked(what: &EventKind) -> Option<(&MissionId, String)> {
     Some(match what {
-        Happening::Sent { mission, signal } => (mission, format!("sent {signal}")),
-        Happening::Heard { mission, signal } => (mission, format!("heard {signal}")),
-        Happening::Suspended { mission, .. } => (mission, "suspended: its lease has run out".to_owned()),
-        Happening::Resumed { mission, .. } => (mission, "resumed".to_owned()),
-        Happening::TaskRetried { mission, task, attempt, cause, .. } => {
+        EventKind::Sent { mission, signal } => (mission, format!("sent {signal}")),
+        EventKind::Heard { mission, signal } => (mission, format!("heard {signal}")),
+        EventKind::Suspended { mission, .. } => (mission, "suspended: its lease has run out".to_owned()),
+        EventKind::Resumed { mission, .. } => (mission, "resumed".to_owned()),
+        EventKind::TaskRetried { mission, task, attempt, cause, .. } => {
             (mission, format!("{task} failed for the {attempt}. time and is tried again: {cause}"))
         }
-        Happening::Alternative { mission, task, cause, .. } => (mission, format!("another way than {task}: {cause}")),
-        Happening::ChargeShort { mission, cause, .. } => (mission, format!("goes on with little charge: {cause}")),
+        EventKind::Alternative { mission, task, cause, .. } => (mission, format!("another way than {task}: {cause}")),
+        EventKind::ChargeShort { mission, cause, .. } => (mission, format!("goes on with little charge: {cause}")),
         _ => return None,
     })
 }
@@ -185,25 +185,25 @@ fn marked(what: &Happening) -> Option<(&MissionId, String)> {
 mod tests {
     use super::*;
     use consort_protocol::ids::NodeId;
-    use consort_protocol::lease::{Ending, Epoch};
+    use consort_protocol::lease::{EndReason, Epoch};
 
     /// A node that tells of mission m-1, and what became spans of it.
     struct Teller {
         node: NodeId,
-        spans: Spans,
+        spans: SpanTracker,
         at_ms: u64,
     }
 
     fn teller(node: &str) -> Teller {
-        Teller { node: node.parse().unwrap(), spans: Spans::default(), at_ms: 1_000 }
+        Teller { node: node.parse().unwrap(), spans: SpanTracker::default(), at_ms: 1_000 }
     }
 
     impl Teller {
         /// It tells so a second later.
-        fn tells(&mut self, what: Happening) -> Vec<Span> {
+        fn tells(&mut self, what: EventKind) -> Vec<Span> {
             self.at_ms += 1_000;
-            let event = Event { node: self.node.clone(), sequence: 1, at_ms: self.at_ms, what };
-            self.spans.take(Some(ClusterId(7)), &event)
+            let event = Event { node: self.node.clone(), sequence: 1, at_ms: self.at_ms, kind: what };
+            self.spans.on_event(Some(ClusterId(7)), &event)
         }
     }
 
@@ -219,20 +219,20 @@ mod tests {
         name.parse().unwrap()
     }
 
-    fn started() -> Happening {
-        Happening::Started { mission: mission(), role: role(), epoch: Epoch { term: 1, index: 3 } }
+    fn started() -> EventKind {
+        EventKind::Started { mission: mission(), role: role(), epoch: Epoch { term: 1, index: 3 } }
     }
 
-    fn began(name: &str) -> Happening {
-        Happening::TaskBegan { mission: mission(), role: role(), task: task(name) }
+    fn began(name: &str) -> EventKind {
+        EventKind::TaskBegan { mission: mission(), role: role(), task: task(name) }
     }
 
-    fn done(name: &str) -> Happening {
-        Happening::TaskEnded { mission: mission(), role: role(), task: task(name) }
+    fn done(name: &str) -> EventKind {
+        EventKind::TaskEnded { mission: mission(), role: role(), task: task(name) }
     }
 
-    fn halted(reason: Ending) -> Happening {
-        Happening::Halted { mission: mission(), role: role(), reason }
+    fn halted(reason: EndReason) -> EventKind {
+        EventKind::Halted { mission: mission(), role: role(), reason }
     }
 
     fn told(spans: &[Span]) -> Vec<(&str, u64, u64, Option<&str>)> {
@@ -246,12 +246,12 @@ mod tests {
         robot.tells(began("go"));
         let first = robot.tells(done("go"));
         assert_eq!(told(&first), [("task go", 3_000, 4_000, None)]);
-        let over = robot.tells(halted(Ending::Over));
+        let over = robot.tells(halted(EndReason::Over));
         assert_eq!(told(&over), [("role carrier", 2_000, 5_000, None)]);
 
         // Another node saw it end; it was elected after the request.
         let mut coordinator = teller("station-1");
-        let end = Happening::Mission { mission: mission(), state: MissionState::Completed, submitted_at_ms: 500 };
+        let end = EventKind::Mission { mission: mission(), state: MissionState::Completed, submitted_at_ms: 500 };
         let whole = coordinator.tells(end);
         assert_eq!(told(&whole), [("mission m-1", 500, 2_000, None)]);
         assert_eq!(whole[0].parent, None);
@@ -265,18 +265,18 @@ mod tests {
         let mut robot = teller("ada");
         robot.tells(started());
         robot.tells(began("go"));
-        let signal = Happening::Suspended { mission: mission(), role: role() };
+        let signal = EventKind::Suspended { mission: mission(), role: role() };
         assert_eq!(robot.tells(signal), []);
-        let spans = robot.tells(halted(Ending::Canceled));
+        let spans = robot.tells(halted(EndReason::Canceled));
         let expected = [("task go", 3_000, 5_000, Some("left off: canceled")), ("role carrier", 2_000, 5_000, None)];
         assert_eq!(told(&spans), expected);
-        assert_eq!(spans[1].marks, [(4_000, "suspended: its lease has run out".to_owned())]);
-        assert_eq!(robot.tells(halted(Ending::Canceled)), [], "told twice, it ends once");
+        assert_eq!(spans[1].events, [(4_000, "suspended: its lease has run out".to_owned())]);
+        assert_eq!(robot.tells(halted(EndReason::Canceled)), [], "told twice, it ends once");
 
         robot.tells(started());
         robot.tells(began("go"));
         let cause = "the way is closed".to_owned();
-        let failed = Happening::TaskFailed { mission: mission(), role: role(), task: task("go"), cause: cause.clone() };
+        let failed = EventKind::TaskFailed { mission: mission(), role: role(), task: task("go"), cause: cause.clone() };
         assert_eq!(told(&robot.tells(failed)), [("task go", 8_000, 9_000, Some("the way is closed"))]);
     }
 
@@ -284,10 +284,10 @@ mod tests {
     fn another_award_of_a_role_is_another_span() {
         let mut robot = teller("ada");
         robot.tells(started());
-        let first = robot.tells(halted(Ending::Released));
+        let first = robot.tells(halted(EndReason::Released));
         let epoch = Epoch { term: 2, index: 9 };
-        robot.tells(Happening::Started { mission: mission(), role: role(), epoch });
-        let second = robot.tells(halted(Ending::Over));
+        robot.tells(EventKind::Started { mission: mission(), role: role(), epoch });
+        let second = robot.tells(halted(EndReason::Over));
         assert_ne!(first[0].id, second[0].id);
     }
 

@@ -1,12 +1,12 @@
 //! Certificates as people make them, and manual pages.
 
-use crate::support::{run, written};
+use crate::support::{run, test_file};
 use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
 
 /// A folder of a test's own, which does not exist yet.
 fn folder(name: &str) -> PathBuf {
-    let folder = Path::new(&written(&format!("{name}.mark"), "")).with_extension("certs");
+    let folder = Path::new(&test_file(&format!("{name}.mark"), "")).with_extension("certs");
     let _ = std::fs::remove_dir_all(&folder);
     folder
 }

@@ -1,4 +1,4 @@
-use super::support::{consort, run, written};
+use super::support::{consort, run, test_file};
 use consort_protocol::mutants::{self, Mutant};
 use serde_json::Value;
 use std::path::PathBuf;
@@ -17,7 +17,7 @@ fn a_run_is_told_in_json_and_is_the_same_each_time() {
 
 #[test]
 fn a_schedule_that_names_what_is_not_there_is_refused_with_what_there_is() {
-    let file = written("nobody.json", r#"{"steps": [{"at_ms": 9, "act": "pause", "node": "nobody", "for_ms": 5}]}"#);
+    let file = test_file("nobody.json", r#"{"steps": [{"at_ms": 9, "act": "pause", "node": "nobody", "for_ms": 5}]}"#);
     let ran = run(&["chaos", "--seed", "7", "--nodes", "4", "--schedule", &file]);
     assert_eq!(ran.code, Some(2), "{}", ran.err);
     let expected = "at 9 ms: \"nobody\" is not known; there are aster, basil, garnet, lab-arm, world";
@@ -64,7 +64,7 @@ fn lines_of_json(out: &str) -> Vec<Value> {
 #[test]
 fn in_json_nothing_else_is_said_on_the_standard_output() {
     let steps = r#"{"steps": [{"at_ms": 600, "act": "partition", "groups": [["client"]], "for_ms": 100}]}"#;
-    let file = written("parted.json", steps);
+    let file = test_file("parted.json", steps);
     let small = ["--nodes", "4", "--minutes", "0.5", "--json"];
     for (mode, told) in [
         (&["--seed", "7", "--verbose"][..], true),
@@ -84,7 +84,7 @@ fn in_json_nothing_else_is_said_on_the_standard_output() {
 
 #[test]
 fn a_violation_is_a_line_of_json_and_what_is_said_to_repeat_it_does() {
-    if mutants::choose(Some(Mutant::WaitSkipped)).is_err() {
+    if mutants::activate(Some(Mutant::WaitSkipped)).is_err() {
         return; // nothing here makes mistakes: a build of this package alone
     }
     let folder = PathBuf::from(env!("CARGO_TARGET_TMPDIR")).join("violation");

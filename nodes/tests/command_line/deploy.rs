@@ -1,6 +1,6 @@
 //! What is shipped for machines of its own: configurations and units.
 
-use super::support::{own, run};
+use super::support::{crate_file, run};
 use std::fs;
 use std::io::Write as _;
 use std::path::{Path, PathBuf};
@@ -8,7 +8,7 @@ use std::process::Command;
 
 /// The files in a folder of this crate, in order.
 fn files(folder: &str) -> Vec<PathBuf> {
-    let entries = fs::read_dir(own(folder)).expect("a folder that is shipped");
+    let entries = fs::read_dir(crate_file(folder)).expect("a folder that is shipped");
     let mut files: Vec<PathBuf> = entries.map(|entry| entry.expect("an entry").path()).collect();
     files.sort();
     files
@@ -57,7 +57,7 @@ fn systemd_has_nothing_to_say_against_the_units() {
     }
     let root = Path::new(env!("CARGO_TARGET_TMPDIR")).join("command_line/machine");
     let units = root.join("usr/lib/systemd/system");
-    copy(&PathBuf::from(own("deploy/systemd")), &units);
+    copy(&PathBuf::from(crate_file("deploy/systemd")), &units);
     let targets = ["basic", "multi-user", "network", "network-online", "rescue", "shutdown", "sysinit", "time-sync"];
     for target in targets.map(|target| format!("{target}.target")) {
         fs::copy(system.join(&target), units.join(&target)).expect("a target of systemd's own");

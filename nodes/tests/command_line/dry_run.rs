@@ -1,4 +1,4 @@
-use super::support::{own, run, written};
+use super::support::{crate_file, run, test_file};
 use serde_json::Value;
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::PathBuf;
@@ -13,7 +13,7 @@ fn number(value: &Value, key: &str) -> Option<f64> {
 
 #[test]
 fn a_small_ward_worked_out_by_hand() {
-    let (map, scenarios) = (own("tests/data/ward_map.json"), own("tests/data/ward_scenarios.json"));
+    let (map, scenarios) = (crate_file("tests/data/ward_map.json"), crate_file("tests/data/ward_scenarios.json"));
     let ran = run(&["dry-run", "lab-samples", "--map", &map, "--scenarios", &scenarios, "--json"]);
     assert_eq!(ran.code, Some(0), "{}", ran.err);
     // 7 m from Room 1 to the laboratory, the 9 m lane notwithstanding; 11 steps of 2 s; 0.5 m/s; 0.001 a second.
@@ -45,7 +45,7 @@ fn a_small_ward_worked_out_by_hand() {
 
 #[test]
 fn every_role_is_auctioned_among_the_workers_of_a_file() {
-    let workers = own("examples/workers.toml");
+    let workers = crate_file("examples/workers.toml");
     let args = ["dry-run", "lab-samples", "--workers", &workers, "--set", "room=IC Room 6"];
     let ran = run(&args);
     assert_eq!(ran.code, Some(0), "{}", ran.err);
@@ -68,7 +68,7 @@ fn every_role_is_auctioned_among_the_workers_of_a_file() {
 
 #[test]
 fn a_mission_that_nobody_can_do_says_so_and_fails() {
-    let workers = written("arm_only.json", r#"[{ "name": "arm", "place": "Laboratory", "skills": ["pick_up"] }]"#);
+    let workers = test_file("arm_only.json", r#"[{ "name": "arm", "place": "Laboratory", "skills": ["pick_up"] }]"#);
     let ran = run(&["dry-run", "lab-samples", "--workers", &workers]);
     assert_eq!(ran.code, Some(1));
     assert!(ran.err.contains("the mission would stay pending: no viable bid for r1"), "{}", ran.err);
@@ -76,8 +76,8 @@ fn a_mission_that_nobody_can_do_says_so_and_fails() {
 
 /// The published evaluation, where it is at hand.
 fn reference() -> Option<PathBuf> {
-    let folder =
-        std::env::var_os("CONSORT_REFERENCE").map_or_else(|| own("../../shared/reference").into(), PathBuf::from);
+    let folder = std::env::var_os("CONSORT_REFERENCE")
+        .map_or_else(|| crate_file("../../shared/reference").into(), PathBuf::from);
     let folder = folder.join("mission_control");
     if folder.join("bids_27.jsonl").is_file() {
         return Some(folder);

@@ -1,4 +1,4 @@
-use super::support::{run, written};
+use super::support::{run, test_file};
 use std::path::{Path, PathBuf};
 
 /// A design of two trials.
@@ -53,7 +53,7 @@ fn text(folder: &Path, file: &str) -> String {
 
 #[test]
 fn a_design_becomes_rows_and_a_report() {
-    let (design, out) = (written("thin.toml", THIN), folder("run"));
+    let (design, out) = (test_file("thin.toml", THIN), folder("run"));
     let ran = run(&["experiment", "run", &design, "--out", &out.display().to_string(), "--jobs", "1"]);
     assert_eq!(ran.code, Some(0), "{}{}", ran.out, ran.err);
     assert!(ran.out.contains("2 trials in "), "{}", ran.out);
@@ -76,7 +76,7 @@ fn a_design_becomes_rows_and_a_report() {
 
 #[test]
 fn what_is_learned_is_written_and_can_be_used() {
-    let (design, out) = (written("thin-to-calibrate.toml", THIN), folder("calibrate"));
+    let (design, out) = (test_file("thin-to-calibrate.toml", THIN), folder("calibrate"));
     let ran = run(&["experiment", "calibrate", &design, "--out", &out.display().to_string()]);
     assert_eq!(ran.code, Some(0), "{}{}", ran.out, ran.err);
     assert!(text(&out, "report.md").contains("## What calibration gains"));
@@ -85,12 +85,12 @@ fn what_is_learned_is_written_and_can_be_used() {
     let ran = run(&["experiment", "run", &design, "--out", &again, "--calibration", &learned]);
     assert_eq!(ran.code, Some(0), "{}{}", ran.out, ran.err);
     // A fleet can be told of it, too, and is told what is wrong with it.
-    let fleet = written("fleet-that-learned.toml", &format!("calibration = {learned:?}\n"));
+    let fleet = test_file("fleet-that-learned.toml", &format!("calibration = {learned:?}\n"));
     let ran = run(&["check", "--kind", "fleet", &fleet]);
     assert_eq!(ran.code, Some(0), "{}{}", ran.out, ran.err);
     let wrong =
-        written("wrong-calibration.toml", &std::fs::read_to_string(&learned).unwrap().replace("mean = ", "mean = -"));
-    let fleet = written("fleet-that-learned-wrong.toml", &format!("calibration = {wrong:?}\n"));
+        test_file("wrong-calibration.toml", &std::fs::read_to_string(&learned).unwrap().replace("mean = ", "mean = -"));
+    let fleet = test_file("fleet-that-learned-wrong.toml", &format!("calibration = {wrong:?}\n"));
     let ran = run(&["check", "--kind", "fleet", &fleet]);
     assert_eq!(ran.code, Some(1), "{}{}", ran.out, ran.err);
     assert!(ran.out.contains(&format!("{wrong}: skills.operate_drawer: mean -")), "{}", ran.out);
@@ -98,7 +98,7 @@ fn what_is_learned_is_written_and_can_be_used() {
 
 #[test]
 fn policies_treatments_and_repetitions_can_be_given_in_place_of_the_designs() {
-    let (design, out) = (written("thin-to-change.toml", THIN), folder("changed"));
+    let (design, out) = (test_file("thin-to-change.toml", THIN), folder("changed"));
     let (out_flag, calm) = (out.display().to_string(), "calm,coordinator-killed");
     let flags = ["--policies", "optimal", "--treatments", calm, "--repetitions", "2", "--seed", "8"];
     let ran = run(&[&["experiment", "run", &design, "--out", &out_flag], &flags[..]].concat());
@@ -116,7 +116,7 @@ fn policies_treatments_and_repetitions_can_be_given_in_place_of_the_designs() {
 fn mistakes_are_told_with_their_place_and_what_is_allowed() {
     let out = folder("never").display().to_string();
     let said = |text: &str| {
-        let ran = run(&["experiment", "run", &written("wrong-design.toml", text), "--out", &out]);
+        let ran = run(&["experiment", "run", &test_file("wrong-design.toml", text), "--out", &out]);
         assert_eq!(ran.code, Some(2), "{}{}", ran.out, ran.err);
         ran.err
     };

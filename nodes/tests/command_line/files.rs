@@ -1,4 +1,4 @@
-use super::support::{consort, own, run, written};
+use super::support::{consort, crate_file, run, test_file};
 
 #[test]
 fn the_shipped_examples_missions_and_maps_are_right() {
@@ -17,7 +17,7 @@ fn the_shipped_examples_missions_and_maps_are_right() {
         ("../protocol/missions/lab-samples.yaml", "a mission: lab-samples, 3 roles, 19 steps"),
         ("../sim_bridge/maps/hospital.yaml", "a map: 32 places, 31 ways"),
     ];
-    let paths: Vec<String> = files.iter().map(|(path, _)| own(path)).collect();
+    let paths: Vec<String> = files.iter().map(|(path, _)| crate_file(path)).collect();
     let mut args = vec!["check"];
     args.extend(paths.iter().map(String::as_str));
     let ran = run(&args);
@@ -27,13 +27,13 @@ fn the_shipped_examples_missions_and_maps_are_right() {
 
 #[test]
 fn check_names_every_problem_with_file_and_place() {
-    let fleet = written("wrong_fleet.toml", "name = \"ward\"\nmapp = \"hospital\"\n[lease]\nlase_ms = 1\n");
-    let robot = written("wrong_robot.toml", "name = \"a\"\nplace = \"Kitchen\"\nskills = [\"pick_up\"]\n");
-    let map = written(
+    let fleet = test_file("wrong_fleet.toml", "name = \"ward\"\nmapp = \"hospital\"\n[lease]\nlase_ms = 1\n");
+    let robot = test_file("wrong_robot.toml", "name = \"a\"\nplace = \"Kitchen\"\nskills = [\"pick_up\"]\n");
+    let map = test_file(
         "wrong_map.yaml",
         "name: m\nplaces:\n  - { name: A, kind: room, x_m: 0, y_m: 0 }\nlanes:\n  - { between: [A, B] }\n",
     );
-    let mission = written(
+    let mission = test_file(
         "wrong_mission.yaml",
         "mission: m\nroles:\n  r1: { kind: managed }\nroot: { task: go, type: navigate, roles: [r2] }\n",
     );
@@ -54,7 +54,7 @@ fn check_names_every_problem_with_file_and_place() {
 
 #[test]
 fn a_node_with_an_unknown_key_does_not_start() {
-    let file = written("unknown_key.toml", "name = \"s\"\nstationery = true\n");
+    let file = test_file("unknown_key.toml", "name = \"s\"\nstationery = true\n");
     let ran = run(&["station", "--config", &file]);
     assert_eq!(ran.code, Some(2));
     let expected =
@@ -66,9 +66,9 @@ fn a_node_with_an_unknown_key_does_not_start() {
 #[test]
 fn what_print_config_prints_is_read_back_as_the_same() {
     for (command, file) in [("robot", "robot.toml"), ("station", "station.toml"), ("world", "world.toml")] {
-        let first = run(&[command, "--config", &own(&format!("examples/{file}")), "--print-config"]);
+        let first = run(&[command, "--config", &crate_file(&format!("examples/{file}")), "--print-config"]);
         assert_eq!(first.code, Some(0), "{}", first.err);
-        let copy = written(&format!("printed_{file}"), &first.out);
+        let copy = test_file(&format!("printed_{file}"), &first.out);
         let second = run(&[command, "--config", &copy, "--print-config"]);
         assert_eq!((second.code, second.out), (Some(0), first.out), "{}", second.err);
     }
@@ -76,7 +76,7 @@ fn what_print_config_prints_is_read_back_as_the_same() {
 
 #[test]
 fn flags_prevail_over_variables_and_variables_over_files() {
-    let file = own("examples/robot.toml");
+    let file = crate_file("examples/robot.toml");
     let args = ["robot", "--config", &file, "--print-config", "--lease-ms", "7000"];
     let mut command = consort(&args);
     command.env("CONSORT_LEASE_MS", "9000").env("CONSORT_SPEED_MPS", "0.25").env("CONSORT_CONNECT", "tcp/a:1,tcp/b:2");
@@ -93,7 +93,7 @@ fn flags_prevail_over_variables_and_variables_over_files() {
 
 #[test]
 fn a_value_that_a_flag_gives_is_checked_like_one_of_a_file() {
-    let file = own("examples/station.toml");
+    let file = crate_file("examples/station.toml");
     let ran = run(&["station", "--config", &file, "--print-config", "--lease-ms", "1"]);
     assert_eq!(ran.code, Some(2));
     assert!(ran.err.contains("lease.lease_ms is 1, allowed is 500 to 3600000"), "{}", ran.err);
@@ -101,7 +101,7 @@ fn a_value_that_a_flag_gives_is_checked_like_one_of_a_file() {
 
 /// The keys that a file of this kind may have there, as the message about an unknown one names them.
 fn allowed_keys(kind: &str, table: &str) -> Vec<String> {
-    let file = written(&format!("keys_wanted_of_{kind}.toml"), &format!("name = \"ward\"\n{table}\nnot_a_key = 1\n"));
+    let file = test_file(&format!("keys_wanted_of_{kind}.toml"), &format!("name = \"ward\"\n{table}\nnot_a_key = 1\n"));
     let ran = run(&["check", "--kind", kind, &file]);
     let (_, list) = ran.out.split_once("; allowed: ").unwrap_or_else(|| panic!("{table}: {}{}", ran.out, ran.err));
     let list = list.split([';', '\n']).next().unwrap_or_default();
@@ -110,7 +110,7 @@ fn allowed_keys(kind: &str, table: &str) -> Vec<String> {
 
 #[test]
 fn the_example_of_a_fleet_file_has_every_key_that_there_is() {
-    let text = std::fs::read_to_string(own("examples/fleet.toml")).expect("an example");
+    let text = std::fs::read_to_string(crate_file("examples/fleet.toml")).expect("an example");
     let example: toml::Table = text.parse().expect("TOML");
     let part = |name: &str| match &example[name] {
         toml::Value::Array(list) => list[0].as_table().expect("a table").clone(),
@@ -134,7 +134,7 @@ fn the_example_of_a_fleet_file_has_every_key_that_there_is() {
 #[test]
 fn the_examples_of_node_files_name_every_key_that_all_nodes_have() {
     for kind in ["robot", "station", "world"] {
-        let text = std::fs::read_to_string(own(&format!("examples/{kind}.toml"))).expect("an example");
+        let text = std::fs::read_to_string(crate_file(&format!("examples/{kind}.toml"))).expect("an example");
         // What is left out stands there behind a `#`.
         let lines: Vec<&str> = text.lines().map(|line| line.trim_start_matches("# ")).collect();
         let names = |key: &str| {
@@ -155,7 +155,7 @@ fn the_examples_of_node_files_name_every_key_that_all_nodes_have() {
 fn what_a_node_tells_of_itself_is_said_by_files_variables_and_flags() {
     let telemetry =
         "log = \"warn\"\nlog_format = \"json\"\nmetrics = \"127.0.0.1:9464\"\notlp = \"http://127.0.0.1:4318\"\n";
-    let file = written("telemetry.toml", &format!("name = \"s\"\n[telemetry]\n{telemetry}"));
+    let file = test_file("telemetry.toml", &format!("name = \"s\"\n[telemetry]\n{telemetry}"));
     let printed = |args: &[&str], variables: &[(&str, &str)]| {
         let mut command = consort(&[&["station", "--config", &file, "--print-config"], args].concat());
         let output = command.envs(variables.iter().copied()).output().expect("the binary starts");
@@ -171,11 +171,11 @@ fn what_a_node_tells_of_itself_is_said_by_files_variables_and_flags() {
     // The variable that programs in Rust share prevails over the file, too.
     assert_eq!(printed(&[], &[("RUST_LOG", "error")])["log"], "error".into());
 
-    let wrong = written("telemetry_wrong.toml", "name = \"s\"\n[telemetry]\notlp = \"127.0.0.1:4318\"\n");
+    let wrong = test_file("telemetry_wrong.toml", "name = \"s\"\n[telemetry]\notlp = \"127.0.0.1:4318\"\n");
     let ran = run(&["check", "--kind", "station", &wrong]);
     assert_eq!(ran.code, Some(1), "{}", ran.out);
     assert!(ran.out.contains("telemetry.otlp: \"127.0.0.1:4318\" does not begin with http://"), "{}", ran.out);
-    let wrong = written("telemetry_format.toml", "name = \"s\"\n[telemetry]\nlog_format = \"xml\"\n");
+    let wrong = test_file("telemetry_format.toml", "name = \"s\"\n[telemetry]\nlog_format = \"xml\"\n");
     let ran = run(&["check", "--kind", "station", &wrong]);
     assert!(ran.out.contains(&format!("{wrong}:3:")) && ran.out.contains("`human`"), "{}", ran.out);
 }

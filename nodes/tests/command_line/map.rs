@@ -1,8 +1,8 @@
-use super::support::{consort, own, run, written};
+use super::support::{consort, crate_file, run, test_file};
 use std::path::PathBuf;
 
 fn sample(name: &str) -> String {
-    own(&format!("../sim_bridge/maps/{name}"))
+    crate_file(&format!("../sim_bridge/maps/{name}"))
 }
 
 /// A folder of this test's own, empty.
@@ -31,7 +31,7 @@ fn check_says_what_is_on_maps_of_every_form_and_what_was_left_out() {
 #[test]
 fn check_says_all_that_is_wrong_with_file_and_place() {
     let office = std::fs::read_to_string(sample("office.building.yaml")).expect("the sample");
-    let wrong = written("wrong.building.yaml", &office.replace("- [6, 7, { bid", "- [6, 17, { bid"));
+    let wrong = test_file("wrong.building.yaml", &office.replace("- [6, 7, { bid", "- [6, 17, { bid"));
     let ran = run(&["map", "check", &wrong, "hospital"]);
     assert_eq!(ran.code, Some(1), "{}", ran.out);
     let expected = format!("{wrong}: level \"L2\", lane 3: there is no vertex 17; allowed are 0 to 7\n");
@@ -133,15 +133,15 @@ fn a_map_of_any_form_is_taken_wherever_one_is_named() {
              speed_mps = 1.0\nbattery = 0.9\ndischarge_share_per_s = 0.0002\n"
         )
     };
-    let a = written("drawn_world.toml", &world(&clinic, "Ward 1"));
-    let b = written("built_world.toml", &world(&office, "meeting"));
+    let a = test_file("drawn_world.toml", &world(&clinic, "Ward 1"));
+    let b = test_file("built_world.toml", &world(&office, "meeting"));
     let ran = run(&["check", &a, &b, &clinic, &office]);
     let expected = format!(
         "{a}: ok, a world: 1 robot, 0 people\n{b}: ok, a world: 1 robot, 0 people\n\
          {clinic}: ok, a map: 11 places, 11 ways\n{office}: ok, a map: 10 places, 10 ways\n"
     );
     assert_eq!((ran.code, ran.out), (Some(0), expected), "{}", ran.err);
-    let wrong = written("drawn_wrong.toml", &world(&clinic, "Ward 3"));
+    let wrong = test_file("drawn_wrong.toml", &world(&clinic, "Ward 3"));
     let ran = run(&["check", &wrong]);
     assert_eq!(ran.code, Some(1));
     assert!(ran.out.contains("\"Ward 3\""), "{}", ran.out);

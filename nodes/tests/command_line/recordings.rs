@@ -1,8 +1,8 @@
-use super::support::{run, written};
+use super::support::{run, test_file};
 
 #[test]
 fn a_file_that_is_there_is_not_recorded_over() {
-    let file = written("there.mcap", "dear diary");
+    let file = test_file("there.mcap", "dear diary");
     let ran = run(&["record", "--out", &file, "--connect", "tcp/127.0.0.1:1", "--timeout", "0.1"]);
     let problem = format!("consort: {file}: this file is there already; --force replaces it\n");
     assert_eq!((ran.code, ran.err), (Some(2), problem));
@@ -17,8 +17,8 @@ fn a_file_that_is_there_is_not_recorded_over() {
 
 #[test]
 fn a_file_that_cannot_be_replayed_is_told_with_what_it_is() {
-    let file = written("notes.mcap", "these are my notes, and no recording");
-    let world = written("world.mcap", "");
+    let file = test_file("notes.mcap", "these are my notes, and no recording");
+    let world = test_file("world.mcap", "");
     let recorded = run(&["demo", "--virtual", "--no-kill", "--record", &world]);
     assert_eq!(recorded.code, Some(0), "{}", recorded.err);
     for (file, expected) in [

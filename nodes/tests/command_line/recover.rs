@@ -1,7 +1,7 @@
-use super::support::{Ran, Running, consort, free_address, run};
+use super::support::{CommandOutput, Running, consort, free_address, run};
 use consort_actors::bus::{LinkModel, VirtualNetwork};
-use consort_actors::replica::{Replica, ReplicaSettings, StoreIdentity};
-use consort_actors::store::{DurableStore, LEDGER, Owner, ledger_of};
+use consort_actors::raft::{RaftSettings, Replica, StoreIdentity};
+use consort_actors::store::{DurableStore, LEDGER_FILE, StoreOwner, inspect_ledger};
 use consort_nodes::config::FleetConfig;
 use consort_protocol::ids::{ClusterId, NodeId, RequestId};
 use consort_protocol::ledger::{Command, Ledger, Submission};
@@ -37,7 +37,7 @@ impl Drop for Folder {
     }
 }
 
-fn recover(folder: &Path, more: &[&str]) -> Ran {
+fn recover(folder: &Path, more: &[&str]) -> CommandOutput {
     run(&[&["recover", "--from", &folder.display().to_string()], more].concat())
 }
 
@@ -56,7 +56,7 @@ fn three_voters(folder: &Folder) {
         Command::Submit(Box::new(Submission::of(request, mission.clone(), division)))
     };
     let commands = [
-        Command::Found { cluster: ClusterId(1) },
+        Command::Bootstrap { cluster: ClusterId(1) },
         submit("a"),
         submit("b"),
         Command::Cancel { mission: "lab-samples-2".parse().expect("a slug"), by: "me".into(), places: BTreeMap::new() },
@@ -66,9 +66,9 @@ fn three_voters(folder: &Folder) {
         let network = VirtualNetwork::new(1, LinkModel::LAN);
         let mut replicas = BTreeMap::new();
         for (number, node) in (1..).zip(NAMES.map(name)) {
-            let owner = Owner { fleet: fleet.clone(), node: node.clone() };
+            let owner = StoreOwner { fleet: fleet.clone(), node: node.clone() };
             let store = DurableStore::open(&folder.of(node.as_str()), &owner, StoreIdentity(number)).expect("a store");
-            let (settings, bus) = (ReplicaSettings::new(fleet.clone(), node.clone()), network.bus(node.clone()));
+            let (settings, bus) = (RaftSettings::new(fleet.clone(), node.clone()), network.bus(node.clone()));
             let seed = u64::try_from(number).expect("a small number");
             let replica = Replica::<Ledger>::start(settings, Arc::new(bus), Arc::new(store), seed).await;
             replicas.insert(node, replica.expect("a start"));
@@ -79,7 +79,7 @@ fn three_voters(folder: &Folder) {
         let mut leadership = ada.leadership();
         let leader = leadership.wait_for(|now| now.leader.is_some()).await.expect("a replica").leader.clone();
         let leader = &replicas[&leader.expect("a leader")];
-        leader.leadership().wait_for(|now| now.is_me).await.expect("a replica");
+        leader.leadership().wait_for(|now| now.is_leader).await.expect("a replica");
         for command in commands {
             leader.propose(command, Duration::from_secs(5)).await.expect("a commit");
         }
@@ -101,7 +101,7 @@ fn what_cannot_be_recovered_is_told_and_left_alone() {
     assert!(ran.err.contains("nowhere: there is no ledger here; it would be the file ledger.redb"), "{}", ran.err);
     assert!(!folder.of("nowhere").exists());
 
-    let owner = Owner { fleet: FleetConfig::default().name, node: name("ada") };
+    let owner = StoreOwner { fleet: FleetConfig::default().name, node: name("ada") };
     let store = DurableStore::open(&folder.of("ada"), &owner, StoreIdentity(1)).expect("a store");
     let ran = recover(&folder.of("ada"), &["--yes"]);
     assert_eq!(ran.code, Some(1));
@@ -111,7 +111,7 @@ fn what_cannot_be_recovered_is_told_and_left_alone() {
     assert_eq!(ran.code, Some(1));
     assert!(ran.err.contains("it holds no entry: there is nothing to recover"), "{}", ran.err);
 
-    let file = folder.of("ada").join(LEDGER);
+    let file = folder.of("ada").join(LEDGER_FILE);
     let whole = fs::read(&file).expect("a file");
     fs::write(&file, &whole[..whole.len() / 2]).expect("a file");
     let ran = recover(&folder.of("ada"), &["--yes"]);
@@ -129,7 +129,7 @@ fn the_last_of_three_becomes_the_only_voter_and_coordinates_again() {
     // Nobody agreed: it shows what there is, warns, and changes nothing.
     let held = || {
         let store = DurableStore::open_existing(&cyd).expect("a store");
-        let held = ledger_of(&store).expect("a ledger");
+        let held = inspect_ledger(&store).expect("a ledger");
         (held.term, held.last, held.voters.len(), held.state)
     };
     let before = held();

@@ -6,16 +6,16 @@ use std::path::PathBuf;
 use std::process::{Child, Output};
 
 /// What a run came to.
-pub(crate) struct Ran {
+pub(crate) struct CommandOutput {
     pub(crate) code: Option<i32>,
     pub(crate) out: String,
     pub(crate) err: String,
 }
 
-pub(crate) fn run(args: &[&str]) -> Ran {
+pub(crate) fn run(args: &[&str]) -> CommandOutput {
     let Output { status, stdout, stderr } = consort(args).output().expect("the binary starts");
     let text = |bytes: Vec<u8>| String::from_utf8(bytes).expect("the binary writes UTF-8");
-    Ran { code: status.code(), out: text(stdout), err: text(stderr) }
+    CommandOutput { code: status.code(), out: text(stdout), err: text(stderr) }
 }
 
 /// An address on loopback that was free a moment ago.
@@ -25,12 +25,12 @@ pub(crate) fn free_address() -> String {
 }
 
 /// A file of this crate.
-pub(crate) fn own(path: &str) -> String {
+pub(crate) fn crate_file(path: &str) -> String {
     format!("{}/{path}", env!("CARGO_MANIFEST_DIR"))
 }
 
 /// A file written for one test.
-pub(crate) fn written(name: &str, text: &str) -> String {
+pub(crate) fn test_file(name: &str, text: &str) -> String {
     let folder = PathBuf::from(env!("CARGO_TARGET_TMPDIR")).join("command_line");
     std::fs::create_dir_all(&folder).expect("cargo's own folder");
     let path = folder.join(name);

@@ -1,6 +1,6 @@
 //! `consort test`.
 
-use super::support::{run, written};
+use super::support::{run, test_file};
 
 const STANDS: &str = r#"Feature: A robot
   @quick
@@ -19,7 +19,7 @@ const STANDS: &str = r#"Feature: A robot
 
 #[test]
 fn a_feature_that_holds_is_told_in_a_line_each() {
-    let file = written("stands.feature", STANDS);
+    let file = test_file("stands.feature", STANDS);
     let ran = run(&["test", &file, "--tags", "@quick"]);
     assert_eq!(ran.code, Some(0), "{}{}", ran.out, ran.err);
     assert!(ran.out.starts_with("A robot\n  ✓ It stays where it is\n"), "{}", ran.out);
@@ -30,7 +30,7 @@ fn a_feature_that_holds_is_told_in_a_line_each() {
 
 #[test]
 fn a_step_that_does_not_hold_is_told_with_what_was_found() {
-    let file = written("goes.feature", STANDS);
+    let file = test_file("goes.feature", STANDS);
     let ran = run(&["test", &file]);
     assert_eq!(ran.code, Some(1), "{}{}", ran.out, ran.err);
     for said in [
@@ -48,7 +48,7 @@ fn a_step_that_does_not_hold_is_told_with_what_was_found() {
 
 #[test]
 fn steps_that_nobody_knows_are_told_with_their_lines_and_the_nearest_before_anything_is_played() {
-    let file = written(
+    let file = test_file(
         "typo.feature",
         &STANDS.replace("When 10 s pass", "When 10 s go by").replace("is at \"2, 2\"", "is in \"2, 2\""),
     );
@@ -65,14 +65,14 @@ fn steps_that_nobody_knows_are_told_with_their_lines_and_the_nearest_before_anyt
 
 #[test]
 fn what_is_no_feature_or_none_at_all_is_said() {
-    let file = written("none.feature", "Scenario: without a feature\n  Given nothing\n");
+    let file = test_file("none.feature", "Scenario: without a feature\n  Given nothing\n");
     let ran = run(&["test", &file]);
     assert_eq!(ran.code, Some(2));
     assert!(ran.err.contains(&format!("{file}: no feature in Gherkin")), "{}", ran.err);
     let ran = run(&["test", "no/such/folder"]);
     assert_eq!(ran.code, Some(2));
     assert!(ran.err.contains("no/such/folder: No such file or directory"), "{}", ran.err);
-    let ran = run(&["test", &written("stands_again.feature", STANDS), "--name", "flies"]);
+    let ran = run(&["test", &test_file("stands_again.feature", STANDS), "--name", "flies"]);
     assert_eq!((ran.code, ran.err.as_str()), (Some(2), "consort: no scenario has such a name and such tags\n"));
 }
 

@@ -2,10 +2,10 @@
 
 #[path = "../command_line/binary.rs"]
 mod binary;
-mod form;
 mod links;
 mod page;
 mod reference;
+mod schema_tables;
 mod schemas;
 mod shell;
 mod tutorials;

@@ -1,9 +1,9 @@
 //! The reference says what the code says. Its pages have parts between `<!-- generated: NAME -->` and `<!-- end -->`, which are made
 //! of schemas, tables and comments of the code. With `CONSORT_DOCUMENTATION=1` they are written anew.
 
-use super::form::{Forms, plain};
 use super::page::repository;
-use consort_nodes::check::Kind;
+use super::schema_tables::{SchemaTables, plain};
+use consort_nodes::check::FileKind;
 use consort_nodes::command::schema::schema;
 use consort_protocol::keys::TABLE;
 use consort_protocol::mission::{Domain, ValueKind};
@@ -16,17 +16,17 @@ fn generated(name: &str) -> String {
         "configuration" => files(
             2,
             &[
-                (Kind::Fleet, "A fleet file", "fleet"),
-                (Kind::Robot, "A robot file", "robot"),
-                (Kind::Station, "A station file", "station"),
-                (Kind::World, "A world file", "world"),
-                (Kind::Workers, "A workers file", "workers"),
-                (Kind::Calibration, "A calibration file", "calibration"),
-                (Kind::Design, "A design file", "design"),
+                (FileKind::Fleet, "A fleet file", "fleet"),
+                (FileKind::Robot, "A robot file", "robot"),
+                (FileKind::Station, "A station file", "station"),
+                (FileKind::World, "A world file", "world"),
+                (FileKind::Workers, "A workers file", "workers"),
+                (FileKind::Calibration, "A calibration file", "calibration"),
+                (FileKind::Design, "A design file", "design"),
             ],
         ),
-        "mission" => files(2, &[(Kind::Mission, "The file", "mission")]),
-        "map" => files(2, &[(Kind::Map, "The file", "map")]),
+        "mission" => files(2, &[(FileKind::Mission, "The file", "mission")]),
+        "map" => files(2, &[(FileKind::Map, "The file", "map")]),
         "task-types" => task_types(),
         "keys" => keys(),
         "messages" => doc_table("protocol/src/message.rs"),
@@ -38,8 +38,8 @@ fn generated(name: &str) -> String {
     }
 }
 
-fn files(depth: usize, files: &[(Kind, &str, &str)]) -> String {
-    let mut forms = Forms::default();
+fn files(depth: usize, files: &[(FileKind, &str, &str)]) -> String {
+    let mut forms = SchemaTables::default();
     for (kind, title, word) in files {
         let schema = schema(*kind).expect("a kind with a schema").to_value();
         forms.file(depth, title, word, &schema);
@@ -74,7 +74,7 @@ fn keys() -> String {
     let mut text = "| key | who | how | encoding | what |\n|---|---|---|---|---|\n".to_owned();
     for about in TABLE {
         let encoding = if about.encoding.is_empty() { "–".to_owned() } else { format!("`{}`", about.encoding) };
-        let (pattern, who, how, what) = (about.pattern, about.who, about.usage.word(), about.what);
+        let (pattern, who, how, what) = (about.pattern, about.who, about.usage.as_str(), about.what);
         writeln!(text, "| `{pattern}` | {who} | {how} | {encoding} | {what} |").expect("text grows");
     }
     text
@@ -122,7 +122,7 @@ fn calls() -> String {
 /// The kinds of events with their fields, by the comments of the enum.
 fn events() -> String {
     let source = source("protocol/src/event.rs");
-    let (_, body) = source.split_once("pub enum Happening {\n").expect("the enum");
+    let (_, body) = source.split_once("pub enum EventKind {\n").expect("the enum");
     let (body, _) = body.split_once("\n}\n").expect("its end");
     let mut text = "| event | fields | what |\n|---|---|---|\n".to_owned();
     let mut comment = String::new();

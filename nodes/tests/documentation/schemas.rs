@@ -2,26 +2,26 @@
 //! they refuse. The latter two are asked of Python's `jsonschema`; where there is none they are not asked, and it is said.
 
 use super::page::repository;
-use consort_nodes::check::{self, Kind};
+use consort_nodes::check::{self, FileKind};
 use consort_nodes::command::schema::schema;
 use serde_json::{Value, json};
 use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
-const KINDS: [(&str, Kind); 9] = [
-    ("mission", Kind::Mission),
-    ("map", Kind::Map),
-    ("fleet", Kind::Fleet),
-    ("robot", Kind::Robot),
-    ("station", Kind::Station),
-    ("world", Kind::World),
-    ("workers", Kind::Workers),
-    ("design", Kind::Design),
-    ("calibration", Kind::Calibration),
+const KINDS: [(&str, FileKind); 9] = [
+    ("mission", FileKind::Mission),
+    ("map", FileKind::Map),
+    ("fleet", FileKind::Fleet),
+    ("robot", FileKind::Robot),
+    ("station", FileKind::Station),
+    ("world", FileKind::World),
+    ("workers", FileKind::Workers),
+    ("design", FileKind::Design),
+    ("calibration", FileKind::Calibration),
 ];
 
-fn of(kind: Kind) -> Value {
+fn of(kind: FileKind) -> Value {
     schema(kind).expect("a kind with a schema").to_value()
 }
 
@@ -61,7 +61,7 @@ fn value(text: &str, path: &Path) -> Value {
 }
 
 /// What is wrong with each of these by a schema, or nothing; none at all without Python's `jsonschema`.
-fn judged(asked: &[(Kind, Value)]) -> Option<Vec<Option<String>>> {
+fn judged(asked: &[(FileKind, Value)]) -> Option<Vec<Option<String>>> {
     const JUDGE: &str = "import json, sys\nfrom jsonschema import Draft202012Validator as V\nout = []\n\
         for a in json.load(sys.stdin):\n    V.check_schema(a['schema'])\n    e = next(V(a['schema']).iter_errors(a['value']), None)\n    \
         out.append(e and f'{e.json_path}: {e.message}')\nprint(json.dumps(out))";
@@ -89,11 +89,11 @@ fn what_is_shipped_is_of_the_form_that_its_schema_says() {
     paths.extend(files("tests/features/maps", &[".yaml"]));
     paths.extend(files("sim_bridge/designs", &[".toml"]));
     paths.extend(["hospital", "clinic"].map(|name| repository().join(format!("sim_bridge/maps/{name}.yaml"))));
-    let asked: Vec<(Kind, Value)> = paths
+    let asked: Vec<(FileKind, Value)> = paths
         .iter()
         .map(|path| {
             let text = std::fs::read_to_string(path).expect("a file of the repository");
-            (check::kind_of(path).expect("a shipped file"), value(&text, path))
+            (check::detect_kind(path).expect("a shipped file"), value(&text, path))
         })
         .collect();
     assert!(asked.len() > 20, "{} files", asked.len());
@@ -115,49 +115,49 @@ fn schemas_take_and_refuse_the_forms_that_the_program_takes_and_refuses() {
     };
     let mission = |root: &str| format!("mission: m\nroles: {{ r: {{ kind: managed }} }}\nroot: {root}\n");
     let go = "{ task: go, type: wait, roles: [r], parameters: { seconds: \"1\" } }";
-    let cases: Vec<(Kind, &str, String, bool)> = vec![
-        (Kind::Mission, "m.yaml", mission(go), true),
-        (Kind::Mission, "m.yaml", mission(&format!("{{ task: all, method: unordered, tasks: [{go}] }}")), true),
-        (Kind::Mission, "m.yaml", mission(&go.replace("parameters", "parametres")), false),
-        (Kind::Mission, "m.yaml", mission(&format!("{{ task: all, method: backwards, tasks: [{go}] }}")), false),
+    let cases: Vec<(FileKind, &str, String, bool)> = vec![
+        (FileKind::Mission, "m.yaml", mission(go), true),
+        (FileKind::Mission, "m.yaml", mission(&format!("{{ task: all, method: unordered, tasks: [{go}] }}")), true),
+        (FileKind::Mission, "m.yaml", mission(&go.replace("parameters", "parametres")), false),
+        (FileKind::Mission, "m.yaml", mission(&format!("{{ task: all, method: backwards, tasks: [{go}] }}")), false),
         (
-            Kind::Mission,
+            FileKind::Mission,
             "m.yaml",
             mission(&format!("{{ task: all, method: unordered, type: wait, tasks: [{go}] }}")),
             false,
         ),
-        (Kind::Mission, "m.yaml", mission("{ task: nothing }"), false),
-        (Kind::Mission, "m.yaml", mission(&go.replace("roles", "attempts: 11, roles")), false),
-        (Kind::Mission, "m.yaml", mission(&go.replace("task: go", "task: \"a/b\"")), false),
-        (Kind::Mission, "m.yaml", mission(go).replace("managed", "mangaged"), false),
-        (Kind::Map, "m.yaml", "name: m\nplaces:\n  - { name: A, kind: room, x_m: 0, y_m: 0 }\n".to_owned(), true),
-        (Kind::Map, "m.yaml", "name: m\nplaces:\n  - { name: A, kind: rome, x_m: 0, y_m: 0 }\n".to_owned(), false),
-        (Kind::Map, "m.yaml", "name: m\nplaces:\n  - { name: A, kind: room, y_m: 0 }\n".to_owned(), false),
-        (Kind::Fleet, "f.toml", "name = \"ward\"\ntiming = \"wifi\"\n".to_owned(), true),
-        (Kind::Fleet, "f.toml", "name = \"ward\"\ntiming = \"slow\"\n".to_owned(), false),
-        (Kind::Fleet, "f.toml", "[limits]\ncharge_min = 3\n".to_owned(), false),
-        (Kind::Station, "s.toml", "name = \"s\"\n[fleet]\nmap = \"hospital\"\n".to_owned(), true),
-        (Kind::Station, "s.toml", "name = \"s\"\nstationery = true\n".to_owned(), false),
-        (Kind::Robot, "r.toml", "name = \"r\"\nplace = \"Dock\"\nskills = [\"pick_up\"]\n".to_owned(), true),
-        (Kind::Robot, "r.toml", "name = \"r\"\nskills = [\"pick_up\"]\n".to_owned(), false),
-        (Kind::World, "w.toml", world("kinematics = { kind = \"differential\", acceleration_mps2 = 0.5 }\n"), true),
+        (FileKind::Mission, "m.yaml", mission("{ task: nothing }"), false),
+        (FileKind::Mission, "m.yaml", mission(&go.replace("roles", "attempts: 11, roles")), false),
+        (FileKind::Mission, "m.yaml", mission(&go.replace("task: go", "task: \"a/b\"")), false),
+        (FileKind::Mission, "m.yaml", mission(go).replace("managed", "mangaged"), false),
+        (FileKind::Map, "m.yaml", "name: m\nplaces:\n  - { name: A, kind: room, x_m: 0, y_m: 0 }\n".to_owned(), true),
+        (FileKind::Map, "m.yaml", "name: m\nplaces:\n  - { name: A, kind: rome, x_m: 0, y_m: 0 }\n".to_owned(), false),
+        (FileKind::Map, "m.yaml", "name: m\nplaces:\n  - { name: A, kind: room, y_m: 0 }\n".to_owned(), false),
+        (FileKind::Fleet, "f.toml", "name = \"ward\"\ntiming = \"wifi\"\n".to_owned(), true),
+        (FileKind::Fleet, "f.toml", "name = \"ward\"\ntiming = \"slow\"\n".to_owned(), false),
+        (FileKind::Fleet, "f.toml", "[limits]\ncharge_min = 3\n".to_owned(), false),
+        (FileKind::Station, "s.toml", "name = \"s\"\n[fleet]\nmap = \"hospital\"\n".to_owned(), true),
+        (FileKind::Station, "s.toml", "name = \"s\"\nstationery = true\n".to_owned(), false),
+        (FileKind::Robot, "r.toml", "name = \"r\"\nplace = \"Dock\"\nskills = [\"pick_up\"]\n".to_owned(), true),
+        (FileKind::Robot, "r.toml", "name = \"r\"\nskills = [\"pick_up\"]\n".to_owned(), false),
+        (FileKind::World, "w.toml", world("kinematics = { kind = \"differential\", acceleration_mps2 = 0.5 }\n"), true),
         (
-            Kind::World,
+            FileKind::World,
             "w.toml",
             world("kinematics = { kind = \"aerial\" }\nsensors = [{ kind = \"range\", reach_m = 5.0 }]\n"),
             true,
         ),
-        (Kind::World, "w.toml", world("kinematics = { kind = \"legged\" }\n"), false),
-        (Kind::World, "w.toml", world("sensors = [{ kind = \"camera\", reach_m = 5.0 }]\n"), false),
-        (Kind::World, "w.toml", world("wheels = 3\n"), false),
-        (Kind::Workers, "w.json", "[{ \"name\": \"a\", \"place\": \"Dock\", \"skills\": [] }]".to_owned(), true),
+        (FileKind::World, "w.toml", world("kinematics = { kind = \"legged\" }\n"), false),
+        (FileKind::World, "w.toml", world("sensors = [{ kind = \"camera\", reach_m = 5.0 }]\n"), false),
+        (FileKind::World, "w.toml", world("wheels = 3\n"), false),
+        (FileKind::Workers, "w.json", "[{ \"name\": \"a\", \"place\": \"Dock\", \"skills\": [] }]".to_owned(), true),
         (
-            Kind::Workers,
+            FileKind::Workers,
             "w.json",
             "{ \"worker\": [{ \"name\": \"a\", \"place\": \"Dock\", \"skills\": [] }] }".to_owned(),
             true,
         ),
-        (Kind::Workers, "w.json", "[{ \"name\": \"a\", \"place\": \"Dock\" }]".to_owned(), false),
+        (FileKind::Workers, "w.json", "[{ \"name\": \"a\", \"place\": \"Dock\" }]".to_owned(), false),
     ];
     let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join("documentation/forms");
     std::fs::create_dir_all(&folder).expect("cargo's own folder");
@@ -165,7 +165,7 @@ fn schemas_take_and_refuse_the_forms_that_the_program_takes_and_refuses() {
     for (kind, file, text, taken) in &cases {
         let path = folder.join(file);
         std::fs::write(&path, text).expect("cargo's own folder");
-        let program = check::check(&path, Some(*kind));
+        let program = check::check_file(&path, Some(*kind));
         assert_eq!(program.is_ok(), *taken, "{text}\n{program:?}");
         asked.push((*kind, value(text, &path)));
     }

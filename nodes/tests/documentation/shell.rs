@@ -19,7 +19,7 @@ use std::time::{Duration, Instant};
 const LIMIT: Duration = Duration::from_secs(90);
 
 /// What a program that this one plays prints comes behind this; what stands before is said by the test that plays it.
-pub(crate) const MARK: &str = "\n== the program ==\n";
+pub(crate) const OUTPUT_MARKER: &str = "\n== the program ==\n";
 
 /// How programs that are not `consort` are started: the words that name one, and its command.
 pub(crate) type Programs<'a> = &'a [(&'a str, fn(&[String]) -> Command)];
@@ -36,7 +36,7 @@ struct Deed {
 ///
 /// # Panics
 /// Where a command does not do what the page says, with the page's line.
-pub(crate) fn play(page: &Page, programs: Programs<'_>) -> PathBuf {
+pub(crate) fn run_page(page: &Page, programs: Programs<'_>) -> PathBuf {
     let name = page.path.file_stem().expect("a page has a name").to_string_lossy().into_owned();
     let folder = Path::new(env!("CARGO_TARGET_TMPDIR")).join("documentation").join(&name);
     // There may be none yet.
@@ -139,7 +139,7 @@ impl Shell<'_> {
         loop {
             let output = self.command(&deed.command, deed).output().expect("the program starts");
             let out = String::from_utf8_lossy(&output.stdout);
-            let out = out.split_once(MARK).map_or(&*out, |(_, program)| program);
+            let out = out.split_once(OUTPUT_MARKER).map_or(&*out, |(_, program)| program);
             let printed = format!("{out}{}", String::from_utf8_lossy(&output.stderr));
             let as_told = output.status.code() == Some(code) && is_as_told(&printed, &deed.prints);
             if as_told {
@@ -186,7 +186,7 @@ impl Shell<'_> {
 }
 
 /// A program that the page has readers build, played by this one: see `tutorials::as_a_program`.
-pub(crate) fn in_place_of(name: &str, args: &[String]) -> Command {
+pub(crate) fn substitute_program(name: &str, args: &[String]) -> Command {
     let mut command =
         program(std::env::current_exe().expect("this program"), &["--exact", "tutorials::as_a_program", "--nocapture"]);
     command.env("CONSORT_TUTORIAL", name).env("CONSORT_TUTORIAL_ARGS", args.join("\n"));

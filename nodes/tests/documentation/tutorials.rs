@@ -1,7 +1,7 @@
 //! Tutorials, each played as it is written.
 
 use super::page::{Page, repository};
-use super::shell::{MARK, in_place_of, play};
+use super::shell::{OUTPUT_MARKER, run_page, substitute_program};
 use consort_nodes::cli;
 use std::ffi::OsString;
 use std::io::Write;
@@ -31,11 +31,11 @@ fn as_a_program() {
     let Some(name) = std::env::var_os("CONSORT_TUTORIAL") else { return };
     let args = std::env::var("CONSORT_TUTORIAL_ARGS").expect("it is given with the name");
     let args: Vec<String> = args.lines().map(str::to_owned).collect();
-    std::io::stdout().write_all(MARK.as_bytes()).expect("somebody reads what it prints");
+    std::io::stdout().write_all(OUTPUT_MARKER.as_bytes()).expect("somebody reads what it prints");
     let succeeded = match (name.to_str(), &args[..]) {
         (Some("look_around"), args) => {
             let args = std::iter::once("consort").chain(args.iter().map(String::as_str)).map(OsString::from);
-            cli::run_with(look_around::KIT, args) == ExitCode::SUCCESS
+            cli::run_with(look_around::EXTENSIONS, args) == ExitCode::SUCCESS
         }
         (Some("rover"), [file, robot, place]) => rover::adapt(file, robot, place).is_ok(),
         (Some("round_planner"), args) => round_planner::run(args).is_ok(),
@@ -56,14 +56,14 @@ fn shows(page: &Page, example: &str) -> String {
 fn an_adapter_of_your_own() {
     let page = tutorial("adapter");
     shows(&page, "rover.rs");
-    play(&page, &[("cargo run --example rover --", |args| in_place_of("rover", args))]);
+    run_page(&page, &[("cargo run --example rover --", |args| substitute_program("rover", args))]);
 }
 
 #[test]
 fn a_planner_of_your_own() {
     let page = tutorial("planner");
     shows(&page, "round_planner.rs");
-    play(&page, &[("cargo run --example round_planner --", |args| in_place_of("round_planner", args))]);
+    run_page(&page, &[("cargo run --example round_planner --", |args| substitute_program("round_planner", args))]);
 }
 
 #[test]
@@ -71,26 +71,26 @@ fn a_skill_of_your_own() {
     let page = tutorial("skill");
     let code = shows(&page, "look_around.rs");
     assert!(code.lines().count() <= 50, "{} lines are not 50", code.lines().count());
-    play(&page, &[("cargo run --example look_around --", |args| in_place_of("look_around", args))]);
+    run_page(&page, &[("cargo run --example look_around --", |args| substitute_program("look_around", args))]);
 }
 
 #[test]
 fn a_map_of_your_own() {
-    let folder = play(&tutorial("map"), &[]);
+    let folder = run_page(&tutorial("map"), &[]);
     assert!(std::fs::metadata(folder.join("ward.png")).expect("the picture that the page draws").len() > 1000);
 }
 
 #[test]
 fn an_ensemble_of_your_own() {
-    play(&tutorial("ensemble"), &[]);
+    run_page(&tutorial("ensemble"), &[]);
 }
 
 #[test]
 fn operations_look_as_they_are_shown() {
-    play(&Page::open(Path::new("nodes/docs/operations.md")), &[]);
+    run_page(&Page::open(Path::new("nodes/docs/operations.md")), &[]);
 }
 
 #[test]
 fn a_mission_of_your_own() {
-    play(&tutorial("mission"), &[]);
+    run_page(&tutorial("mission"), &[]);
 }

@@ -1,7 +1,7 @@
 //! A picture made of what a fleet says.
 
-use consort_nodes::floor;
-use consort_nodes::picture::{FloorPlan, Picture, ReachState, SILENT_AFTER_MS, bounds, delta};
+use consort_nodes::fleet_model::{FleetModel, FloorPlan, NO_COORDINATOR_AFTER_MS, ReachabilityState, bounds, delta};
+use consort_nodes::map_loader;
 use consort_protocol::event::Event;
 use consort_protocol::ids::NodeId;
 use consort_protocol::keys::Key;
@@ -17,8 +17,8 @@ const NOW: u64 = 1_000_000;
 const SHED: &str = "{name: shed, places: [{name: Dock, kind: dock, x_m: 1, y_m: 2}, {name: Bench, kind: room, x_m: 3, y_m: 2}], \
     lanes: [{between: [Dock, Bench]}]}";
 
-fn picture() -> Picture {
-    Picture::new("ward", "station-1", FloorPlan::new(&floor::load("hospital").unwrap()), NOW)
+fn picture() -> FleetModel {
+    FleetModel::new("ward", "station-1", FloorPlan::new(&map_loader::load("hospital").unwrap()), NOW)
 }
 
 fn event(node: &str, sequence: u64, at_ms: u64, what: Value) -> Event {
@@ -59,30 +59,30 @@ fn a_robot_is_where_its_body_says_and_goes_where_its_task_leads() {
     let mut picture = picture();
     let holding = json!({ "holding": { "mission": "m-1", "role": "r1", "suspended": false } });
     let ada = json!({ "node": "ada", "alive": true, "status": "alive", "age_ms": 300, "robot": worker(holding) });
-    picture.take_view(&Key::ViewFleet, &fleet(json!([ada])), NOW);
+    picture.apply_view(&Key::ViewFleet, &fleet(json!([ada])), NOW);
     let mission = shipped()["lab-samples"].instantiate(&BTreeMap::new(), &Domain::hospital()).unwrap();
     let view =
         json!({ "mission": "m-1", "detail": "running", "tasks": mission.tasks, "roles": [], "done": 0, "steps": 11 });
-    picture.take_view(&Key::ViewMission("m-1".parse().unwrap()), &view, NOW);
-    picture.take_event(
+    picture.apply_view(&Key::ViewMission("m-1".parse().unwrap()), &view, NOW);
+    picture.apply_event(
         &event("ada", 1, NOW, json!({ "event": "task_began", "mission": "m-1", "role": "r1", "task": "navto_room" })),
         NOW,
     );
-    picture.take_body("ada", &telemetry(6.0, 4.0), NOW + 10);
+    picture.apply_telemetry("ada", &telemetry(6.0, 4.0), NOW + 10);
 
     let ada = &picture.robots()["ada"];
     assert_eq!((ada.x, ada.y, ada.battery), (6.0, 4.0, 0.75));
     assert_eq!((ada.availability.as_str(), ada.task.as_deref()), ("holding", Some("navto_room")));
     assert_eq!(ada.heard_ms, NOW - 300);
     assert_eq!(ada.destination.as_deref(), Some("IC Room 6"));
-    let map = picture.value()["map"].clone();
+    let map = picture.to_json()["map"].clone();
     let mut places = map["places"].as_array().unwrap().iter();
     let room = places.find(|place| place["name"] == "IC Room 6").unwrap();
     assert_eq!(json!(ada.route.last()), json!([room["x_m"], room["y_m"]]));
     assert!(ada.route.len() > 2, "along the corridor: {:?}", ada.route);
 
     // What its node knows of it is older than what its body said.
-    picture.take_view(
+    picture.apply_view(
         &Key::ViewFleet,
         &fleet(json!([{ "node": "ada", "alive": true, "age_ms": 500, "robot": worker(json!("free")) }])),
         NOW + 20,
@@ -98,27 +98,27 @@ fn a_robot_is_where_its_body_says_and_goes_where_its_task_leads() {
         (&["member.robot".to_owned()][..], Some(10_000))
     );
 
-    picture.take_view(&Key::ViewFleet, &fleet(json!([{ "node": "cyd", "alive": true }])), NOW + 30);
+    picture.apply_view(&Key::ViewFleet, &fleet(json!([{ "node": "cyd", "alive": true }])), NOW + 30);
     assert!(picture.robots().is_empty(), "who is no longer known is no longer shown");
 }
 
 #[test]
 fn a_takeover_is_noted_with_who_came_before_and_how_long_nobody_was_there() {
     let mut picture = picture();
-    picture.take_beacon(&beacon("ada", 1, 500), NOW);
-    picture.take_beacon(&beacon("ada", 1, 750), NOW + 250);
+    picture.apply_beacon(&beacon("ada", 1, 500), NOW);
+    picture.apply_beacon(&beacon("ada", 1, 750), NOW + 250);
     assert_eq!(picture.kpis().takeovers, 0, "the first is nobody's successor");
-    picture.take_event(
+    picture.apply_event(
         &event("bob", 1, NOW + 600, json!({ "event": "elected", "term": 2, "voters": ["bob"] })),
         NOW + 600,
     );
-    picture.take_beacon(&beacon("bob", 2, 100), NOW + 700);
+    picture.apply_beacon(&beacon("bob", 2, 100), NOW + 700);
     let bob = picture.coordinator().unwrap();
     assert_eq!((bob.node.as_str(), bob.term, bob.voters.as_slice()), ("bob", 2, &["bob".to_owned()][..]));
     let takeover = &picture.takeovers()[1];
     assert_eq!((takeover.from.as_deref(), takeover.gap_ms, picture.takeovers().len()), (Some("ada"), Some(350), 2));
     // A coordinator that does not know that it no longer is.
-    picture.take_beacon(&beacon("ada", 1, 9_000), NOW + 800);
+    picture.apply_beacon(&beacon("ada", 1, 9_000), NOW + 800);
     assert_eq!(picture.coordinator().unwrap().node, "bob");
     assert_eq!(picture.kpis().takeovers, 1);
     assert_eq!(picture.kpis().takeover_ms, Some(350));
@@ -127,29 +127,29 @@ fn a_takeover_is_noted_with_who_came_before_and_how_long_nobody_was_there() {
 #[test]
 fn a_fleet_that_is_no_longer_heard_is_said_to_be_lost_and_since_when() {
     let mut picture = picture();
-    picture.take_links(2, NOW);
-    assert_eq!(picture.reach().state, ReachState::Silent, "nobody was heard yet");
-    picture.take_beacon(&beacon("ada", 1, 0), NOW + 100);
-    picture.take_links(2, NOW + 200);
-    assert_eq!(picture.reach().state, ReachState::Whole);
-    picture.take_links(2, NOW + 100 + SILENT_AFTER_MS);
-    assert_eq!(picture.reach().state, ReachState::Whole);
-    let late = NOW + 101 + SILENT_AFTER_MS;
-    picture.take_links(2, late);
-    assert_eq!((picture.reach().state, picture.reach().since_ms), (ReachState::Silent, late));
-    picture.take_links(0, late + 5);
-    assert_eq!((picture.reach().state, picture.reach().heard_ms), (ReachState::Alone, Some(NOW + 100)));
+    picture.apply_links(2, NOW);
+    assert_eq!(picture.reach().state, ReachabilityState::Silent, "nobody was heard yet");
+    picture.apply_beacon(&beacon("ada", 1, 0), NOW + 100);
+    picture.apply_links(2, NOW + 200);
+    assert_eq!(picture.reach().state, ReachabilityState::Whole);
+    picture.apply_links(2, NOW + 100 + NO_COORDINATOR_AFTER_MS);
+    assert_eq!(picture.reach().state, ReachabilityState::Whole);
+    let late = NOW + 101 + NO_COORDINATOR_AFTER_MS;
+    picture.apply_links(2, late);
+    assert_eq!((picture.reach().state, picture.reach().since_ms), (ReachabilityState::Silent, late));
+    picture.apply_links(0, late + 5);
+    assert_eq!((picture.reach().state, picture.reach().heard_ms), (ReachabilityState::Alone, Some(NOW + 100)));
     // Another fleet's life may have begun anew: whoever is heard after a silence is the coordinator.
-    picture.take_beacon(&beacon("bob", 1, 0), late + 10);
-    picture.take_links(1, late + 11);
-    assert_eq!(picture.reach().state, ReachState::Whole);
+    picture.apply_beacon(&beacon("bob", 1, 0), late + 10);
+    picture.apply_links(1, late + 11);
+    assert_eq!(picture.reach().state, ReachabilityState::Whole);
 }
 
 #[test]
 fn tasks_become_bars_and_a_mission_ends_when_it_was_seen_to_end() {
     let mut picture = picture();
     let of = |what: &str, task: &str| json!({ "event": what, "mission": "m-1", "role": "r1", "task": task });
-    let tell = |picture: &mut Picture, at: u64, what: Value| picture.take_event(&event("ada", 1, at, what), at);
+    let tell = |picture: &mut FleetModel, at: u64, what: Value| picture.apply_event(&event("ada", 1, at, what), at);
     tell(&mut picture, NOW, json!({ "event": "submitted", "mission": "m-1", "parameters": { "room": "IC Room 6" } }));
     let awarded = json!({ "event": "awarded", "mission": "m-1", "holders": { "r1": "ada" }, "epoch": { "term": 1, "index": 3 }, "after_ms": 6.5 });
     tell(&mut picture, NOW + 7, awarded);
@@ -177,7 +177,7 @@ fn tasks_become_bars_and_a_mission_ends_when_it_was_seen_to_end() {
         { "mission": "m-1", "detail": "running", "done": 1, "steps": 3 },
         { "mission": "m-2", "detail": { "failed": { "cause": "no robots" } }, "submitted_at_ms": 5 },
     ] });
-    picture.take_view(&Key::ViewMissions, &list, NOW + 200);
+    picture.apply_view(&Key::ViewMissions, &list, NOW + 200);
     assert_eq!(picture.missions()["m-1"].state, "completed");
     let failed = &picture.missions()["m-2"];
     assert_eq!((failed.cause.as_deref(), failed.ended_ms), (Some("no robots"), None));
@@ -187,7 +187,7 @@ fn tasks_become_bars_and_a_mission_ends_when_it_was_seen_to_end() {
 #[test]
 fn an_auction_has_every_answer_with_its_parts_and_the_winner() {
     let mut picture = picture();
-    let tell = |picture: &mut Picture, what: Value| picture.take_event(&event("ada", 1, NOW, what), NOW);
+    let tell = |picture: &mut FleetModel, what: Value| picture.apply_event(&event("ada", 1, NOW, what), NOW);
     tell(&mut picture, json!({ "event": "called", "mission": "m-1", "roles": ["r1"], "round": 1, "asked": 2 }));
     let bid = json!({ "robot": "bob", "role": "r1", "time": 99.5, "energy": 0.06, "remaining": 0.84, "useful_charge": 0.08,
         "from": "Dock", "age_ms": 3, "parts": [{ "step": 0, "label": "navto_room", "skill": "navigation", "time": 60.0, "energy": 0.04 }] });
@@ -199,7 +199,7 @@ fn an_auction_has_every_answer_with_its_parts_and_the_winner() {
     ] });
     tell(&mut picture, json!({ "event": "closed", "mission": "m-1", "record": record }));
     // The same record comes with the views, without parts: nothing is lost.
-    picture.take_view(&Key::ViewAuctions, &json!({ "auctions": [record] }), NOW);
+    picture.apply_view(&Key::ViewAuctions, &json!({ "auctions": [record] }), NOW);
     let (name, shown) = picture.auctions().first_key_value().unwrap();
     assert_eq!((name.as_str(), shown.offers.len()), ("m-1#1.1", 2));
     let (bob, cyd) = (&shown.offers[0], &shown.offers[1]);
@@ -216,15 +216,15 @@ fn robots_at_work_count_for_the_time_in_which_they_were() {
     let holding = json!({ "holding": { "mission": "m-1", "role": "r1", "suspended": false } });
     let out = json!({ "out_of_service": { "problem": "no charge" } });
     let nodes = json!([node("ada", holding), node("bob", json!("free")), node("cyd", out)]);
-    picture.take_view(&Key::ViewFleet, &fleet(nodes), NOW);
-    picture.take_links(1, NOW);
-    picture.take_links(1, NOW + 1000);
+    picture.apply_view(&Key::ViewFleet, &fleet(nodes), NOW);
+    picture.apply_links(1, NOW);
+    picture.apply_links(1, NOW + 1000);
     let kpis = picture.kpis();
     assert_eq!((kpis.busy, kpis.in_service, kpis.utilisation), (1, 2, Some(0.5)));
 }
 
 /// Who had which role from when to when, after the start, and how that stands or ended.
-fn tenures(picture: &Picture) -> Vec<(&str, u64, Option<u64>, &str)> {
+fn tenures(picture: &FleetModel) -> Vec<(&str, u64, Option<u64>, &str)> {
     let all = picture.missions()["m-1"].tenures.iter();
     let since = |ms: u64| ms - NOW;
     all.map(|one| (one.by.as_str(), since(one.from_ms), one.to_ms.map(since), one.state.as_str())).collect()
@@ -233,8 +233,8 @@ fn tenures(picture: &Picture) -> Vec<(&str, u64, Option<u64>, &str)> {
 #[test]
 fn a_role_passes_from_robot_to_robot_and_each_has_its_time_and_what_was_planned() {
     let mut picture = picture();
-    let tell = |picture: &mut Picture, node: &str, at: u64, what: Value| {
-        picture.take_event(&event(node, 1, NOW + at, what), NOW + at);
+    let tell = |picture: &mut FleetModel, node: &str, at: u64, what: Value| {
+        picture.apply_event(&event(node, 1, NOW + at, what), NOW + at);
     };
     let of = |what: &str| json!({ "event": what, "mission": "m-1", "role": "r1" });
     let auction = |round: u32, robot: &str, time: f64| {
@@ -256,8 +256,8 @@ fn a_role_passes_from_robot_to_robot_and_each_has_its_time_and_what_was_planned(
     // World time goes by five times as fast: 60 s are planned as 12.
     let at = |world_s: f64| Telemetry { time: WorldTime::from_secs(world_s), ..telemetry(1.0, 1.0) };
     for (world_s, at_ms) in [(100.0, 10), (102.0, 410), (115.0, 3010)] {
-        picture.take_body("ada", &at(world_s), NOW + at_ms);
-        picture.take_links(1, NOW + at_ms);
+        picture.apply_telemetry("ada", &at(world_s), NOW + at_ms);
+        picture.apply_links(1, NOW + at_ms);
     }
     assert_eq!(picture.missions()["m-1"].tenures[0].planned_ms, Some(12_000));
 
@@ -268,7 +268,7 @@ fn a_role_passes_from_robot_to_robot_and_each_has_its_time_and_what_was_planned(
     tell(&mut picture, "s1", 5200, award(9, "bob"));
     // Whoever lost the role says so late: it is nobody's business any more.
     tell(&mut picture, "ada", 6000, json!({ "event": "halted", "mission": "m-1", "role": "r1", "reason": "replaced" }));
-    picture.take_links(1, NOW + 6100);
+    picture.apply_links(1, NOW + 6100);
     let completed = json!({ "event": "mission", "mission": "m-1", "state": "completed", "submitted_at_ms": NOW });
     tell(&mut picture, "s1", 9000, completed);
     assert_eq!(tenures(&picture), [("ada", 1, Some(5000), "given up"), ("bob", 5200, Some(9000), "carried out")]);
@@ -285,15 +285,15 @@ fn who_comes_late_learns_from_the_ledger_who_has_which_role() {
         ] })
     };
     let key = Key::ViewMission("m-1".parse().unwrap());
-    picture.take_view(&key, &mission("active", "ada"), NOW + 100);
+    picture.apply_view(&key, &mission("active", "ada"), NOW + 100);
     assert_eq!(tenures(&picture), [("ada", 100, None, "at work")]);
     let released = json!({ "event": "released", "mission": "m-1", "role": "r1", "cause": "silent" });
-    picture.take_event(&event("s1", 1, NOW + 5000, released), NOW + 5000);
+    picture.apply_event(&event("s1", 1, NOW + 5000, released), NOW + 5000);
     // A view that was drawn before the release does not bring its holder back.
-    picture.take_view(&key, &mission("active", "ada"), NOW + 5100);
+    picture.apply_view(&key, &mission("active", "ada"), NOW + 5100);
     assert_eq!(tenures(&picture), [("ada", 100, Some(5000), "given up")]);
-    picture.take_view(&key, &mission("active", "bob"), NOW + 8000);
-    picture.take_view(&key, &mission("ended", "bob"), NOW + 12_000);
+    picture.apply_view(&key, &mission("active", "bob"), NOW + 8000);
+    picture.apply_view(&key, &mission("ended", "bob"), NOW + 12_000);
     assert_eq!(tenures(&picture)[1..], [("bob", 8000, Some(12_000), "carried out")]);
 }
 
@@ -302,51 +302,51 @@ fn what_is_the_matter_is_taken_from_the_nearest_node() {
     let mut picture = picture();
     let view = json!({ "level": "warning", "findings": [
         { "level": "warning", "about": "node", "name": "bob", "says": "bob is down; it was last heard 9.0 s ago" }] });
-    picture.take_view(&Key::ViewHealth, &view, NOW);
+    picture.apply_view(&Key::ViewHealth, &view, NOW);
     let [finding] = picture.health() else { panic!("{:?}", picture.health()) };
     assert_eq!((finding.level.as_str(), finding.name.as_deref()), ("warning", Some("bob")));
-    assert_eq!(picture.value()["health"], view["findings"]);
+    assert_eq!(picture.to_json()["health"], view["findings"]);
 }
 
 #[test]
 fn patches_one_after_the_other_come_to_the_whole() {
     let mut picture = picture();
     let (mut drawn, mut seen) = (Value::Null, Value::Null);
-    picture.redraw(&mut drawn);
+    picture.render_patch(&mut drawn);
     delta::apply(&mut seen, &drawn);
     let holding = json!({ "holding": { "mission": "m-1", "role": "r1", "suspended": false } });
     let node = |name: &str, availability: &Value| json!({ "node": name, "alive": true, "robot": worker(availability.clone()) });
-    let steps: [&dyn Fn(&mut Picture); 7] = [
+    let steps: [&dyn Fn(&mut FleetModel); 7] = [
         &|picture| {
-            picture.take_view(
+            picture.apply_view(
                 &Key::ViewFleet,
                 &fleet(json!([node("ada", &holding), node("bob", &json!("free"))])),
                 NOW,
             );
         },
-        &|picture| picture.take_body("ada", &telemetry(3.0, 4.0), NOW + 1),
+        &|picture| picture.apply_telemetry("ada", &telemetry(3.0, 4.0), NOW + 1),
         &|picture| {
-            picture.take_view(
+            picture.apply_view(
                 &Key::ViewMissions,
                 &json!({ "missions": [{ "mission": "m-1", "detail": "running" }] }),
                 NOW,
             );
         },
         &|picture| {
-            picture.take_view(&Key::ViewWorld, &json!({ "doors": [{ "name": "Narrow", "state": "open" }] }), NOW);
+            picture.apply_view(&Key::ViewWorld, &json!({ "doors": [{ "name": "Narrow", "state": "open" }] }), NOW);
         },
-        &|picture| picture.take_view(&Key::ViewFleet, &fleet(json!([node("bob", &holding)])), NOW),
-        &|picture| picture.take_view(&Key::ViewWorld, &json!({ "doors": [] }), NOW),
-        &|picture| picture.take_view(&Key::ViewMap, &floor::read(SHED, "shed.yaml").unwrap().show(), NOW),
+        &|picture| picture.apply_view(&Key::ViewFleet, &fleet(json!([node("bob", &holding)])), NOW),
+        &|picture| picture.apply_view(&Key::ViewWorld, &json!({ "doors": [] }), NOW),
+        &|picture| picture.apply_view(&Key::ViewMap, &map_loader::parse(SHED, "shed.yaml").unwrap().to_json(), NOW),
     ];
     for (number, step) in steps.iter().enumerate() {
         step(&mut picture);
-        let patch = picture.redraw(&mut drawn).unwrap_or_else(|| panic!("step {number} changes something"));
+        let patch = picture.render_patch(&mut drawn).unwrap_or_else(|| panic!("step {number} changes something"));
         delta::apply(&mut seen, &patch);
-        assert_eq!(delta::between(&seen, &picture.value()), None, "after step {number}");
+        assert_eq!(delta::between(&seen, &picture.to_json()), None, "after step {number}");
         assert_eq!(delta::between(&drawn, &seen), None, "after step {number}");
     }
-    assert_eq!(picture.redraw(&mut drawn), None);
+    assert_eq!(picture.render_patch(&mut drawn), None);
 }
 
 #[test]
@@ -354,14 +354,14 @@ fn a_picture_is_bounded_however_much_happens() {
     let mut picture = picture();
     for number in 0..3 * bounds::EVENTS as u64 {
         let of = |what: &str| json!({ "event": what, "mission": "m-0", "role": "r1", "task": "go" });
-        picture.take_event(&event("ada", number, NOW + number, of("task_began")), NOW);
-        picture.take_beacon(&beacon("ada", number, 0), NOW + number);
+        picture.apply_event(&event("ada", number, NOW + number, of("task_began")), NOW);
+        picture.apply_beacon(&beacon("ada", number, 0), NOW + number);
     }
     assert_eq!(picture.missions()["m-0"].bars.len(), bounds::BARS);
     let ended: Vec<Value> = (0..2 * bounds::ENDED_MISSIONS)
         .map(|number| json!({ "mission": format!("m-{number}"), "detail": "completed" }))
         .collect();
-    picture.take_view(&Key::ViewMissions, &json!({ "missions": ended }), NOW);
+    picture.apply_view(&Key::ViewMissions, &json!({ "missions": ended }), NOW);
     assert_eq!(picture.log().len(), bounds::EVENTS);
     assert_eq!(*picture.log().last_key_value().unwrap().0, 3 * bounds::EVENTS as u64);
     assert_eq!(picture.takeovers().len(), bounds::TAKEOVERS);
@@ -372,19 +372,19 @@ fn a_picture_is_bounded_however_much_happens() {
 #[test]
 fn what_makes_no_sense_changes_nothing_and_nothing_new_makes_no_change() {
     let mut picture = picture();
-    let before = picture.value();
+    let before = picture.to_json();
     for view in [json!(null), json!([]), json!({ "nodes": 7, "missions": "x", "auctions": [{}], "people": [1] })] {
         for key in [Key::ViewFleet, Key::ViewCoordinator, Key::ViewMissions, Key::ViewAuctions, Key::ViewWorld] {
-            picture.take_view(&key, &view, NOW);
+            picture.apply_view(&key, &view, NOW);
         }
     }
-    let mut after = picture.value();
+    let mut after = picture.to_json();
     after["views"] = json!({});
     assert_eq!(delta::between(&before, &after), None);
 
-    picture.take_body("ada", &telemetry(1.0, 1.0), NOW);
-    let before = picture.value();
-    picture.take_body("ada", &telemetry(1.5, 1.0), NOW + 200);
-    let patch = delta::between(&before, &picture.value()).unwrap();
+    picture.apply_telemetry("ada", &telemetry(1.0, 1.0), NOW);
+    let before = picture.to_json();
+    picture.apply_telemetry("ada", &telemetry(1.5, 1.0), NOW + 200);
+    let patch = delta::between(&before, &picture.to_json()).unwrap();
     assert_eq!(patch, json!({ "robots": { "ada": { "x": 1.5, "body_ms": NOW + 200 } } }));
 }

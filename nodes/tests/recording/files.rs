@@ -1,16 +1,16 @@
 //! Files: what is in them, and those that are cut short, damaged, or something else.
 
 use crate::support::*;
-use consort_nodes::picture::Heard;
-use consort_nodes::recording::{CHUNK, Reel, Tape};
-use consort_sim::record::foxglove::Existing;
+use consort_nodes::fleet_model::FleetInput;
+use consort_nodes::recording::{FLUSH_AFTER, RecordingReader, RecordingWriter};
+use consort_sim::record::foxglove::ExistingFile;
 use mcap::MessageStream;
 use serde_json::{Value, json};
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 
 /// Half a minute of driving, with events.
-fn driving() -> impl Iterator<Item = (u64, Heard)> {
+fn driving() -> impl Iterator<Item = (u64, FleetInput)> {
     let words = [(1, map()), (2, robots(&["ada"])), (3, world(false, "closed")), (4, beacon("s-1", 1, 0))];
     let drive = (1..150u64).flat_map(|number| {
         let after_ms = number * 200;
@@ -28,13 +28,13 @@ fn a_file_has_topics_with_schemas_and_each_event_its_number_and_times() {
         (10, robots(&["ada"])),
         (12, world(false, "closed")),
         (20, beacon("s-1", 1, 500)),
-        (30, Heard::Links(1)),
+        (30, FleetInput::Links(1)),
         (40, body("ada", 6.5)),
         (100, event("s-2", 9, 90, elected.clone())),
         (200, event("s-2", 12, 195, elected)),
         (250, world(true, "opening")),
     ];
-    let live = Live::record(inputs);
+    let live = LiveRecording::record(inputs);
     let recorded = live.recorded;
     assert_eq!((recorded.events, recorded.reports, recorded.views), (2, 1, 4));
     assert_eq!((recorded.gaps, recorded.lost, recorded.seconds), (1, 2, 0.25));
@@ -93,37 +93,37 @@ fn a_file_has_topics_with_schemas_and_each_event_its_number_and_times() {
 #[test]
 fn an_answer_that_was_given_before_is_written_once() {
     let again = |from_ms: u64| (0..100u64).map(move |second| (from_ms + second * 1000, missions_of("running", second)));
-    let live = Live::record(again(0).chain([(100_500, missions("completed"))]).chain(again(101_000)));
+    let live = LiveRecording::record(again(0).chain([(100_500, missions("completed"))]).chain(again(101_000)));
     let bytes = fs::read(&live.file.0).unwrap();
     let on = |topic: &str| {
         let messages = MessageStream::new(&bytes).unwrap().map(Result::unwrap);
         messages.filter(|message| message.channel.topic == topic).count()
     };
     assert_eq!((on("/view/missions"), on("/view/again"), live.recorded.views), (3, 198, 201));
-    let reel = Reel::open(&live.file.0).unwrap();
+    let reel = RecordingReader::open(&live.file.0).unwrap();
     for after_ms in [0, 999, 1000, 57_000, 100_000, 100_500, 101_000, 163_000, 200_000] {
-        assert_eq!(&reel.picture_at(BEGAN + after_ms).value(), live.at(after_ms), "{after_ms} ms");
+        assert_eq!(&reel.model_at(BEGAN + after_ms).to_json(), live.at(after_ms), "{after_ms} ms");
     }
     assert_ne!(live.at(1000), live.at(57_000), "its age is another");
 }
 
 #[test]
 fn a_file_that_was_cut_short_is_shown_as_far_as_it_goes() {
-    let live = Live::record(driving());
+    let live = LiveRecording::record(driving());
     let whole = fs::read(&live.file.0).unwrap();
-    assert_eq!(Reel::open(&live.file.0).unwrap().problem(), None);
+    assert_eq!(RecordingReader::open(&live.file.0).unwrap().damage(), None);
     let (mut shown, mut refused) = (0, 0);
     for share in (0..100).map(|part| whole.len() * part / 100).chain([9, whole.len() - 1]) {
         let cut = Scratch::holding(&whole[..share]);
-        match Reel::open(&cut.0) {
+        match RecordingReader::open(&cut.0) {
             Ok(reel) => {
                 shown += 1;
-                let problem = reel.problem().expect("it is told");
+                let problem = reel.damage().expect("it is told");
                 assert!(problem.contains("it has no end"), "{share}: {problem}");
                 let after_ms = reel.to_ms() - BEGAN;
                 // The inputs of one instant may have been torn apart.
                 let sure_ms = after_ms.saturating_sub(1);
-                assert_eq!(&reel.picture_at(BEGAN + sure_ms).value(), live.at(sure_ms), "cut at {share}");
+                assert_eq!(&reel.model_at(BEGAN + sure_ms).to_json(), live.at(sure_ms), "cut at {share}");
             }
             Err(problem) => {
                 refused += 1;
@@ -137,24 +137,24 @@ fn a_file_that_was_cut_short_is_shown_as_far_as_it_goes() {
 
 #[test]
 fn a_file_that_is_damaged_is_shown_up_to_there_and_never_wrongly() {
-    let live = Live::record(driving());
+    let live = LiveRecording::record(driving());
     let whole = fs::read(&live.file.0).unwrap();
     let (mut noticed, mut harmless) = (0, 0);
     for part in 1..200 {
         let mut bytes = whole.clone();
         bytes[whole.len() * part / 200] ^= 0x5a;
         let file = Scratch::holding(&bytes);
-        let Ok(reel) = Reel::open(&file.0) else {
+        let Ok(reel) = RecordingReader::open(&file.0) else {
             noticed += 1;
             continue;
         };
-        let sure_ms = match reel.problem() {
+        let sure_ms = match reel.damage() {
             Some(_) => (reel.to_ms() - BEGAN).saturating_sub(1),
             // It was in the index, which repeats what stands before it.
             None => live.length_ms(),
         };
-        *(if reel.problem().is_some() { &mut noticed } else { &mut harmless }) += 1;
-        assert_eq!(&reel.picture_at(BEGAN + sure_ms).value(), live.at(sure_ms), "damaged at part {part}");
+        *(if reel.damage().is_some() { &mut noticed } else { &mut harmless }) += 1;
+        assert_eq!(&reel.model_at(BEGAN + sure_ms).to_json(), live.at(sure_ms), "damaged at part {part}");
     }
     assert!(noticed > 100 && harmless > 10, "{noticed} noticed, {harmless} harmless");
 }
@@ -162,18 +162,18 @@ fn a_file_that_is_damaged_is_shown_up_to_there_and_never_wrongly() {
 #[test]
 fn what_was_heard_a_while_ago_survives_the_recorders_death() {
     let file = Scratch::new();
-    let mut tape = tape(&file.0, Existing::Keep);
-    let mut picture = consort_nodes::picture::Picture::new("ward", "recorder", Default::default(), BEGAN);
-    let chunk_ms = CHUNK.as_millis() as u64;
+    let mut tape = recorder(&file.0, ExistingFile::Keep);
+    let mut picture = consort_nodes::fleet_model::FleetModel::new("ward", "recorder", Default::default(), BEGAN);
+    let chunk_ms = FLUSH_AFTER.as_millis() as u64;
     for (after_ms, heard) in driving() {
         let now_ms = BEGAN + after_ms;
-        picture.take(&heard, now_ms);
-        tape.take(&heard, &picture, now_ms).unwrap();
-        tape.pass(now_ms).unwrap();
+        picture.apply(&heard, now_ms);
+        tape.write_input(&heard, &picture, now_ms).unwrap();
+        tape.flush_due(now_ms).unwrap();
         if after_ms > 2 * chunk_ms {
             // As it lies on the disk now.
             let left = Scratch::holding(&fs::read(&file.0).unwrap());
-            let reel = Reel::open(&left.0).unwrap();
+            let reel = RecordingReader::open(&left.0).unwrap();
             assert!(reel.to_ms() + chunk_ms >= now_ms, "{} of {now_ms}", reel.to_ms());
         }
     }
@@ -182,11 +182,11 @@ fn what_was_heard_a_while_ago_survives_the_recorders_death() {
 #[test]
 fn a_file_that_is_there_is_kept_unless_it_is_to_be_replaced() {
     let file = Scratch::holding(b"dear diary");
-    let kept = Tape::create(&file.0, Existing::Keep, &fleet(), "recorder", BEGAN);
+    let kept = RecordingWriter::create(&file.0, ExistingFile::Keep, &fleet(), "recorder", BEGAN);
     let problem = kept.err().expect("it is refused").to_string();
     assert!(problem.starts_with(&format!("{}: the recording cannot be written: ", file.0.display())), "{problem}");
     assert_eq!(fs::read(&file.0).unwrap(), b"dear diary");
-    tape(&file.0, Existing::Replace).end().unwrap();
+    recorder(&file.0, ExistingFile::Replace).finish().unwrap();
     assert_ne!(fs::read(&file.0).unwrap(), b"dear diary");
 }
 
@@ -194,7 +194,7 @@ fn a_file_that_is_there_is_kept_unless_it_is_to_be_replaced() {
 fn a_file_of_something_else_is_refused_with_what_it_is() {
     let refusal = |bytes: &[u8]| {
         let file = Scratch::holding(bytes);
-        let problem = Reel::open(&file.0).err().expect("it is refused").to_string();
+        let problem = RecordingReader::open(&file.0).err().expect("it is refused").to_string();
         problem.strip_prefix(&format!("{}: ", file.0.display())).expect("the file is named").to_owned()
     };
     assert!(refusal(b"").starts_with("this is no MCAP file"));
@@ -210,8 +210,8 @@ fn a_file_of_something_else_is_refused_with_what_it_is() {
     assert!(others.contains("no recording of a fleet") && others.ends_with("it has the topics /rosout"), "{others}");
     // Ours, before anything was heard.
     let file = Scratch::new();
-    tape(&file.0, Existing::Keep).end().unwrap();
+    recorder(&file.0, ExistingFile::Keep).finish().unwrap();
     assert!(refusal(&fs::read(&file.0).unwrap()).contains("nothing was heard while it was made"));
-    let nowhere = Reel::open("/no/such/run.mcap".as_ref()).err().unwrap().to_string();
+    let nowhere = RecordingReader::open("/no/such/run.mcap".as_ref()).err().unwrap().to_string();
     assert!(nowhere.starts_with("/no/such/run.mcap: this recording cannot be read: No such file"), "{nowhere}");
 }

@@ -1,13 +1,13 @@
 //! A recording shows at every instant what was shown live, however one gets there.
 
 use crate::support::*;
-use consort_nodes::picture::{Heard, delta};
-use consort_nodes::recording::{KEYFRAMES, MarkKind, Reel};
+use consort_nodes::fleet_model::{FleetInput, delta};
+use consort_nodes::recording::{KEYFRAMES_MAX, RecordingReader, TimelineMarkKind};
 use proptest::prelude::*;
 use serde_json::{Value, json};
 
 /// A mission whose coordinator is lost on the way.
-fn story() -> Vec<(u64, Heard)> {
+fn story() -> Vec<(u64, FleetInput)> {
     let of = |what: &str| json!({ "event": what, "mission": "m-1", "role": "r1", "task": "go" });
     let state = |state: &str| json!({ "event": "mission", "mission": "m-1", "state": state, "submitted_at_ms": BEGAN });
     vec![
@@ -15,7 +15,7 @@ fn story() -> Vec<(u64, Heard)> {
         (10, robots(&["ada", "bob"])),
         (12, world(false, "closed")),
         (20, beacon("s-1", 1, 500)),
-        (30, Heard::Links(1)),
+        (30, FleetInput::Links(1)),
         (
             1000,
             event(
@@ -30,8 +30,8 @@ fn story() -> Vec<(u64, Heard)> {
         (1200, body("ada", 6.5)),
         (1400, body("ada", 7.5)),
         (1500, missions("running")),
-        (2000, Heard::Links(1)),
-        (4000, Heard::Links(1)),
+        (2000, FleetInput::Links(1)),
+        (4000, FleetInput::Links(1)),
         (4100, event("s-2", 9, 4090, json!({ "event": "elected", "term": 2, "voters": ["s-2"] }))),
         (4110, beacon("s-2", 2, 20)),
         (4500, world(true, "open")),
@@ -39,28 +39,28 @@ fn story() -> Vec<(u64, Heard)> {
         (5000, event("ada", 11, 4999, of("task_ended"))),
         (5100, event("s-2", 10, 5090, state("completed"))),
         (5200, missions("completed")),
-        (9000, Heard::Links(0)),
+        (9000, FleetInput::Links(0)),
     ]
 }
 
 #[test]
 fn every_instant_of_a_recording_is_what_was_shown_live() {
-    let live = Live::record(story());
-    let reel = Reel::open(&live.file.0).unwrap();
+    let live = LiveRecording::record(story());
+    let reel = RecordingReader::open(&live.file.0).unwrap();
     assert_eq!((reel.fleet(), reel.from_ms(), reel.to_ms()), ("ward", BEGAN, BEGAN + 9000));
-    assert_eq!((reel.problem(), reel.inputs()), (None, story().len()));
+    assert_eq!((reel.damage(), reel.inputs()), (None, story().len()));
     for after_ms in [0, 4, 5, 1000, 1150, 1400, 3999, 4000, 4100, 5000, 5199, 9000, 99_000] {
-        assert_eq!(&reel.picture_at(BEGAN + after_ms).value(), live.at(after_ms), "{after_ms} ms");
+        assert_eq!(&reel.model_at(BEGAN + after_ms).to_json(), live.at(after_ms), "{after_ms} ms");
     }
     // It is not that they are all alike.
-    let picture = |after_ms: u64| reel.picture_at(BEGAN + after_ms);
+    let picture = |after_ms: u64| reel.model_at(BEGAN + after_ms);
     assert!(picture(999).missions().is_empty());
     assert_eq!(picture(4099).missions()["m-1"].state, "running");
     assert_eq!(picture(9000).missions()["m-1"].state, "completed");
     assert_eq!(picture(4099).coordinator().unwrap().node, "s-1");
     assert_eq!(picture(4100).coordinator().unwrap().node, "s-2");
     assert_eq!((picture(1300).robots()["ada"].x, picture(1400).robots()["ada"].x), (6.5, 7.5));
-    let places = picture(5).value()["map"]["places"].clone();
+    let places = picture(5).to_json()["map"]["places"].clone();
     let names: Vec<&str> = places.as_array().unwrap().iter().filter_map(|place| place["name"].as_str()).collect();
     assert_eq!(names, ["Dock", "IC Room 6"], "the map is that of the fleet");
     assert_eq!(picture(1100).log().len(), 3, "events until then");
@@ -68,21 +68,24 @@ fn every_instant_of_a_recording_is_what_was_shown_live() {
 
 #[test]
 fn the_coordinators_changes_and_the_ends_of_missions_are_marked() {
-    let live = Live::record(story());
-    let reel = Reel::open(&live.file.0).unwrap();
+    let live = LiveRecording::record(story());
+    let reel = RecordingReader::open(&live.file.0).unwrap();
     let marks: Vec<_> = reel.marks().iter().map(|mark| (mark.at_ms - BEGAN, mark.kind, mark.text.as_str())).collect();
     assert_eq!(
         marks,
-        [(4100, MarkKind::Coordinator, "s-2 coordinates, term 2"), (5100, MarkKind::Completed, "m-1 completed")]
+        [
+            (4100, TimelineMarkKind::Coordinator, "s-2 coordinates, term 2"),
+            (5100, TimelineMarkKind::Completed, "m-1 completed")
+        ]
     );
 }
 
 /// Anything at all, some time after what was before it.
-fn anything() -> impl Strategy<Value = (u64, Heard)> {
+fn anything() -> impl Strategy<Value = (u64, FleetInput)> {
     let name = prop::sample::select(vec!["ada", "bob", "s-1"]);
     let what = (0..10u8, name, 0..60u64).prop_map(|(what, name, number)| match what {
         0 => beacon(name, number / 20 + 1, number),
-        1 | 2 => Heard::Links(number as usize % 3),
+        1 | 2 => FleetInput::Links(number as usize % 3),
         3 => body(name, number as f64 / 4.0),
         4 => robots(&[name, "cyd"][..(number as usize % 2 + 1)]),
         5 => world(number % 2 == 0, if number % 3 == 0 { "open" } else { "closing" }),
@@ -109,26 +112,26 @@ proptest! {
             now_ms += later_ms;
             (now_ms, heard)
         });
-        let live = Live::record(inputs);
-        let reel = Reel::open(&live.file.0).unwrap();
+        let live = LiveRecording::record(inputs);
+        let reel = RecordingReader::open(&live.file.0).unwrap();
         // One picture goes to and fro, as that on the board does.
-        let (mut picture, mut taken) = (reel.beginning(), 0);
+        let (mut picture, mut taken) = (reel.initial_model(), 0);
         // What was drawn of it, and what whoever looks on has made of the changes alone.
         let mut drawn = Value::Null;
-        picture.redraw(&mut drawn);
+        picture.render_patch(&mut drawn);
         let mut seen = drawn.clone();
         for share in jumps {
             let anywhere_ms = (live.length_ms() as f64 * share) as u64;
             // Most of all the very instants at which something was heard.
-            let after_ms = if share < 0.7 { live.heard_ms(anywhere_ms) } else { anywhere_ms };
-            taken = reel.bring(&mut picture, taken, BEGAN + after_ms);
-            prop_assert_eq!(&picture.value(), live.at(after_ms), "{} ms, after a jump", after_ms);
-            if let Some(patch) = picture.redraw(&mut drawn) {
+            let after_ms = if share < 0.7 { live.last_input_ms(anywhere_ms) } else { anywhere_ms };
+            taken = reel.seek(&mut picture, taken, BEGAN + after_ms);
+            prop_assert_eq!(&picture.to_json(), live.at(after_ms), "{} ms, after a jump", after_ms);
+            if let Some(patch) = picture.render_patch(&mut drawn) {
                 delta::apply(&mut seen, &patch);
             }
             prop_assert_eq!(&seen, live.at(after_ms), "{} ms, by what has changed", after_ms);
             prop_assert_eq!(&drawn, &seen);
-            prop_assert_eq!(&reel.picture_at(BEGAN + after_ms).value(), live.at(after_ms), "{} ms, at once", after_ms);
+            prop_assert_eq!(&reel.model_at(BEGAN + after_ms).to_json(), live.at(after_ms), "{} ms, at once", after_ms);
         }
     }
 }
@@ -137,11 +140,11 @@ proptest! {
 fn a_long_recording_is_no_slower_to_jump_in_than_its_keyframes_are_apart() {
     // An hour, a word each quarter of a second: copies become rarer, and what is shown stays right.
     let inputs = (0..14_400u64).map(|number| (number * 250, body("ada", number as f64 / 4.0)));
-    let live = Live::record(inputs);
-    let reel = Reel::open(&live.file.0).unwrap();
+    let live = LiveRecording::record(inputs);
+    let reel = RecordingReader::open(&live.file.0).unwrap();
     for minute in [0, 59, 1, 30, 29, 31, 58] {
         let after_ms = minute * 60_000 + 100;
-        assert_eq!(&reel.picture_at(BEGAN + after_ms).value(), live.at(after_ms), "minute {minute}");
+        assert_eq!(&reel.model_at(BEGAN + after_ms).to_json(), live.at(after_ms), "minute {minute}");
     }
-    const { assert!(KEYFRAMES < 14_400) };
+    const { assert!(KEYFRAMES_MAX < 14_400) };
 }

@@ -1,13 +1,13 @@
 //! What is heard of a small fleet, and the pictures that were made of it while it was heard.
 
-use consort_nodes::floor;
-use consort_nodes::picture::{FloorPlan, Heard, Picture};
-use consort_nodes::recording::{Recorded, Tape};
+use consort_nodes::fleet_model::{FleetInput, FleetModel, FloorPlan};
+use consort_nodes::map_loader;
+use consort_nodes::recording::{RecordingStats, RecordingWriter};
 use consort_protocol::event::Event;
 use consort_protocol::ids::FleetId;
 use consort_protocol::keys::Key;
 use consort_protocol::message::Beacon;
-use consort_sim::record::foxglove::Existing;
+use consort_sim::record::foxglove::ExistingFile;
 use serde_json::{Value, json};
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -43,37 +43,37 @@ pub(crate) fn fleet() -> FleetId {
     FleetId::new("ward").unwrap()
 }
 
-pub(crate) fn tape(file: &Path, existing: Existing) -> Tape {
-    Tape::create(file, existing, &fleet(), "recorder", BEGAN).unwrap()
+pub(crate) fn recorder(file: &Path, existing: ExistingFile) -> RecordingWriter {
+    RecordingWriter::create(file, existing, &fleet(), "recorder", BEGAN).unwrap()
 }
 
-fn empty() -> Picture {
-    Picture::new("ward", "recorder", FloorPlan::default(), BEGAN)
+fn empty() -> FleetModel {
+    FleetModel::new("ward", "recorder", FloorPlan::default(), BEGAN)
 }
 
 /// Inputs with their times, and the pictures after each of them.
-pub(crate) struct Live {
+pub(crate) struct LiveRecording {
     pub(crate) file: Scratch,
-    pub(crate) recorded: Recorded,
+    pub(crate) recorded: RecordingStats,
     /// After so many milliseconds, the picture as JSON; the first is of nothing yet.
     pictures: Vec<(u64, Value)>,
 }
 
-impl Live {
+impl LiveRecording {
     /// Records what is heard, each so many milliseconds after the recording began.
-    pub(crate) fn record(inputs: impl IntoIterator<Item = (u64, Heard)>) -> Live {
+    pub(crate) fn record(inputs: impl IntoIterator<Item = (u64, FleetInput)>) -> LiveRecording {
         let file = Scratch::new();
-        let (mut tape, mut picture) = (tape(&file.0, Existing::Keep), empty());
-        let mut pictures = vec![(0, picture.value())];
+        let (mut tape, mut picture) = (recorder(&file.0, ExistingFile::Keep), empty());
+        let mut pictures = vec![(0, picture.to_json())];
         for (after_ms, heard) in inputs {
             let now_ms = BEGAN + after_ms;
-            picture.take(&heard, now_ms);
-            tape.take(&heard, &picture, now_ms).unwrap();
-            tape.pass(now_ms).unwrap();
-            pictures.push((after_ms, picture.value()));
+            picture.apply(&heard, now_ms);
+            tape.write_input(&heard, &picture, now_ms).unwrap();
+            tape.flush_due(now_ms).unwrap();
+            pictures.push((after_ms, picture.to_json()));
         }
-        let recorded = tape.end().unwrap();
-        Live { file, recorded, pictures }
+        let recorded = tape.finish().unwrap();
+        LiveRecording { file, recorded, pictures }
     }
 
     /// What was shown at an instant.
@@ -83,7 +83,7 @@ impl Live {
     }
 
     /// When the last input was heard that was heard until then.
-    pub(crate) fn heard_ms(&self, after_ms: u64) -> u64 {
+    pub(crate) fn last_input_ms(&self, after_ms: u64) -> u64 {
         let until = self.pictures.partition_point(|(at, _)| *at <= after_ms);
         self.pictures[until.saturating_sub(1)].0
     }
@@ -94,33 +94,33 @@ impl Live {
     }
 }
 
-pub(crate) fn event(node: &str, sequence: u64, after_ms: u64, what: Value) -> Heard {
+pub(crate) fn event(node: &str, sequence: u64, after_ms: u64, what: Value) -> FleetInput {
     let mut event = json!({ "node": node, "sequence": sequence, "at_ms": BEGAN + after_ms });
     event.as_object_mut().unwrap().extend(what.as_object().unwrap().clone());
-    Heard::Event(Box::new(serde_json::from_value::<Event>(event).unwrap()))
+    FleetInput::Event(Box::new(serde_json::from_value::<Event>(event).unwrap()))
 }
 
-pub(crate) fn beacon(node: &str, term: u64, since_ms: u64) -> Heard {
+pub(crate) fn beacon(node: &str, term: u64, since_ms: u64) -> FleetInput {
     let node: consort_protocol::ids::NodeId = node.parse().unwrap();
-    Heard::Beacon(Beacon { node: node.clone(), term, voters: [node].into(), since_ms, cluster: None, wire: None })
+    FleetInput::Beacon(Beacon { node: node.clone(), term, voters: [node].into(), since_ms, cluster: None, wire: None })
 }
 
-pub(crate) fn body(robot: &str, x: f64) -> Heard {
+pub(crate) fn body(robot: &str, x: f64) -> FleetInput {
     let telemetry = json!({
         "time": x, "pose": { "x_m": x, "y_m": 2.5, "yaw_rad": 0.5 }, "place": "Dock", "battery": 0.75, "able": true, "closed": [],
     });
-    Heard::Body { robot: robot.to_owned(), telemetry: serde_json::from_value(telemetry).unwrap() }
+    FleetInput::Telemetry { robot: robot.to_owned(), telemetry: serde_json::from_value(telemetry).unwrap() }
 }
 
 const HALL: &str = "{name: hall, walls: [[[0, 0], [12, 0]]], places: [{name: Dock, kind: dock, x_m: 6, y_m: 2.5}, \
     {name: IC Room 6, kind: room, x_m: 10, y_m: 5}], lanes: [{between: [Dock, IC Room 6]}], \
     doors: [{name: Lab door, on: [[Dock, IC Room 6]], opening_s: 1}]}";
 
-pub(crate) fn map() -> Heard {
-    view(Key::ViewMap, floor::read(HALL, "hall.yaml").unwrap().show())
+pub(crate) fn map() -> FleetInput {
+    view(Key::ViewMap, map_loader::parse(HALL, "hall.yaml").unwrap().to_json())
 }
 
-pub(crate) fn robots(names: &[&str]) -> Heard {
+pub(crate) fn robots(names: &[&str]) -> FleetInput {
     let node = |name: &&str| {
         json!({ "node": name, "alive": true, "status": "alive", "age_ms": 20, "robot": {
             "skills": ["navigation"], "place": "Dock", "pose": { "x_m": 6.0, "y_m": 2.5, "yaw_rad": 0.5 }, "battery": 0.75,
@@ -129,7 +129,7 @@ pub(crate) fn robots(names: &[&str]) -> Heard {
     view(Key::ViewFleet, json!({ "age_ms": 5, "nodes": names.iter().map(node).collect::<Vec<_>>(), "ensembles": [] }))
 }
 
-pub(crate) fn world(away: bool, door: &str) -> Heard {
+pub(crate) fn world(away: bool, door: &str) -> FleetInput {
     let nurse = json!({ "name": "Nia", "role": "nurse", "place": "IC Room 6", "away": away, "samples": ["blood"] });
     view(
         Key::ViewWorld,
@@ -137,17 +137,17 @@ pub(crate) fn world(away: bool, door: &str) -> Heard {
     )
 }
 
-pub(crate) fn missions(state: &str) -> Heard {
+pub(crate) fn missions(state: &str) -> FleetInput {
     missions_of(state, 0)
 }
 
 /// The missions as somebody has them who heard of them so long ago.
-pub(crate) fn missions_of(state: &str, age_ms: u64) -> Heard {
+pub(crate) fn missions_of(state: &str, age_ms: u64) -> FleetInput {
     let mission = json!({ "mission": "m-1", "detail": state, "parameters": { "room": "IC Room 6" }, "holders": { "r1": "ada" },
         "done": 3, "steps": 7, "submitted_at_ms": BEGAN });
     view(Key::ViewMissions, json!({ "age_ms": age_ms, "missions": [mission] }))
 }
 
-pub(crate) fn view(key: Key, view: Value) -> Heard {
-    Heard::View { key, view }
+pub(crate) fn view(key: Key, view: Value) -> FleetInput {
+    FleetInput::View { key, view }
 }

@@ -30,23 +30,23 @@ pub struct CallForBids {
 
 /// One robot's answers to a call: one for each role in it.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct Tender {
+pub struct BidResponse {
     /// Who answers.
     pub robot: RobotId,
     /// To which call.
     pub auction: AuctionId,
     /// In the order of the roles' names.
-    pub answers: Vec<Answer>,
+    pub replies: Vec<RoleReply>,
 }
 
 /// What a robot says to one role.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
-pub enum Answer {
+pub enum RoleReply {
     /// It would, at this price.
     Bid(Bid),
     /// It will not, for this reason.
-    Refusal(Refusal),
+    Refusal(BidRefusal),
 }
 
 /// A robot's price for one role.
@@ -90,7 +90,7 @@ pub struct BidPart {
 
 /// A robot's no to one role.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Refusal {
+pub struct BidRefusal {
     /// Who refuses.
     pub robot: RobotId,
     /// Which role.
@@ -163,7 +163,7 @@ pub enum RefusalReason {
 
 impl RefusalReason {
     /// Whether asking again in this mission is in vain: nothing that the robot does meanwhile changes its answer.
-    pub fn is_for_good(&self) -> bool {
+    pub fn is_permanent(&self) -> bool {
         match self {
             RefusalReason::MissingSkills { .. }
             | RefusalReason::NotFeasible { .. }
@@ -183,22 +183,22 @@ fn list(skills: &[TaskType]) -> String {
 
 /// What every bid must keep to. Fleet-wide.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-pub struct Limits {
+pub struct BidLimits {
     /// Longest time a plan may take; `None` for no limit.
     pub time: Option<Seconds>,
     /// Charge that must be left above this. Default 0.05: below it a robot stops dead.
     pub charge_min: BatteryShare,
 }
 
-impl Default for Limits {
+impl Default for BidLimits {
     fn default() -> Self {
-        Limits { time: None, charge_min: BatteryShare::new(0.05).expect("0.05 is a share") }
+        BidLimits { time: None, charge_min: BatteryShare::new(0.05).expect("0.05 is a share") }
     }
 }
 
-impl Limits {
+impl BidLimits {
     /// What must be left of the battery of a robot with this useful charge.
-    pub fn floor(&self, useful_charge: BatteryShare) -> BatteryShare {
+    pub fn charge_floor(&self, useful_charge: BatteryShare) -> BatteryShare {
         if useful_charge > self.charge_min { useful_charge } else { self.charge_min }
     }
 }
@@ -206,7 +206,7 @@ impl Limits {
 /// Why a bid cannot be taken although it was made.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, thiserror::Error)]
 #[serde(rename_all = "snake_case")]
-pub enum Unviable {
+pub enum ViabilityError {
     /// It would take too long.
     #[error("{time:.1} is longer than the limit of {limit:.1}")]
     TooSlow {
@@ -231,15 +231,15 @@ impl Bid {
     ///
     /// # Errors
     /// [`Unviable`] says which bound it misses and by how much.
-    pub fn viable(&self, limits: &Limits) -> Result<(), Unviable> {
+    pub fn check_viable(&self, limits: &BidLimits) -> Result<(), ViabilityError> {
         if let Some(limit) = limits.time.filter(|limit| self.time > *limit) {
-            return Err(Unviable::TooSlow { time: self.time, limit });
+            return Err(ViabilityError::TooSlow { time: self.time, limit });
         }
-        let floor = limits.floor(self.useful_charge);
+        let floor = limits.charge_floor(self.useful_charge);
         if self.remaining > floor.get() {
             Ok(())
         } else {
-            Err(Unviable::LowCharge { remaining: self.remaining, floor })
+            Err(ViabilityError::LowCharge { remaining: self.remaining, floor })
         }
     }
 }

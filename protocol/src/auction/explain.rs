@@ -1,7 +1,7 @@
 //! Why each robot did or did not get each role, in words: from the record of an auction alone.
 
 use super::bid::{BidPart, RefusalReason};
-use super::record::{AuctionEntry, AuctionRecord, Verdict};
+use super::record::{AuctionEntry, AuctionRecord, BidVerdict};
 use crate::count::count;
 use crate::ids::{RobotId, RoleId};
 use crate::units::Seconds;
@@ -17,14 +17,14 @@ pub struct Explanation {
     /// When it was held: milliseconds on the coordinator's wall clock.
     pub at_ms: u64,
     /// Role by role.
-    pub roles: Vec<RoleExplained>,
+    pub roles: Vec<RoleExplanation>,
     /// Answers that the record has no room for.
     pub omitted: u32,
 }
 
 /// What became of one role.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct RoleExplained {
+pub struct RoleExplanation {
     /// The role.
     pub role: RoleId,
     /// Who gets it; `None` if nobody does.
@@ -32,20 +32,20 @@ pub struct RoleExplained {
     /// Why, in a sentence.
     pub why: String,
     /// Every robot that was asked: the winner, then the others by their price, then those that did not bid.
-    pub robots: Vec<RobotExplained>,
+    pub robots: Vec<RobotExplanation>,
 }
 
 /// What became of one robot's answer.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct RobotExplained {
+pub struct RobotExplanation {
     /// The robot.
     pub robot: RobotId,
     /// In a word, for programs.
-    pub outcome: Outcome,
+    pub outcome: RobotOutcome,
     /// In a sentence, for people.
     pub why: String,
     /// What it bid, if it did.
-    pub bid: Option<Price>,
+    pub bid: Option<BidCost>,
     /// The bid step by step, where the record has it.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub parts: Vec<BidPart>,
@@ -56,7 +56,7 @@ pub struct RobotExplained {
 /// What can become of a robot's answer.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
-pub enum Outcome {
+pub enum RobotOutcome {
     /// It gets the role.
     Won,
     /// It gets another role of the mission.
@@ -77,7 +77,7 @@ pub enum Outcome {
 
 /// The parts of a bid that were compared.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-pub struct Price {
+pub struct BidCost {
     /// Time for the plan.
     pub time_s: f64,
     /// Charge used, as a share.
@@ -86,9 +86,9 @@ pub struct Price {
     pub remaining: f64,
 }
 
-impl Price {
-    fn of(time: Seconds, energy: f64, remaining: f64) -> Price {
-        Price { time_s: time.get(), energy, remaining }
+impl BidCost {
+    fn of(time: Seconds, energy: f64, remaining: f64) -> BidCost {
+        BidCost { time_s: time.get(), energy, remaining }
     }
 
     /// `99.7 s, 6.0 % of its charge, 84.0 % left`.
@@ -105,7 +105,7 @@ impl Price {
 /// The bid that was taken.
 #[derive(Clone, Copy)]
 struct Taken<'a> {
-    price: Price,
+    price: BidCost,
     parts: &'a [BidPart],
 }
 
@@ -120,10 +120,10 @@ fn step_in_words(part: &BidPart) -> String {
     }
 }
 
-impl RobotExplained {
+impl RobotExplanation {
     /// What each step of the bid takes, as far as it takes anything: `navto_room 37.0 s 2.2 %, approach_nurse 1.0 s 0.1 %`.
     /// `None` if the steps are not known.
-    pub fn parts_in_words(&self) -> Option<String> {
+    pub fn parts_text(&self) -> Option<String> {
         let takes = |part: &&BidPart| part.time.get() >= 0.05 || part.energy >= 0.0005;
         let words =
             |part: &BidPart| format!("{} {:.1} s {:.1} %", step_in_words(part), part.time.get(), part.energy * 100.0);
@@ -159,19 +159,19 @@ pub fn explain(record: &AuctionRecord) -> Explanation {
     }
 }
 
-fn explain_role(record: &AuctionRecord, role: &RoleId, entries: &[&AuctionEntry]) -> RoleExplained {
+fn explain_role(record: &AuctionRecord, role: &RoleId, entries: &[&AuctionEntry]) -> RoleExplanation {
     let winner = record.chosen.get(role);
     let taken = |robot: &RobotId| {
         let entry = entries.iter().find(|entry| entry.robot == *robot)?;
         Some(Taken { price: viable(&entry.verdict)?, parts: &entry.parts })
     };
     let won = winner.and_then(taken);
-    let mut robots: Vec<RobotExplained> =
+    let mut robots: Vec<RobotExplanation> =
         entries.iter().map(|entry| explain_robot(record, role, entry, winner, won)).collect();
     robots.sort_by(|one, other| {
-        let time = |robot: &RobotExplained| robot.bid.map_or(f64::INFINITY, |bid| bid.time_s);
-        let won = |robot: &RobotExplained| robot.outcome != Outcome::Won;
-        let unviable = |robot: &RobotExplained| robot.outcome == Outcome::Unviable;
+        let time = |robot: &RobotExplanation| robot.bid.map_or(f64::INFINITY, |bid| bid.time_s);
+        let won = |robot: &RobotExplanation| robot.outcome != RobotOutcome::Won;
+        let unviable = |robot: &RobotExplanation| robot.outcome == RobotOutcome::Unviable;
         (won(one), unviable(one))
             .cmp(&(won(other), unviable(other)))
             .then(time(one).partial_cmp(&time(other)).unwrap_or(Ordering::Equal))
@@ -181,7 +181,7 @@ fn explain_role(record: &AuctionRecord, role: &RoleId, entries: &[&AuctionEntry]
     let why = match winner {
         Some(winner) => why_won(record, winner, won.map(|won| won.price), &robots),
         None => {
-            let viable = robots.iter().filter(|robot| robot.outcome == Outcome::InVain).count();
+            let viable = robots.iter().filter(|robot| robot.outcome == RobotOutcome::InVain).count();
             let cause = record.failure.as_deref().unwrap_or("the auction came to nothing");
             match viable {
                 0 => format!(
@@ -195,19 +195,21 @@ fn explain_role(record: &AuctionRecord, role: &RoleId, entries: &[&AuctionEntry]
             }
         }
     };
-    RoleExplained { role: role.clone(), winner: winner.cloned(), why, robots }
+    RoleExplanation { role: role.clone(), winner: winner.cloned(), why, robots }
 }
 
-fn why_won(record: &AuctionRecord, winner: &RobotId, won: Option<Price>, robots: &[RobotExplained]) -> String {
+fn why_won(record: &AuctionRecord, winner: &RobotId, won: Option<BidCost>, robots: &[RobotExplanation]) -> String {
     let Some(won) = won else { return format!("{winner} gets it; its bid is not among those that were kept") };
-    let rivals: Vec<&RobotExplained> =
-        robots.iter().filter(|robot| matches!(robot.outcome, Outcome::Outbid | Outcome::ElsewhereInMission)).collect();
-    let quicker: Vec<&&RobotExplained> =
+    let rivals: Vec<&RobotExplanation> = robots
+        .iter()
+        .filter(|robot| matches!(robot.outcome, RobotOutcome::Outbid | RobotOutcome::ElsewhereInMission))
+        .collect();
+    let quicker: Vec<&&RobotExplanation> =
         rivals.iter().filter(|robot| robot.behind_s.is_some_and(|behind| behind < 0.0)).collect();
     let bid = format!("{winner} gets it with {}", won.words());
     if let Some(rival) = quicker.first() {
         return match rival.outcome {
-            Outcome::ElsewhereInMission => {
+            RobotOutcome::ElsewhereInMission => {
                 let role =
                     record.chosen.iter().find(|(_, robot)| **robot == rival.robot).map(|(role, _)| role.as_str());
                 format!(
@@ -240,17 +242,17 @@ fn explain_robot(
     entry: &AuctionEntry,
     winner: Option<&RobotId>,
     won: Option<Taken<'_>>,
-) -> RobotExplained {
+) -> RobotExplanation {
     let robot = &entry.robot;
     let elsewhere = record.chosen.iter().find(|(other, chosen)| *other != role && *chosen == robot);
     let (outcome, bid, why) = match &entry.verdict {
-        Verdict::Viable { time, energy, remaining } => {
-            let bid = Price::of(*time, *energy, *remaining);
+        BidVerdict::Viable { time, energy, remaining } => {
+            let bid = BidCost::of(*time, *energy, *remaining);
             let words = format!("{robot} bid {}", bid.words());
             let (outcome, why) = match (winner, elsewhere, won) {
-                (Some(winner), ..) if winner == robot => (Outcome::Won, format!("{words}, and gets the role")),
+                (Some(winner), ..) if winner == robot => (RobotOutcome::Won, format!("{words}, and gets the role")),
                 (_, Some((other, _)), _) => {
-                    (Outcome::ElsewhereInMission, format!("{words}; it gets {other} of this mission instead"))
+                    (RobotOutcome::ElsewhereInMission, format!("{words}; it gets {other} of this mission instead"))
                 }
                 (Some(winner), None, Some(won)) => {
                     let behind = bid.time_s - won.price.time_s;
@@ -259,24 +261,24 @@ fn explain_robot(
                     let most =
                         most.map(|(step, more)| format!(", most of all in {} ({more:.1} s more)", step_in_words(step)));
                     let most = most.unwrap_or_default();
-                    (Outcome::Outbid, format!("{words}: outbid, {:.1} s {more} than {winner}{most}", behind.abs()))
+                    (RobotOutcome::Outbid, format!("{words}: outbid, {:.1} s {more} than {winner}{most}", behind.abs()))
                 }
-                (Some(winner), None, None) => (Outcome::Outbid, format!("{words}: {winner} was chosen")),
-                (None, ..) => (Outcome::InVain, format!("{words}, in vain")),
+                (Some(winner), None, None) => (RobotOutcome::Outbid, format!("{words}: {winner} was chosen")),
+                (None, ..) => (RobotOutcome::InVain, format!("{words}, in vain")),
             };
             (outcome, Some(bid), why)
         }
-        Verdict::Unviable { time, energy, remaining, why } => {
-            let bid = Price::of(*time, *energy, *remaining);
-            (Outcome::Unviable, Some(bid), format!("{robot} bid {}: not to be taken, {why}", bid.words()))
+        BidVerdict::Unviable { time, energy, remaining, why } => {
+            let bid = BidCost::of(*time, *energy, *remaining);
+            (RobotOutcome::Unviable, Some(bid), format!("{robot} bid {}: not to be taken, {why}", bid.words()))
         }
-        Verdict::Refused { reason } => {
+        BidVerdict::Refused { reason } => {
             let (outcome, why) = refused(robot, reason);
             (outcome, None, why)
         }
     };
     let behind_s = bid.zip(won).map(|(bid, won)| bid.time_s - won.price.time_s);
-    RobotExplained { robot: robot.clone(), outcome, why, bid, parts: entry.parts.clone(), behind_s }
+    RobotExplanation { robot: robot.clone(), outcome, why, bid, parts: entry.parts.clone(), behind_s }
 }
 
 /// The step in which a bid falls behind another of the same plan the most, and by how many seconds.
@@ -289,36 +291,36 @@ fn most_behind<'a>(parts: &'a [BidPart], won: &[BidPart]) -> Option<(&'a BidPart
     (most.1 >= 0.05).then_some(most)
 }
 
-fn refused(robot: &RobotId, reason: &RefusalReason) -> (Outcome, String) {
+fn refused(robot: &RobotId, reason: &RefusalReason) -> (RobotOutcome, String) {
     match reason {
         RefusalReason::NotMember { ensemble, why } => {
-            (Outcome::NotMember, format!("{robot} is not a member of {ensemble}: {why}"))
+            (RobotOutcome::NotMember, format!("{robot} is not a member of {ensemble}: {why}"))
         }
         RefusalReason::Silent { window_ms } => {
-            (Outcome::Silent, format!("{robot} was asked and did not answer within {window_ms} ms"))
+            (RobotOutcome::Silent, format!("{robot} was asked and did not answer within {window_ms} ms"))
         }
-        RefusalReason::MissingSkills { .. } => (Outcome::Refused, format!("{robot} {reason}")),
+        RefusalReason::MissingSkills { .. } => (RobotOutcome::Refused, format!("{robot} {reason}")),
         RefusalReason::HandsFull { .. } | RefusalReason::Excluded { .. } => {
-            (Outcome::Refused, format!("{robot} {reason}"))
+            (RobotOutcome::Refused, format!("{robot} {reason}"))
         }
-        RefusalReason::NotFeasible { .. } => (Outcome::Refused, format!("{robot} {reason}")),
+        RefusalReason::NotFeasible { .. } => (RobotOutcome::Refused, format!("{robot} {reason}")),
         RefusalReason::Busy { .. } | RefusalReason::OutOfService { .. } => {
-            (Outcome::Refused, format!("{robot} is {reason}"))
+            (RobotOutcome::Refused, format!("{robot} is {reason}"))
         }
     }
 }
 
-fn viable(verdict: &Verdict) -> Option<Price> {
+fn viable(verdict: &BidVerdict) -> Option<BidCost> {
     match verdict {
-        Verdict::Viable { time, energy, remaining } => Some(Price::of(*time, *energy, *remaining)),
-        Verdict::Unviable { .. } | Verdict::Refused { .. } => None,
+        BidVerdict::Viable { time, energy, remaining } => Some(BidCost::of(*time, *energy, *remaining)),
+        BidVerdict::Unviable { .. } | BidVerdict::Refused { .. } => None,
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::auction::{AuctionId, Unviable};
+    use crate::auction::{AuctionId, ViabilityError};
     use crate::units::BatteryShare;
 
     fn slug<T: std::str::FromStr<Err: std::fmt::Debug>>(text: &str) -> T {
@@ -326,7 +328,7 @@ mod tests {
     }
 
     fn bid(role: &str, robot: &str, seconds: f64) -> AuctionEntry {
-        let verdict = Verdict::Viable { time: Seconds::new(seconds).unwrap(), energy: 0.06, remaining: 0.84 };
+        let verdict = BidVerdict::Viable { time: Seconds::new(seconds).unwrap(), energy: 0.06, remaining: 0.84 };
         AuctionEntry { role: slug(role), robot: slug(robot), verdict, parts: vec![] }
     }
 
@@ -351,7 +353,7 @@ mod tests {
     }
 
     fn no(role: &str, robot: &str, reason: RefusalReason) -> AuctionEntry {
-        AuctionEntry { role: slug(role), robot: slug(robot), verdict: Verdict::Refused { reason }, parts: vec![] }
+        AuctionEntry { role: slug(role), robot: slug(robot), verdict: BidVerdict::Refused { reason }, parts: vec![] }
     }
 
     fn record(entries: Vec<AuctionEntry>, chosen: &[(&str, &str)], failure: Option<&str>) -> AuctionRecord {
@@ -366,7 +368,7 @@ mod tests {
     }
 
     fn words(explanation: &Explanation) -> Vec<String> {
-        let of = |role: &RoleExplained| {
+        let of = |role: &RoleExplanation| {
             let robots = role.robots.iter().map(|robot| format!("  {}", robot.why)).collect::<Vec<_>>();
             std::iter::once(format!("{}: {}", role.role, role.why)).chain(robots).collect::<Vec<_>>()
         };
@@ -375,11 +377,11 @@ mod tests {
 
     #[test]
     fn the_quickest_wins_and_everybody_else_hears_why_not() {
-        let unviable = Verdict::Unviable {
+        let unviable = BidVerdict::Unviable {
             time: Seconds::new(90.0).unwrap(),
             energy: 0.107,
             remaining: 0.023,
-            why: Unviable::LowCharge { remaining: 0.023, floor: BatteryShare::new(0.08).unwrap() },
+            why: ViabilityError::LowCharge { remaining: 0.023, floor: BatteryShare::new(0.08).unwrap() },
         };
         let entries = vec![
             no("r1", "amber", RefusalReason::NotMember { ensemble: slug("logistics"), why: "too far".to_owned() }),
@@ -408,9 +410,9 @@ mod tests {
                  8.0 %",
             ]
         );
-        let outcomes: Vec<Outcome> = explained.roles[0].robots.iter().map(|robot| robot.outcome).collect();
-        use Outcome::{NotMember, Outbid, Refused, Silent, Won};
-        assert_eq!(outcomes, [Won, Outbid, Outbid, Refused, Refused, NotMember, Silent, Outcome::Unviable]);
+        let outcomes: Vec<RobotOutcome> = explained.roles[0].robots.iter().map(|robot| robot.outcome).collect();
+        use RobotOutcome::{NotMember, Outbid, Refused, Silent, Won};
+        assert_eq!(outcomes, [Won, Outbid, Outbid, Refused, Refused, NotMember, Silent, RobotOutcome::Unviable]);
     }
 
     #[test]
@@ -420,9 +422,9 @@ mod tests {
         let [birch, cedar, flint] = &explained.roles[0].robots[..] else { panic!("three robots") };
         let steps = "navto_room 37.0 s 3.7 %, waiting for nurse 2.0 s 0.2 %, telling nurse 2.0 s 0.2 %, authenticate_nurse \
                      60.0 s 6.0 %";
-        assert_eq!(birch.parts_in_words().as_deref(), Some(steps));
+        assert_eq!(birch.parts_text().as_deref(), Some(steps));
         assert!(cedar.why.ends_with(": outbid, 2.0 s more than birch"), "{}", cedar.why);
-        assert_eq!(cedar.parts_in_words(), None);
+        assert_eq!(cedar.parts_text(), None);
         let most = ": outbid, 55.1 s more than birch, most of all in navto_room (55.1 s more)";
         assert!(flint.why.ends_with(most), "{}", flint.why);
         let seen = serde_json::to_value(birch).unwrap();

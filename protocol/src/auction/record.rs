@@ -1,6 +1,6 @@
 //! What is kept of an auction, for people to look at.
 
-use super::bid::{AuctionId, BidPart, RefusalReason, Unviable};
+use super::bid::{AuctionId, BidPart, RefusalReason, ViabilityError};
 use crate::ids::{RobotId, RoleId};
 use crate::units::Seconds;
 use serde::{Deserialize, Serialize};
@@ -40,7 +40,7 @@ pub struct AuctionEntry {
     /// By whom.
     pub robot: RobotId,
     /// What came of it.
-    pub verdict: Verdict,
+    pub verdict: BidVerdict,
     /// The bid step by step. Empty if there is none, or if the record has no room for it: the winners' come first, then those
     /// of the quickest.
     #[serde(default)]
@@ -50,7 +50,7 @@ pub struct AuctionEntry {
 /// What came of a robot's answer.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
-pub enum Verdict {
+pub enum BidVerdict {
     /// A bid that could be taken.
     Viable {
         /// Time for the plan.
@@ -69,7 +69,7 @@ pub enum Verdict {
         /// Charge left, as a share.
         remaining: f64,
         /// Why not.
-        why: Unviable,
+        why: ViabilityError,
     },
     /// No bid.
     Refused {

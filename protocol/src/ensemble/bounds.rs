@@ -8,16 +8,16 @@ use cel::common::ast::{EntryExpr, Expr};
 
 /// How deep loops (`exists`, `all`, `filter`, `map` …) may stand within one another. Two are a few hundred thousand steps at most,
 /// in a condition of the greatest length.
-pub(super) const LOOPS_MAX: usize = 2;
+pub(super) const LOOP_DEPTH_MAX: usize = 2;
 
 /// How deep loops stand within one another, what they go over included.
-pub(super) fn loops(expression: &IdedExpr) -> usize {
-    let deepest = |parts: &mut dyn Iterator<Item = &IdedExpr>| parts.map(loops).max().unwrap_or(0);
+pub(super) fn loop_depth(expression: &IdedExpr) -> usize {
+    let deepest = |parts: &mut dyn Iterator<Item = &IdedExpr>| parts.map(loop_depth).max().unwrap_or(0);
     match &expression.expr {
         Expr::Unspecified | Expr::Ident(_) | Expr::Literal(_) => 0,
         Expr::Call(call) => deepest(&mut call.target.iter().map(|target| &**target).chain(&call.args)),
         Expr::List(list) => deepest(&mut list.elements.iter()),
-        Expr::Select(select) => loops(&select.operand),
+        Expr::Select(select) => loop_depth(&select.operand),
         Expr::Map(map) => map.entries.iter().map(|entry| of_entry(&entry.expr)).max().unwrap_or(0),
         Expr::Struct(value) => value.entries.iter().map(|entry| of_entry(&entry.expr)).max().unwrap_or(0),
         Expr::Comprehension(each) => {
@@ -29,7 +29,7 @@ pub(super) fn loops(expression: &IdedExpr) -> usize {
 
 fn of_entry(entry: &EntryExpr) -> usize {
     match entry {
-        EntryExpr::StructField(field) => loops(&field.value),
-        EntryExpr::MapEntry(entry) => loops(&entry.key).max(loops(&entry.value)),
+        EntryExpr::StructField(field) => loop_depth(&field.value),
+        EntryExpr::MapEntry(entry) => loop_depth(&entry.key).max(loop_depth(&entry.value)),
     }
 }

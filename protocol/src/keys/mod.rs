@@ -25,18 +25,18 @@
 
 mod table;
 
-pub use table::{About, TABLE, Usage};
+pub use table::{KeyInfo, KeyUsage, TABLE};
 
 use crate::ids::{FleetId, MissionId, NodeId, RobotId, RoleId};
 use crate::trust::Fingerprint;
-use crate::words::words;
+use crate::word_enum::words;
 use std::fmt;
 
 /// A key of a fleet, as a value.
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Key {
     /// `wire/card/{fingerprint}`: asked, its bearer shows the certificate by which its messages are sealed.
-    Card(Fingerprint),
+    Certificate(Fingerprint),
     /// `wire/knowledge/{node}`: a node publishes its record.
     Knowledge(NodeId),
     /// `wire/gossip/{node}`: asked with a digest, a node answers with what the asker lacks.
@@ -46,7 +46,7 @@ pub enum Key {
     /// `wire/raft/{member}/{call}`: consensus calls to a member, by its number.
     Raft(u64, RaftCall),
     /// `wire/found/{node}`: before it founds a ledger, a node asks whether anybody knows better.
-    Found(NodeId),
+    Bootstrap(NodeId),
     /// `wire/beacon`: the coordinator publishes that it coordinates.
     Beacon,
     /// `wire/bid/{robot}`: the coordinator asks for bids.
@@ -56,13 +56,13 @@ pub enum Key {
     /// `wire/report/{node}`: a robot reports to the coordinator on that node.
     Report(NodeId),
     /// `wire/live/{node}`: anyone asks the coordinator on that node which missions are under way.
-    Live(NodeId),
+    ActiveMissions(NodeId),
     /// `wire/changed`: the coordinator publishes that missions under way have changed.
     Changed,
     /// `wire/signal/{mission}/{role}`: a message of the mission's plan, published for the role that awaits it.
     Signal(MissionId, RoleId),
     /// `wire/said/{mission}/{role}`: a late waiter asks which messages the role has sent.
-    Said(MissionId, RoleId),
+    SignalHistory(MissionId, RoleId),
     /// `wire/body/{robot}/{call}`: a robot's node drives its body.
     Body(RobotId, BodyCall),
     /// `wire/people/{call}`: unmanaged roles are asked to act.
@@ -117,11 +117,11 @@ words! {
         /// The leader hands over a snapshot, piece by piece.
         Snapshot = "snapshot",
         /// Before it stands, a node asks whether anybody would vote for it.
-        Canvass = "canvass",
+        PreVote = "canvass",
         /// A leader that leaves says who is to succeed it.
-        Succeed = "succeed",
+        TransferLeadership = "succeed",
         /// A leader that waits for an answer asks whether the voter is still there.
-        Beat = "beat",
+        Heartbeat = "beat",
     }
     /// A call between a robot's node and the host of its body.
     BodyCall {
@@ -144,7 +144,7 @@ words! {
         /// Withdraw a mission.
         Cancel = "cancel",
         /// Say that a person has taken care of what a mission left in robots' hands.
-        Rescued = "rescued",
+        Resolve = "rescued",
         /// Ask for a copy of the ledger.
         Backup = "backup",
         /// Ask how far the fleet is on its way to the next version of the wire, and finish it.
@@ -161,7 +161,7 @@ words! {
     /// What is said on a key, whoever says it of whom: to count by.
     KeyKind {
         /// Certificates.
-        Card = "card",
+        Certificate = "card",
         /// Records of knowledge.
         Knowledge = "knowledge",
         /// Comparisons of knowledge.
@@ -169,7 +169,7 @@ words! {
         /// Failure detection.
         Swim = "swim",
         /// The leader's questions whether a voter is there.
-        RaftBeat = "raft/beat",
+        RaftHeartbeat = "raft/beat",
         /// Entries of the ledger, and heartbeats.
         RaftAppend = "raft/append",
         /// All else of consensus.
@@ -185,7 +185,7 @@ words! {
         /// Messages of missions, and questions for them.
         Signal = "signal",
         /// Changes of missions, and questions about those under way.
-        Live = "live",
+        ActiveMissions = "live",
         /// Views and requests of people.
         People = "people",
         /// Whatever else.
@@ -196,9 +196,9 @@ words! {
 impl ApiCall {
     /// Whether it changes nothing, and any node answers it from what it knows. A copy of the ledger is the coordinator's: nobody
     /// else knows that nothing is missing.
-    pub fn is_reading(self) -> bool {
+    pub fn is_read_only(self) -> bool {
         match self {
-            ApiCall::Submit | ApiCall::Cancel | ApiCall::Rescued | ApiCall::Backup | ApiCall::Upgrade => false,
+            ApiCall::Submit | ApiCall::Cancel | ApiCall::Resolve | ApiCall::Backup | ApiCall::Upgrade => false,
             ApiCall::Get | ApiCall::List | ApiCall::Explain | ApiCall::Help => true,
         }
     }
@@ -210,11 +210,11 @@ impl KeyKind {
         let mut segments = text.split('/').skip(2);
         match (segments.next(), segments.next()) {
             (Some("wire"), Some(kind)) => match (kind, segments.last()) {
-                ("card", _) => KeyKind::Card,
+                ("card", _) => KeyKind::Certificate,
                 ("knowledge", _) => KeyKind::Knowledge,
                 ("gossip", _) => KeyKind::Gossip,
                 ("swim", _) => KeyKind::Swim,
-                ("raft", Some("beat")) => KeyKind::RaftBeat,
+                ("raft", Some("beat")) => KeyKind::RaftHeartbeat,
                 ("raft", Some("append")) => KeyKind::RaftAppend,
                 ("raft" | "found", _) => KeyKind::Raft,
                 ("beacon", _) => KeyKind::Beacon,
@@ -222,7 +222,7 @@ impl KeyKind {
                 ("body", _) => KeyKind::BodyCommand,
                 ("bid" | "award" | "report", _) => KeyKind::Work,
                 ("signal" | "said", _) => KeyKind::Signal,
-                ("live" | "changed", _) => KeyKind::Live,
+                ("live" | "changed", _) => KeyKind::ActiveMissions,
                 ("people" | "world", _) => KeyKind::People,
                 _ => KeyKind::Other,
             },
@@ -257,12 +257,12 @@ impl Keys {
 
     /// The key that a text is, if it is one of this fleet's.
     pub fn read(&self, text: &str) -> Option<Key> {
-        read(self.below(text)?)
+        read(self.strip_fleet(text)?)
     }
 
     /// Whether what is said on this key, or key expression, concerns missions and is [`Within`](crate::message::Within)
     /// a cluster.
-    pub fn is_within_cluster(&self, text: &str) -> bool {
+    pub fn is_cluster_scoped(&self, text: &str) -> bool {
         let below = text.strip_prefix(&self.prefix).and_then(|rest| rest.strip_prefix("/wire/"));
         let kind = below.map(|rest| rest.split('/').next().unwrap_or(rest));
         kind.is_some_and(|kind| {
@@ -271,12 +271,12 @@ impl Keys {
     }
 
     /// What is below the fleet's prefix of a key or key expression: `wire/bid/*`.
-    pub fn below<'a>(&self, text: &'a str) -> Option<&'a str> {
+    pub fn strip_fleet<'a>(&self, text: &'a str) -> Option<&'a str> {
         text.strip_prefix(&self.prefix)?.strip_prefix('/')
     }
 
     /// Key expression for all certificates.
-    pub fn any_card(&self) -> String {
+    pub fn any_certificate(&self) -> String {
         format!("{}/wire/card/*", self.prefix)
     }
 
@@ -297,12 +297,12 @@ impl Keys {
 
     /// Key expression for all bodies' commands: what a host of bodies serves.
     pub fn any_body_command(&self) -> String {
-        format!("{}/wire/body/*/{}", self.prefix, BodyCall::Command.word())
+        format!("{}/wire/body/*/{}", self.prefix, BodyCall::Command.as_str())
     }
 
     /// Key expression for all bodies' states: what tells which bodies there are.
     pub fn any_body_state(&self) -> String {
-        format!("{}/wire/body/*/{}", self.prefix, BodyCall::State.word())
+        format!("{}/wire/body/*/{}", self.prefix, BodyCall::State.as_str())
     }
 
     /// Key expression for a member's consensus calls.
@@ -311,7 +311,7 @@ impl Keys {
     }
 
     /// Key expression that asks all nodes that may vote whether one may found a ledger.
-    pub fn any_found(&self) -> String {
+    pub fn any_bootstrap(&self) -> String {
         format!("{}/wire/found/*", self.prefix)
     }
 
@@ -370,22 +370,22 @@ impl fmt::Display for Key {
     /// The key without the fleet's prefix.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Key::Card(fingerprint) => write!(f, "wire/card/{fingerprint}"),
+            Key::Certificate(fingerprint) => write!(f, "wire/card/{fingerprint}"),
             Key::Knowledge(node) => write!(f, "wire/knowledge/{node}"),
             Key::Gossip(node) => write!(f, "wire/gossip/{node}"),
             Key::Swim(node) => write!(f, "wire/swim/{node}"),
-            Key::Raft(member, call) => write!(f, "wire/raft/{member:016x}/{}", call.word()),
-            Key::Found(node) => write!(f, "wire/found/{node}"),
+            Key::Raft(member, call) => write!(f, "wire/raft/{member:016x}/{}", call.as_str()),
+            Key::Bootstrap(node) => write!(f, "wire/found/{node}"),
             Key::Beacon => f.write_str("wire/beacon"),
             Key::Bid(robot) => write!(f, "wire/bid/{robot}"),
             Key::Award(robot) => write!(f, "wire/award/{robot}"),
             Key::Report(node) => write!(f, "wire/report/{node}"),
-            Key::Live(node) => write!(f, "wire/live/{node}"),
+            Key::ActiveMissions(node) => write!(f, "wire/live/{node}"),
             Key::Changed => f.write_str("wire/changed"),
             Key::Signal(mission, role) => write!(f, "wire/signal/{mission}/{role}"),
-            Key::Said(mission, role) => write!(f, "wire/said/{mission}/{role}"),
-            Key::Body(robot, call) => write!(f, "wire/body/{robot}/{}", call.word()),
-            Key::People(call) => write!(f, "wire/people/{}", call.word()),
+            Key::SignalHistory(mission, role) => write!(f, "wire/said/{mission}/{role}"),
+            Key::Body(robot, call) => write!(f, "wire/body/{robot}/{}", call.as_str()),
+            Key::People(call) => write!(f, "wire/people/{}", call.as_str()),
             Key::ViewFleet => f.write_str("view/fleet"),
             Key::ViewRobot(robot) => write!(f, "view/robot/{robot}"),
             Key::ViewCoordinator => f.write_str("view/coordinator"),
@@ -401,8 +401,8 @@ impl fmt::Display for Key {
                 let view = view.to_string();
                 write!(f, "seen/{node}/{}", view.strip_prefix("view/").unwrap_or(&view))
             }
-            Key::Help(call) => write!(f, "api/{}/help", call.word()),
-            Key::Api(call) => write!(f, "api/{}", call.word()),
+            Key::Help(call) => write!(f, "api/{}/help", call.as_str()),
+            Key::Api(call) => write!(f, "api/{}", call.as_str()),
             Key::Leave(node) => write!(f, "api/leave/{node}"),
             Key::AliveRobot(robot) => write!(f, "alive/robot/{robot}"),
             Key::AliveNode(node) => write!(f, "alive/node/{node}"),
@@ -415,29 +415,29 @@ impl fmt::Display for Key {
 fn read(text: &str) -> Option<Key> {
     let segments: Vec<&str> = text.split('/').collect();
     Some(match segments[..] {
-        ["wire", "card", fingerprint] => Key::Card(fingerprint.parse().ok()?),
+        ["wire", "card", fingerprint] => Key::Certificate(fingerprint.parse().ok()?),
         ["wire", "knowledge", node] => Key::Knowledge(node.parse().ok()?),
         ["wire", "gossip", node] => Key::Gossip(node.parse().ok()?),
         ["wire", "swim", node] => Key::Swim(node.parse().ok()?),
         ["wire", "raft", member, call] if member.len() == 16 => {
-            Key::Raft(u64::from_str_radix(member, 16).ok()?, RaftCall::read(call)?)
+            Key::Raft(u64::from_str_radix(member, 16).ok()?, RaftCall::parse(call)?)
         }
-        ["wire", "found", node] => Key::Found(node.parse().ok()?),
+        ["wire", "found", node] => Key::Bootstrap(node.parse().ok()?),
         ["wire", "beacon"] => Key::Beacon,
         ["wire", "bid", robot] => Key::Bid(robot.parse().ok()?),
         ["wire", "award", robot] => Key::Award(robot.parse().ok()?),
         ["wire", "report", node] => Key::Report(node.parse().ok()?),
-        ["wire", "live", node] => Key::Live(node.parse().ok()?),
+        ["wire", "live", node] => Key::ActiveMissions(node.parse().ok()?),
         ["wire", "changed"] => Key::Changed,
         ["wire", "signal", mission, role] => Key::Signal(mission.parse().ok()?, role.parse().ok()?),
-        ["wire", "said", mission, role] => Key::Said(mission.parse().ok()?, role.parse().ok()?),
-        ["wire", "body", robot, call] => Key::Body(robot.parse().ok()?, BodyCall::read(call)?),
-        ["wire", "people", call] => Key::People(PeopleCall::read(call)?),
+        ["wire", "said", mission, role] => Key::SignalHistory(mission.parse().ok()?, role.parse().ok()?),
+        ["wire", "body", robot, call] => Key::Body(robot.parse().ok()?, BodyCall::parse(call)?),
+        ["wire", "people", call] => Key::People(PeopleCall::parse(call)?),
         ["wire", "world"] => Key::World,
         ["view", ref view @ ..] => read_view(view)?,
         ["seen", node, ref view @ ..] => Key::Seen(node.parse().ok()?, Box::new(read_view(view)?)),
-        ["api", call] => Key::Api(ApiCall::read(call)?),
-        ["api", call, "help"] if ApiCall::read(call).is_some() => Key::Help(ApiCall::read(call)?),
+        ["api", call] => Key::Api(ApiCall::parse(call)?),
+        ["api", call, "help"] if ApiCall::parse(call).is_some() => Key::Help(ApiCall::parse(call)?),
         ["api", "leave", node] => Key::Leave(node.parse().ok()?),
         ["alive", "robot", robot] => Key::AliveRobot(robot.parse().ok()?),
         ["alive", "node", node] => Key::AliveNode(node.parse().ok()?),
@@ -474,19 +474,19 @@ mod tests {
         let mission = MissionId::new("lab-samples-3").unwrap();
         let role = RoleId::new("r1").unwrap();
         let mut keys = vec![
-            Key::Card(Fingerprint([0xc0; 16])),
+            Key::Certificate(Fingerprint([0xc0; 16])),
             Key::Knowledge(node.clone()),
             Key::Gossip(node.clone()),
             Key::Swim(node.clone()),
-            Key::Found(node.clone()),
+            Key::Bootstrap(node.clone()),
             Key::Beacon,
             Key::Bid(robot.clone()),
             Key::Award(robot.clone()),
             Key::Report(node.clone()),
-            Key::Live(node.clone()),
+            Key::ActiveMissions(node.clone()),
             Key::Changed,
             Key::Signal(mission.clone(), role.clone()),
-            Key::Said(mission.clone(), role),
+            Key::SignalHistory(mission.clone(), role),
             Key::ViewFleet,
             Key::ViewRobot(robot.clone()),
             Key::ViewCoordinator,
@@ -551,11 +551,11 @@ mod tests {
     fn what_concerns_missions_is_within_a_cluster() {
         let keys = Keys::new(&FleetId::new("ward").unwrap());
         for text in [keys.any_bid(), keys.any_signal(), keys.write(&Key::Beacon), keys.write(&Key::Changed)] {
-            assert!(keys.is_within_cluster(&text), "{text}");
+            assert!(keys.is_cluster_scoped(&text), "{text}");
         }
         let warden = "consort/warden/wire/beacon".to_owned();
-        for text in [keys.any_knowledge(), keys.any_raft(7), keys.any_found(), keys.any_view(), warden] {
-            assert!(!keys.is_within_cluster(&text), "{text}");
+        for text in [keys.any_knowledge(), keys.any_raft(7), keys.any_bootstrap(), keys.any_view(), warden] {
+            assert!(!keys.is_cluster_scoped(&text), "{text}");
         }
     }
 

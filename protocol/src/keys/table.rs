@@ -7,13 +7,13 @@ use serde::Serialize;
 
 /// What a key is for.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
-pub struct About {
+pub struct KeyInfo {
     /// The key behind `consort/{fleet}/`, with names for what varies: `wire/award/{robot}`.
     pub pattern: &'static str,
     /// Who publishes, answers or announces it.
     pub who: &'static str,
     /// What that one does with it.
-    pub usage: Usage,
+    pub usage: KeyUsage,
     /// How the content is encoded: a MIME type, or nothing where there is none.
     pub encoding: &'static str,
     /// What it is about.
@@ -23,7 +23,7 @@ pub struct About {
 /// How a key is used.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "lowercase")]
-pub enum Usage {
+pub enum KeyUsage {
     /// It is published: subscribe to it.
     Publishes,
     /// It is answered: get it, with a payload where one is needed.
@@ -32,9 +32,9 @@ pub enum Usage {
     Announces,
 }
 
-impl Usage {
+impl KeyUsage {
     /// One word for it.
-    pub fn word(self) -> &'static str {
+    pub fn as_str(self) -> &'static str {
         match self {
             Publishes => "publishes",
             Answers => "answers",
@@ -43,7 +43,7 @@ impl Usage {
     }
 }
 
-use Usage::{Announces, Answers, Publishes};
+use KeyUsage::{Announces, Answers, Publishes};
 
 const WIRE: &str = "application/octet-stream";
 const JSON: &str = "application/json";
@@ -51,15 +51,15 @@ const JSON: &str = "application/json";
 macro_rules! table {
     ($($key:pat => $pattern:literal, $who:literal $usage:ident $encoding:expr, $what:literal;)*) => {
         /// Every kind of key there is.
-        pub const TABLE: &[About] = &[$(
-            About { pattern: $pattern, who: $who, usage: $usage, encoding: $encoding, what: $what },
+        pub const TABLE: &[KeyInfo] = &[$(
+            KeyInfo { pattern: $pattern, who: $who, usage: $usage, encoding: $encoding, what: $what },
         )*];
 
         impl Key {
             /// What keys of this kind are for.
-            pub fn about(&self) -> About {
+            pub fn info(&self) -> KeyInfo {
                 match self {
-                    $($key => About { pattern: $pattern, who: $who, usage: $usage, encoding: $encoding, what: $what },)*
+                    $($key => KeyInfo { pattern: $pattern, who: $who, usage: $usage, encoding: $encoding, what: $what },)*
                 }
             }
         }
@@ -80,7 +80,7 @@ table! {
     Key::Seen(..) => "seen/{node}/{view}", "the node" Answers JSON, "the same views, as this one node has them by itself";
     Key::Api(ApiCall::Submit) => "api/submit", "the coordinator" Answers JSON, "asks for a mission; answered once it is committed";
     Key::Api(ApiCall::Cancel) => "api/cancel", "the coordinator" Answers JSON, "withdraws a mission";
-    Key::Api(ApiCall::Rescued) => "api/rescued", "the coordinator" Answers JSON, "says that a person has taken care of what a mission left behind";
+    Key::Api(ApiCall::Resolve) => "api/rescued", "the coordinator" Answers JSON, "says that a person has taken care of what a mission left behind";
     Key::Api(ApiCall::Backup) => "api/backup", "the coordinator" Answers JSON, "a copy of the ledger, with all that is acknowledged, for `consort restore`";
     Key::Api(ApiCall::Upgrade) => "api/upgrade", "the coordinator" Answers JSON, "which versions of the wire each node reads; has the fleet write the next one";
     Key::Api(ApiCall::Get) => "api/get", "any node" Answers JSON, "one mission, as view/mission/{mission}";
@@ -93,21 +93,21 @@ table! {
     Key::AliveRobot(_) => "alive/robot/{robot}", "the robot's node" Announces "", "the robot is there";
     Key::AliveNode(_) => "alive/node/{node}", "the node" Announces "", "the node is there";
     Key::AliveCoordinator(..) => "alive/coordinator/{term}/{node}", "the coordinator" Announces "", "this node coordinates in this term";
-    Key::Card(_) => "wire/card/{fingerprint}", "its bearer" Answers WIRE, "the certificate by which a node seals what it says";
+    Key::Certificate(_) => "wire/card/{fingerprint}", "its bearer" Answers WIRE, "the certificate by which a node seals what it says";
     Key::Knowledge(_) => "wire/knowledge/{node}", "the node" Publishes WIRE, "its record: what it says of itself";
     Key::Gossip(_) => "wire/gossip/{node}", "the node" Answers WIRE, "compares what both know, and hands over what the asker lacks";
     Key::Swim(_) => "wire/swim/{node}", "the others" Publishes WIRE, "packets of failure detection for the node";
-    Key::Raft(_, RaftCall::Vote | RaftCall::Append | RaftCall::Snapshot | RaftCall::Canvass | RaftCall::Succeed | RaftCall::Beat) =>
+    Key::Raft(_, RaftCall::Vote | RaftCall::Append | RaftCall::Snapshot | RaftCall::PreVote | RaftCall::TransferLeadership | RaftCall::Heartbeat) =>
         "wire/raft/{member}/{call}", "the member" Answers WIRE, "consensus: vote, append, snapshot, canvass, succeed, beat";
-    Key::Found(_) => "wire/found/{node}", "nodes that may vote" Answers WIRE, "whether one may found a ledger";
+    Key::Bootstrap(_) => "wire/found/{node}", "nodes that may vote" Answers WIRE, "whether one may found a ledger";
     Key::Beacon => "wire/beacon", "the coordinator" Publishes WIRE, "that it coordinates, in which term, and who keeps the ledger";
     Key::Bid(_) => "wire/bid/{robot}", "the robot" Answers WIRE, "the coordinator's call for bids";
     Key::Award(_) => "wire/award/{robot}", "the robot" Answers WIRE, "that it is given a role, or is to put it down";
     Key::Report(_) => "wire/report/{node}", "the coordinator" Answers WIRE, "robots' reports, and with them the renewal of their leases";
-    Key::Live(_) => "wire/live/{node}", "the coordinator" Answers WIRE, "which missions are under way, with the plans of people";
+    Key::ActiveMissions(_) => "wire/live/{node}", "the coordinator" Answers WIRE, "which missions are under way, with the plans of people";
     Key::Changed => "wire/changed", "the coordinator" Publishes WIRE, "that missions under way have changed";
     Key::Signal(..) => "wire/signal/{mission}/{role}", "robots and attendants" Publishes WIRE, "a message of the mission's plan for this role";
-    Key::Said(..) => "wire/said/{mission}/{role}", "the role's holder" Answers WIRE, "which messages the role has sent";
+    Key::SignalHistory(..) => "wire/said/{mission}/{role}", "the role's holder" Answers WIRE, "which messages the role has sent";
     Key::Body(_, BodyCall::Command) => "wire/body/{robot}/command", "the host of the body" Answers WIRE, "goals for a robot's body";
     Key::Body(_, BodyCall::State) => "wire/body/{robot}/state", "the host of the body" Publishes WIRE, "telemetry, and the state of goals";
     Key::People(PeopleCall::Ask) => "wire/people/ask", "the host of people" Answers WIRE, "asks a person to do something, or dismisses one";
@@ -146,7 +146,7 @@ mod tests {
     fn every_key_is_in_the_table_as_it_is_written() {
         let mut met = BTreeSet::new();
         for key in crate::keys::tests::all() {
-            let about = key.about();
+            let about = key.info();
             assert!(TABLE.contains(&about), "{key}");
             assert!(fits(about.pattern, &key.to_string()), "{key} is not as {}", about.pattern);
             met.insert(about.pattern);

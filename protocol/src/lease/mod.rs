@@ -11,9 +11,9 @@
 //!
 //! [`Tenure`] is the robot's side. The coordinator's is [`Watch`].
 
-mod watch;
+mod monitor;
 
-pub use watch::Watch;
+pub use monitor::LeaseMonitor;
 
 use crate::ids::{MissionId, RobotId, RoleId};
 use crate::mutants::{self, Mutant};
@@ -53,21 +53,21 @@ pub struct Award {
     /// What to do.
     pub plan: LocalPlan,
     /// Who holds the mission's managed roles.
-    pub holders: BTreeMap<RoleId, Holding>,
+    pub holders: BTreeMap<RoleId, RoleHolder>,
 }
 
 /// Who holds a role, and by which award: what is said in that role under an older one is not listened to.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Holding {
+pub struct RoleHolder {
     /// The robot.
     pub robot: RobotId,
     /// The award.
     pub epoch: Epoch,
 }
 
-impl Holding {
+impl RoleHolder {
     /// The robots alone.
-    pub fn robots(holders: &BTreeMap<RoleId, Holding>) -> BTreeMap<RoleId, RobotId> {
+    pub fn robots(holders: &BTreeMap<RoleId, RoleHolder>) -> BTreeMap<RoleId, RobotId> {
         holders.iter().map(|(role, holding)| (role.clone(), holding.robot.clone())).collect()
     }
 }
@@ -133,7 +133,7 @@ impl LeaseTerms {
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Event {
     /// An award for this robot was heard. It is not begun before the coordinator has confirmed it.
-    Heard(Box<Award>),
+    AwardReceived(Box<Award>),
     /// The coordinator answered a report that was sent at `sent`.
     Renewed {
         /// The award it is about.
@@ -148,7 +148,7 @@ pub enum Event {
         /// The award it is about.
         epoch: Epoch,
         /// Why.
-        reason: Ending,
+        reason: EndReason,
     },
     /// The plan was carried out to its end, or a task of it failed, and the ledger knows.
     Settled {
@@ -162,7 +162,7 @@ pub enum Event {
 /// Why a role ended otherwise than by being carried out.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
-pub enum Ending {
+pub enum EndReason {
     /// The mission was canceled.
     Canceled,
     /// The mission failed elsewhere.
@@ -189,12 +189,12 @@ pub enum Action {
     /// Go on.
     Resume,
     /// Stop safely and forget the plan.
-    Halt(Ending),
+    Halt(EndReason),
 }
 
 /// Why a robot does not take an award that it was told of.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, thiserror::Error)]
-pub enum Declined {
+pub enum DeclineReason {
     /// It holds another role. One robot, one role.
     #[error("holds {role} of {mission}")]
     Busy {
@@ -211,7 +211,7 @@ pub enum Declined {
     },
     /// The award is for somebody else.
     #[error("is not {robot}")]
-    NotMine {
+    WrongRobot {
         /// For whom it is.
         robot: RobotId,
     },
@@ -222,7 +222,7 @@ pub enum Declined {
 
 /// The robot's side of an award: at most one at a time.
 #[derive(Debug, Clone)]
-pub struct Tenure {
+pub struct RoleLease {
     robot: RobotId,
     terms: LeaseTerms,
     held: Option<Held>,
@@ -251,10 +251,10 @@ enum Phase {
 /// Of so many roles the latest epoch is remembered. An award that is older than them all has left every queue long ago.
 const LATEST_KEPT: usize = 512;
 
-impl Tenure {
+impl RoleLease {
     /// No award yet.
     pub fn new(robot: RobotId, terms: LeaseTerms) -> Self {
-        Tenure { robot, terms, held: None, latest: BTreeMap::new() }
+        RoleLease { robot, terms, held: None, latest: BTreeMap::new() }
     }
 
     /// Takes up an award that a former life of the robot's node had written down. Nothing is done under it before the
@@ -262,11 +262,11 @@ impl Tenure {
     pub fn restore(robot: RobotId, terms: LeaseTerms, award: Award) -> Self {
         let latest = BTreeMap::from([((award.mission.clone(), award.role.clone()), award.epoch)]);
         let held = Some(Held { award, phase: Phase::Recalled, until: NodeTime::ZERO });
-        Tenure { robot, terms, held, latest }
+        RoleLease { robot, terms, held, latest }
     }
 
     /// Forgets which awards it has heard of, but for the one it holds: those of another cluster are counted anew.
-    pub fn forget_latest(&mut self) {
+    pub fn clear_latest_epochs(&mut self) {
         let held = self.held.as_ref().map(|held| (held.award.mission.clone(), held.award.role.clone()));
         self.latest.retain(|role, _| Some(role) == held.as_ref());
     }
@@ -279,7 +279,7 @@ impl Tenure {
     /// Whether the plan may be acted on at this instant: confirmed, and the lease has not run out.
     pub fn may_act(&self, now: NodeTime) -> bool {
         self.held.as_ref().is_some_and(|held| {
-            held.phase == Phase::Active && (now < held.until || mutants::is(Mutant::LeaseNotChecked))
+            held.phase == Phase::Active && (now < held.until || mutants::is_active(Mutant::LeaseNotChecked))
         })
     }
 
@@ -289,7 +289,7 @@ impl Tenure {
     }
 
     /// When the lease ends; `None` without an award, or with one of a former life that nobody has confirmed yet.
-    pub fn until(&self) -> Option<NodeTime> {
+    pub fn expires_at(&self) -> Option<NodeTime> {
         self.held.as_ref().filter(|held| held.phase != Phase::Recalled).map(|held| held.until)
     }
 
@@ -297,17 +297,17 @@ impl Tenure {
     ///
     /// # Errors
     /// [`Declined`], for the coordinator to hear.
-    pub fn consider(&self, award: &Award) -> Result<(), Declined> {
+    pub fn check_award(&self, award: &Award) -> Result<(), DeclineReason> {
         if award.robot != self.robot {
-            return Err(Declined::NotMine { robot: award.robot.clone() });
+            return Err(DeclineReason::WrongRobot { robot: award.robot.clone() });
         }
         let key = (award.mission.clone(), award.role.clone());
         if let Some(&known) = self.latest.get(&key).filter(|&&known| known > award.epoch) {
-            return Err(Declined::Stale { known });
+            return Err(DeclineReason::Stale { known });
         }
         match &self.held {
             Some(held) if held.award.mission != award.mission || held.award.role != award.role => {
-                Err(Declined::Busy { mission: held.award.mission.clone(), role: held.award.role.clone() })
+                Err(DeclineReason::Busy { mission: held.award.mission.clone(), role: held.award.role.clone() })
             }
             _ => Ok(()),
         }
@@ -316,7 +316,7 @@ impl Tenure {
     /// What follows from an event at an instant.
     pub fn handle(&mut self, event: Event, now: NodeTime) -> Vec<Action> {
         match event {
-            Event::Heard(award) => self.hear(*award, now),
+            Event::AwardReceived(award) => self.hear(*award, now),
             Event::Renewed { epoch, sent, ended } => self.renew(epoch, sent, ended, now),
             Event::Revoked { epoch, reason } => self.revoke(epoch, reason),
             Event::Settled { epoch } => self.settle(epoch),
@@ -325,7 +325,7 @@ impl Tenure {
     }
 
     fn hear(&mut self, award: Award, now: NodeTime) -> Vec<Action> {
-        if self.consider(&award).is_err() {
+        if self.check_award(&award).is_err() {
             return vec![];
         }
         let known = self.latest.insert((award.mission.clone(), award.role.clone()), award.epoch);
@@ -336,7 +336,7 @@ impl Tenure {
         let mut actions = vec![];
         match &self.held {
             Some(held) if held.award.epoch == award.epoch => return vec![Action::Report],
-            Some(held) if held.phase != Phase::Heard => actions.push(Action::Halt(Ending::Replaced)),
+            Some(held) if held.phase != Phase::Heard => actions.push(Action::Halt(EndReason::Replaced)),
             Some(_) => {}
             None if known == Some(award.epoch) => return vec![], // an echo of an award that has ended
             None => {}
@@ -373,7 +373,7 @@ impl Tenure {
     }
 
     /// A robot that never acted has nothing to halt, and nothing to tell: it had told nobody that it began.
-    fn revoke(&mut self, epoch: Epoch, reason: Ending) -> Vec<Action> {
+    fn revoke(&mut self, epoch: Epoch, reason: EndReason) -> Vec<Action> {
         match self.held.take_if(|held| held.award.epoch == epoch) {
             Some(held) if held.phase == Phase::Heard => vec![],
             Some(_) => vec![Action::Halt(reason)],
@@ -387,7 +387,7 @@ impl Tenure {
     }
 
     fn lapse(&mut self, now: NodeTime) -> Vec<Action> {
-        if mutants::is(Mutant::LeaseNotChecked) {
+        if mutants::is_active(Mutant::LeaseNotChecked) {
             return vec![];
         }
         let Some(held) = self.held.as_mut().filter(|held| held.until <= now) else { return vec![] };

@@ -1,8 +1,8 @@
 //! The state machine.
 
-use super::custody::Stranded;
-use super::entry::{Branch, Holder, MissionEntry, MissionState, RoleEntry, RolePhase, Submission};
-use super::loss::Loss;
+use super::custody::HeldItem;
+use super::entry::{Branch, MissionEntry, MissionState, RoleAssignment, RoleEntry, RolePhase, Submission};
+use super::loss::ReleaseCause;
 use crate::auction::AuctionRecord;
 use crate::ids::{ClusterId, ItemId, MissionId, PlaceId, RequestId, RobotId, RoleId};
 use crate::lease::Epoch;
@@ -29,7 +29,7 @@ pub struct Ledger {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub enum Command {
     /// The ledger gets its identity: the first command of all.
-    Found {
+    Bootstrap {
         /// Unlike that of every other ledger of a fleet of this name.
         cluster: ClusterId,
     },
@@ -66,7 +66,7 @@ pub enum Command {
         /// Which life of the robot's node speaks.
         incarnation: u64,
         /// Whether that life took the plan up from what a former one had written down.
-        resumes: bool,
+        from_checkpoint: bool,
     },
     /// Steps of a role have ended.
     Progress {
@@ -93,7 +93,7 @@ pub enum Command {
         /// Why it is taken away, in words.
         cause: String,
         /// Whether the robot failed at the role, and was not merely silent: it is not asked for it again in this mission.
-        blamed: bool,
+        robot_failed: bool,
         /// Where the robot was last known to be.
         place: Option<PlaceId>,
     },
@@ -118,7 +118,7 @@ pub enum Command {
         places: BTreeMap<RobotId, PlaceId>,
     },
     /// A person has taken care of what a mission left in robots' hands.
-    Rescued {
+    Resolve {
         /// The mission.
         mission: MissionId,
         /// Who.
@@ -126,7 +126,7 @@ pub enum Command {
     },
     /// From now on the fleet writes this version of the wire, and what comes with it may stand in the ledger. Whoever proposes it
     /// has seen to it that everybody can read it; nothing lowers it again.
-    Raise {
+    RaiseWireVersion {
         /// The version.
         wire: u8,
     },
@@ -134,7 +134,7 @@ pub enum Command {
 
 /// What a command did.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-pub enum Outcome {
+pub enum CommandOutcome {
     /// The mission that the request stands for.
     Submitted {
         /// Its id.
@@ -150,12 +150,12 @@ pub enum Outcome {
     /// It was done, or had been done before.
     Done,
     /// It does not fit the ledger, which is unchanged.
-    Refused(Refused),
+    Refused(CommandError),
 }
 
 /// Why a command does not fit the ledger.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, thiserror::Error)]
-pub enum Refused {
+pub enum CommandError {
     /// No such mission; ordinary for one that ended long ago.
     #[error("no mission {mission}")]
     NoMission {
@@ -163,8 +163,8 @@ pub enum Refused {
         mission: MissionId,
     },
     /// The mission has ended.
-    #[error("mission {mission} is {}", .state.word())]
-    Over {
+    #[error("mission {mission} is {}", .state.as_str())]
+    MissionEnded {
         /// Its id.
         mission: MissionId,
         /// How.
@@ -180,7 +180,7 @@ pub enum Refused {
     },
     /// Another award holds the role, or none does.
     #[error("{role} of {mission} is held under epoch {}", .held.map_or("none".to_owned(), |epoch| epoch.to_string()))]
-    Epoch {
+    StaleEpoch {
         /// The mission.
         mission: MissionId,
         /// The role.
@@ -189,8 +189,8 @@ pub enum Refused {
         held: Option<Epoch>,
     },
     /// What was said concerns the branch that is not taken; ordinary for what was long on its way.
-    #[error("mission {mission} is in its {} branch, and this was said of the other", .taken.word())]
-    Branch {
+    #[error("mission {mission} is in its {} branch, and this was said of the other", .taken.as_str())]
+    WrongBranch {
         /// The mission.
         mission: MissionId,
         /// Its branch now.
@@ -216,7 +216,7 @@ pub enum Refused {
     },
     /// A robot has something of a mission that waits for a person.
     #[error("{robot} has the {item} of {mission}, which needs rescue")]
-    HandsFull {
+    CarriesItem {
         /// The robot.
         robot: RobotId,
         /// What it has, or may have.
@@ -226,7 +226,7 @@ pub enum Refused {
     },
     /// The mission does not wait for a person.
     #[error("mission {mission} is {state}; only one that needs rescue can be closed")]
-    NoRescue {
+    NoInterventionNeeded {
         /// The mission.
         mission: MissionId,
         /// How it stands, in a word.
@@ -235,7 +235,7 @@ pub enum Refused {
     /// The robot's node has started anew, and a later life of it has confirmed the role; ordinary for a report that was
     /// long on its way.
     #[error("a later life of {robot} has confirmed {role} of {mission}")]
-    FormerLife {
+    StaleIncarnation {
         /// The robot.
         robot: RobotId,
         /// The mission.
@@ -257,27 +257,27 @@ pub enum Refused {
 
 impl Ledger {
     /// Carries out the command that stands at `at` in the log.
-    pub fn apply(&mut self, at: Epoch, command: Command) -> Outcome {
+    pub fn apply(&mut self, at: Epoch, command: Command) -> CommandOutcome {
         let done = match command {
-            Command::Found { cluster } => Ok(self.found(cluster)),
+            Command::Bootstrap { cluster } => Ok(self.found(cluster)),
             Command::Submit(submission) => return self.submit(*submission),
             Command::Award { mission, branch, holders, auction } => self.award(&mission, branch, holders, auction, at),
             Command::Defer { mission, branch, auction } => self.defer(&mission, branch, auction),
-            Command::Accept { mission, role, epoch, incarnation, resumes } => {
-                self.accept(&mission, &role, epoch, incarnation, resumes)
+            Command::Accept { mission, role, epoch, incarnation, from_checkpoint } => {
+                self.accept(&mission, &role, epoch, incarnation, from_checkpoint)
             }
             Command::Progress { mission, role, epoch, branch, ended } => {
                 self.progress(&mission, &role, epoch, branch, &ended)
             }
-            Command::Release { mission, role, epoch, cause, blamed, place } => {
-                self.release(&mission, &role, epoch, &Loss { cause, blamed, place })
+            Command::Release { mission, role, epoch, cause, robot_failed: blamed, place } => {
+                self.release(&mission, &role, epoch, &ReleaseCause { cause, robot_failed: blamed, place })
             }
             Command::Fail { mission, cause, branch, places } => self.fail(&mission, cause, branch, &places),
             Command::Cancel { mission, by, places } => self.cancel(&mission, by, &places),
-            Command::Rescued { mission, by } => self.rescued(&mission, &by),
-            Command::Raise { wire } => Ok(self.raise(wire)),
+            Command::Resolve { mission, by } => self.resolve(&mission, &by),
+            Command::RaiseWireVersion { wire } => Ok(self.raise(wire)),
         };
-        done.unwrap_or_else(Outcome::Refused)
+        done.unwrap_or_else(CommandOutcome::Refused)
     }
 
     /// Which founding of the fleet's ledger this is; `None` until the founding is committed.
@@ -292,7 +292,7 @@ impl Ledger {
 
     /// Makes this the ledger of another cluster, with all that it holds. Never part of the log: only whoever recovers one
     /// copy, outside the fleet, may say that the others are strangers to it.
-    pub fn refound(&mut self, cluster: ClusterId) {
+    pub fn replace_cluster(&mut self, cluster: ClusterId) {
         self.cluster = Some(cluster);
     }
 
@@ -307,29 +307,29 @@ impl Ledger {
     }
 
     /// The mission that a request stands for.
-    pub fn requested(&self, request: &RequestId) -> Option<&MissionEntry> {
+    pub fn mission_of_request(&self, request: &RequestId) -> Option<&MissionEntry> {
         self.missions.get(self.requests.get(request)?)
     }
 
     /// Missions that have not ended, in the order in which they are served: by priority, then as they were submitted.
-    pub fn live(&self) -> Vec<&MissionEntry> {
-        let mut live: Vec<_> = self.missions.values().filter(|entry| !entry.state.is_end()).collect();
+    pub fn active_missions(&self) -> Vec<&MissionEntry> {
+        let mut live: Vec<_> = self.missions.values().filter(|entry| !entry.state.is_final()).collect();
         live.sort_by_key(|entry| entry.rank());
         live
     }
 
     /// Whether so many missions, or more, are under way.
-    pub fn has_under_way(&self, count: usize) -> bool {
-        self.missions.values().filter(|entry| !entry.state.is_end()).take(count).count() == count
+    pub fn has_active(&self, count: usize) -> bool {
+        self.missions.values().filter(|entry| !entry.state.is_final()).take(count).count() == count
     }
 
     /// What robots have of missions that wait for a person, or that recover from the loss of it, with those missions. Such
     /// robots are given no role of another mission.
-    pub fn stranded(&self) -> impl Iterator<Item = (&MissionEntry, Stranded)> {
+    pub fn held_items(&self) -> impl Iterator<Item = (&MissionEntry, HeldItem)> {
         self.missions.values().flat_map(|entry| {
             let items = match &entry.state {
                 MissionState::NeedsRescue { items, .. } => items.clone(),
-                MissionState::Pending | MissionState::Running => entry.left_behind(),
+                MissionState::Pending | MissionState::Running => entry.unmoved_items(),
                 MissionState::Completed | MissionState::Failed { .. } | MissionState::Canceled { .. } => vec![],
             };
             items.into_iter().map(move |item| (entry, item))
@@ -338,7 +338,7 @@ impl Ledger {
 
     /// The role that a robot holds now, with its award.
     pub fn held_by(&self, robot: &RobotId) -> Option<(&MissionEntry, &RoleId, Epoch)> {
-        self.missions.values().filter(|entry| !entry.state.is_end()).find_map(|entry| {
+        self.missions.values().filter(|entry| !entry.state.is_final()).find_map(|entry| {
             entry.roles.iter().find_map(|(id, role)| match (&role.holder, role.phase) {
                 (Some(holder), RolePhase::Awarded | RolePhase::Active) if holder.robot == *robot => {
                     Some((entry, id, holder.epoch))
@@ -349,21 +349,21 @@ impl Ledger {
     }
 
     /// Once founded, a ledger stays what it is: a second founder may have stood in for the first.
-    fn found(&mut self, cluster: ClusterId) -> Outcome {
+    fn found(&mut self, cluster: ClusterId) -> CommandOutcome {
         self.cluster.get_or_insert(cluster);
-        Outcome::Done
+        CommandOutcome::Done
     }
 
-    fn raise(&mut self, wire: u8) -> Outcome {
+    fn raise(&mut self, wire: u8) -> CommandOutcome {
         self.wire = self.wire.max(Some(wire));
-        Outcome::Done
+        CommandOutcome::Done
     }
 
-    fn submit(&mut self, submission: Submission) -> Outcome {
+    fn submit(&mut self, submission: Submission) -> CommandOutcome {
         if let Some(mission) = self.requests.get(&submission.request)
-            && !mutants::is(Mutant::RequestForgotten)
+            && !mutants::is_active(Mutant::RequestForgotten)
         {
-            return Outcome::Submitted { mission: mission.clone(), again: true };
+            return CommandOutcome::Submitted { mission: mission.clone(), again: true };
         }
         self.submitted += 1;
         let number = self.submitted;
@@ -380,13 +380,13 @@ impl Ledger {
             roles,
             auction: None,
             branch: Branch::Main,
-            inherited: vec![],
-            former: vec![],
+            items_at_recovery: vec![],
+            former_holders: vec![],
             releases: vec![],
-            released: 0,
+            release_count: 0,
         };
         self.missions.insert(id.clone(), entry);
-        Outcome::Submitted { mission: id, again: false }
+        CommandOutcome::Submitted { mission: id, again: false }
     }
 
     fn award(
@@ -396,14 +396,14 @@ impl Ledger {
         holders: BTreeMap<RoleId, RobotId>,
         auction: AuctionRecord,
         at: Epoch,
-    ) -> Result<Outcome, Refused> {
+    ) -> Result<CommandOutcome, CommandError> {
         let open = self.in_branch(mission, branch)?.open_roles();
         if open.is_empty() || !holders.keys().eq(open.iter()) {
-            return Err(Refused::NotOpen { mission: mission.clone(), open });
+            return Err(CommandError::NotOpen { mission: mission.clone(), open });
         }
         let mut taken: BTreeMap<&RobotId, &RoleId> = BTreeMap::new();
         for (role, robot) in &holders {
-            let two = |mission: &MissionId, role: &RoleId| Refused::TwoRoles {
+            let two = |mission: &MissionId, role: &RoleId| CommandError::TwoRoles {
                 robot: robot.clone(),
                 mission: mission.clone(),
                 role: role.clone(),
@@ -414,29 +414,34 @@ impl Ledger {
             if let Some(role) = taken.insert(robot, role) {
                 return Err(two(mission, role));
             }
-            let mut others = self.stranded().filter(|(entry, _)| entry.id != *mission);
+            let mut others = self.held_items().filter(|(entry, _)| entry.id != *mission);
             if let Some((entry, kept)) = others.find(|(_, kept)| kept.robot == *robot) {
                 let (robot, item, mission) = (robot.clone(), kept.item, entry.id.clone());
-                return Err(Refused::HandsFull { robot, item, mission });
+                return Err(CommandError::CarriesItem { robot, item, mission });
             }
         }
-        let entry = self.live_mission(mission)?;
-        entry.former.clear();
+        let entry = self.active_mission(mission)?;
+        entry.former_holders.clear();
         for (id, robot) in holders {
             if let Some(role) = entry.roles.get_mut(&id) {
-                role.holder = Some(Holder { robot, epoch: at, incarnation: None });
+                role.holder = Some(RoleAssignment { robot, epoch: at, incarnation: None });
                 role.phase = RolePhase::Awarded;
                 role.ended.clear();
             }
         }
         entry.auction = Some(auction);
         entry.state = MissionState::Running;
-        Ok(Outcome::Awarded { epoch: at })
+        Ok(CommandOutcome::Awarded { epoch: at })
     }
 
-    fn defer(&mut self, mission: &MissionId, branch: Branch, auction: AuctionRecord) -> Result<Outcome, Refused> {
+    fn defer(
+        &mut self,
+        mission: &MissionId,
+        branch: Branch,
+        auction: AuctionRecord,
+    ) -> Result<CommandOutcome, CommandError> {
         self.in_branch(mission, branch)?.auction = Some(auction);
-        Ok(Outcome::Done)
+        Ok(CommandOutcome::Done)
     }
 
     fn accept(
@@ -446,18 +451,18 @@ impl Ledger {
         epoch: Epoch,
         incarnation: u64,
         resumes: bool,
-    ) -> Result<Outcome, Refused> {
+    ) -> Result<CommandOutcome, CommandError> {
         let role = self.held_role(mission, role_id, epoch)?;
-        let Some(holder) = &mut role.holder else { return Ok(Outcome::Done) };
+        let Some(holder) = &mut role.holder else { return Ok(CommandOutcome::Done) };
         match holder.incarnation {
             Some(known) if known > incarnation => {
                 let (robot, mission, role) = (holder.robot.clone(), mission.clone(), role_id.clone());
-                return Err(Refused::FormerLife { robot, mission, role });
+                return Err(CommandError::StaleIncarnation { robot, mission, role });
             }
             Some(known) if known < incarnation && resumes => holder.incarnation = Some(incarnation),
             Some(known) if known < incarnation => {
                 let (robot, mission, role) = (holder.robot.clone(), mission.clone(), role_id.clone());
-                return Err(Refused::Restarted { robot, mission, role });
+                return Err(CommandError::Restarted { robot, mission, role });
             }
             Some(_) => {}
             None => {
@@ -465,7 +470,7 @@ impl Ledger {
                 role.phase = RolePhase::Active;
             }
         }
-        Ok(Outcome::Done)
+        Ok(CommandOutcome::Done)
     }
 
     fn progress(
@@ -475,12 +480,12 @@ impl Ledger {
         epoch: Epoch,
         branch: Branch,
         ended: &BTreeSet<StepIndex>,
-    ) -> Result<Outcome, Refused> {
-        let entry = self.live_mission(mission)?;
+    ) -> Result<CommandOutcome, CommandError> {
+        let entry = self.active_mission(mission)?;
         let (taken, steps) = (entry.branch, entry.plan(role_id).map_or(0, |plan| plan.steps.len()));
         let role = self.held_role(mission, role_id, epoch)?;
         if role.kind == RoleKind::Unmanaged && branch != taken {
-            return Err(Refused::Branch { mission: mission.clone(), taken });
+            return Err(CommandError::WrongBranch { mission: mission.clone(), taken });
         }
         role.ended.extend(ended.iter().filter(|step| (**step as usize) < steps));
         if role.ended.len() == steps {
@@ -495,28 +500,28 @@ impl Ledger {
         cause: String,
         branch: Option<Branch>,
         places: &BTreeMap<RobotId, PlaceId>,
-    ) -> Result<Outcome, Refused> {
+    ) -> Result<CommandOutcome, CommandError> {
         if let Some(branch) = branch {
             self.in_branch(mission, branch)?;
         }
         self.end(mission, MissionState::Failed { cause }, places)
     }
 
-    pub(super) fn live_mission(&mut self, mission: &MissionId) -> Result<&mut MissionEntry, Refused> {
+    pub(super) fn active_mission(&mut self, mission: &MissionId) -> Result<&mut MissionEntry, CommandError> {
         match self.missions.get_mut(mission) {
-            None => Err(Refused::NoMission { mission: mission.clone() }),
-            Some(entry) if entry.state.is_end() => {
-                Err(Refused::Over { mission: mission.clone(), state: entry.state.clone() })
+            None => Err(CommandError::NoMission { mission: mission.clone() }),
+            Some(entry) if entry.state.is_final() => {
+                Err(CommandError::MissionEnded { mission: mission.clone(), state: entry.state.clone() })
             }
             Some(entry) => Ok(entry),
         }
     }
 
     /// A mission that has not ended, and of which this branch is taken.
-    fn in_branch(&mut self, mission: &MissionId, branch: Branch) -> Result<&mut MissionEntry, Refused> {
-        let entry = self.live_mission(mission)?;
+    fn in_branch(&mut self, mission: &MissionId, branch: Branch) -> Result<&mut MissionEntry, CommandError> {
+        let entry = self.active_mission(mission)?;
         match entry.branch {
-            taken if taken != branch => Err(Refused::Branch { mission: mission.clone(), taken }),
+            taken if taken != branch => Err(CommandError::WrongBranch { mission: mission.clone(), taken }),
             _ => Ok(entry),
         }
     }
@@ -527,22 +532,22 @@ impl Ledger {
         mission: &MissionId,
         id: &RoleId,
         epoch: Epoch,
-    ) -> Result<&mut RoleEntry, Refused> {
+    ) -> Result<&mut RoleEntry, CommandError> {
         let (mission_id, role_id) = (mission.clone(), id.clone());
-        let entry = self.live_mission(mission)?;
+        let entry = self.active_mission(mission)?;
         let Some(role) = entry.roles.get_mut(id) else {
-            return Err(Refused::NoRole { mission: mission_id, role: role_id });
+            return Err(CommandError::NoRole { mission: mission_id, role: role_id });
         };
         let held = role.holder.as_ref().map(|holder| holder.epoch);
-        if role.kind == RoleKind::Managed && held != Some(epoch) && !mutants::is(Mutant::RefusedApplied) {
-            return Err(Refused::Epoch { mission: mission_id, role: role_id, held });
+        if role.kind == RoleKind::Managed && held != Some(epoch) && !mutants::is_active(Mutant::RefusedApplied) {
+            return Err(CommandError::StaleEpoch { mission: mission_id, role: role_id, held });
         }
         Ok(role)
     }
 
-    pub(super) fn forget_oldest(&mut self) {
+    pub(super) fn prune_history(&mut self) {
         // What waits for a person is not forgotten.
-        let ended = self.missions.values().filter(|entry| entry.state.is_end() && !entry.state.needs_rescue());
+        let ended = self.missions.values().filter(|entry| entry.state.is_final() && !entry.state.needs_intervention());
         let mut ended: Vec<(u64, MissionId, RequestId)> =
             ended.map(|entry| (entry.number, entry.id.clone(), entry.submission.request.clone())).collect();
         if ended.len() <= HISTORY_MAX {

@@ -21,7 +21,7 @@ use std::collections::{BTreeMap, BTreeSet};
 
 /// An item in a robot's keeping, while a mission is under way or waits for a person.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Stranded {
+pub struct HeldItem {
     /// What.
     pub item: ItemId,
     /// In which role the robot got it.
@@ -41,25 +41,27 @@ impl MissionEntry {
     /// The items that are in robots' keeping, or may be, by item; an item of which it is not certain may be there more than
     /// once. What has come to its last move and a role that was carried to its end is where the mission meant it to be, and
     /// in nobody's keeping.
-    pub fn custody(&self) -> Vec<Stranded> {
+    pub fn custody(&self) -> Vec<HeldItem> {
         let mission = self.mission();
-        if self.inherited.is_empty() && !mission.elementary().iter().any(|(_, spec)| spec.items().next().is_some()) {
+        if self.items_at_recovery.is_empty()
+            && !mission.elementary().iter().any(|(_, spec)| spec.items().next().is_some())
+        {
             return vec![];
         }
         // A mission in the ledger was checked; of one that was not, nothing is known.
         let moves = self.division().and_then(|division| item_moves(mission, division).ok()).unwrap_or_default();
         let happened = self.happened();
-        let inherited = self.inherited.iter().filter(|item| !moves.contains_key(&item.item)).cloned();
+        let inherited = self.items_at_recovery.iter().filter(|item| !moves.contains_key(&item.item)).cloned();
         let kept = moves.iter().flat_map(|(item, moves)| self.keepers(item, moves, &happened));
         inherited.chain(kept).collect()
     }
 
-    fn keepers(&self, item: &ItemId, moves: &[ItemMove], happened: &Happened<'_>) -> Vec<Stranded> {
+    fn keepers(&self, item: &ItemId, moves: &[ItemMove], happened: &Happened<'_>) -> Vec<HeldItem> {
         let known = moves.iter().rposition(|moved| self.has_happened(moved, happened));
-        let mut keepers: Vec<Stranded> = match known {
-            None => self.inherited.iter().filter(|kept| kept.item == *item).cloned().collect(),
+        let mut keepers: Vec<HeldItem> = match known {
+            None => self.items_at_recovery.iter().filter(|kept| kept.item == *item).cloned().collect(),
             Some(last) => {
-                let to = moves[last].to.as_ref();
+                let to = moves[last].receiver.as_ref();
                 let delivered = last + 1 == moves.len()
                     && to.is_some_and(|to| self.roles.get(to).is_some_and(|role| role.phase == RolePhase::Ended));
                 let keeper = to.filter(|_| !delivered).and_then(|to| self.keeper(item, to, true));
@@ -71,21 +73,21 @@ impl MissionEntry {
                 break;
             }
             keepers.iter_mut().for_each(|keeper| keeper.certain = false);
-            let to = moved.to.as_ref().filter(|to| !keepers.iter().any(|keeper| keeper.role == **to));
+            let to = moved.receiver.as_ref().filter(|to| !keepers.iter().any(|keeper| keeper.role == **to));
             keepers.extend(to.and_then(|to| self.keeper(item, to, false)));
         }
         keepers
     }
 
     /// The robot that holds a managed role, as the keeper of an item. What a person has is in good hands.
-    fn keeper(&self, item: &ItemId, role: &RoleId, certain: bool) -> Option<Stranded> {
+    fn keeper(&self, item: &ItemId, role: &RoleId, certain: bool) -> Option<HeldItem> {
         let entry = self.roles.get(role).filter(|entry| entry.kind == RoleKind::Managed)?;
         let robot = entry.holder.as_ref()?.robot.clone();
-        Some(Stranded { item: item.clone(), role: role.clone(), robot, place: None, certain })
+        Some(HeldItem { item: item.clone(), role: role.clone(), robot, place: None, certain })
     }
 
     fn has_happened(&self, moved: &ItemMove, happened: &Happened<'_>) -> bool {
-        moved.by.iter().all(|role| {
+        moved.performers.iter().all(|role| {
             let steps = self.plan(role).map_or(&[][..], |plan| &plan.steps);
             let is_it = |step: &StepIndex| match steps.get(*step as usize).map(|step| &step.action) {
                 Some(StepAction::Task { id, .. }) => *id == moved.task,
@@ -106,7 +108,7 @@ impl MissionEntry {
             let held = |step: &StepIndex| happened.get(role).is_some_and(|steps| steps.contains(step));
             acts(role) && before.iter().all(held)
         };
-        moved.guards.iter().all(guard_may_be_past) && moved.by.iter().all(acts)
+        moved.guards.iter().all(guard_may_be_past) && moved.performers.iter().all(acts)
     }
 
     /// All steps that have happened: those that the ledger was told of, and all that come before them, in whatever role.
@@ -135,7 +137,7 @@ impl MissionEntry {
 
     /// Whether something that the role did has been told to others, so that it cannot simply be begun anew elsewhere: by
     /// its own account, or because somebody who waited for it has gone on.
-    pub(super) fn has_told(&self, teller: &RoleId) -> bool {
+    pub(super) fn has_signalled(&self, teller: &RoleId) -> bool {
         let steps = self.plan(teller).map_or(&[][..], |plan| &plan.steps);
         let is_send = |step: &StepIndex| match steps.get(*step as usize).map(|step| &step.action) {
             Some(StepAction::Send(_)) => true,
@@ -147,7 +149,7 @@ impl MissionEntry {
     /// Whether the role has done what the mission is about, and only its own cleaning up is left: it had items and has
     /// passed all of them on for certain, and of what remains of its plan nobody awaits anything and nothing touches an
     /// item. (A role that never had an item may have its purpose in its last steps.)
-    pub(super) fn only_cleaning_up_is_left(&self, role: &RoleId) -> bool {
+    pub(super) fn only_cleanup_remains(&self, role: &RoleId) -> bool {
         let (Some(plan), Some(division)) = (self.plan(role), self.division()) else { return false };
         let happened = self.happened();
         let own = happened.get(role);
@@ -158,7 +160,7 @@ impl MissionEntry {
             StepAction::Task { spec, .. } => spec.items().next().is_none() && !spec.is_joint(),
         });
         let moves = item_moves(self.mission(), division).unwrap_or_default();
-        let got = |moved: &ItemMove| moved.to.as_ref() == Some(role) && self.has_happened(moved, &happened);
+        let got = |moved: &ItemMove| moved.receiver.as_ref() == Some(role) && self.has_happened(moved, &happened);
         let had_any = moves.values().flatten().any(got);
         is_its_own && had_any && !self.custody().iter().any(|kept| kept.role == *role)
     }

@@ -1,10 +1,10 @@
 //! What the ledger keeps of each mission.
 
-use super::custody::Stranded;
+use super::custody::HeldItem;
 use crate::auction::AuctionRecord;
 use crate::ids::{MissionId, RequestId, RobotId, RoleId};
-use crate::lease::{Epoch, Holding};
-use crate::mission::{Lost, Mission, RoleKind};
+use crate::lease::{Epoch, RoleHolder};
+use crate::mission::{LostItem, Mission, RoleKind};
 use crate::plan::{Division, LocalPlan, Signal, StepAction, StepIndex};
 use serde::{Deserialize, Serialize};
 use std::cmp::Reverse;
@@ -23,7 +23,7 @@ pub struct Submission {
     /// What the client gave for the mission's parameters, to show.
     pub parameters: BTreeMap<String, String>,
     /// What is done instead if a robot is lost that has an item.
-    pub recovery: Option<Recovery>,
+    pub recovery: Option<RecoveryBranch>,
     /// Which of two waiting missions is served first: the one of higher priority, then the earlier.
     pub priority: Priority,
     /// When the mission should be done: milliseconds since 1970 on the accepting coordinator's wall clock. Deadlines trust
@@ -51,28 +51,28 @@ impl Submission {
 
 /// A mission's recovery branch, divided and proven like the mission itself.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct Recovery {
+pub struct RecoveryBranch {
     /// What is to be done.
     pub mission: Mission,
     /// By whom and in step with whom.
     pub division: Division,
 }
 
-impl Recovery {
+impl RecoveryBranch {
     /// The branch for what was lost; `None` if it asks for what is not known.
-    fn filled(&self, lost: &Lost) -> Option<Recovery> {
+    fn filled(&self, lost: &LostItem) -> Option<RecoveryBranch> {
         let mut division = self.division.clone();
         for plan in division.plans.values_mut() {
             for step in &mut plan.steps {
                 if let StepAction::Task { spec, .. } = &mut step.action {
-                    *spec = lost.fill(spec.clone())?;
+                    *spec = lost.substitute(spec.clone())?;
                 }
             }
             for (_, spec) in plan.alternatives.iter_mut().flat_map(|other| &mut other.tasks) {
-                *spec = lost.fill(spec.clone())?;
+                *spec = lost.substitute(spec.clone())?;
             }
         }
-        Some(Recovery { mission: lost.fill_mission(self.mission.clone())?, division })
+        Some(RecoveryBranch { mission: lost.substitute_mission(self.mission.clone())?, division })
     }
 }
 
@@ -154,14 +154,14 @@ pub struct MissionEntry {
     /// Whether its recovery branch was taken.
     pub branch: Branch,
     /// What was in robots' keeping when the recovery branch was taken.
-    pub inherited: Vec<Stranded>,
+    pub items_at_recovery: Vec<HeldItem>,
     /// The awards in force when the recovery branch was taken, until its roles are given out: their holders may act on them
     /// for as long as their leases last.
-    pub former: Vec<Holding>,
+    pub former_holders: Vec<RoleHolder>,
     /// The robots that its roles were taken from, oldest first; of more than [`RELEASES_KEPT`] not all.
-    pub releases: Vec<Released>,
+    pub releases: Vec<RoleRelease>,
     /// How many there were.
-    pub released: u32,
+    pub release_count: u32,
 }
 
 /// How many releases are kept to be looked at.
@@ -180,7 +180,7 @@ pub enum Branch {
 
 impl Branch {
     /// One word for it.
-    pub fn word(self) -> &'static str {
+    pub fn as_str(self) -> &'static str {
         match self {
             Branch::Main => "main",
             Branch::Recovery => "recovery",
@@ -190,7 +190,7 @@ impl Branch {
 
 /// A role that was taken from a robot.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Released {
+pub struct RoleRelease {
     /// The role.
     pub role: RoleId,
     /// Who had it.
@@ -229,13 +229,13 @@ pub enum MissionState {
         /// Why, in words.
         cause: String,
         /// What is where.
-        items: Vec<Stranded>,
+        items: Vec<HeldItem>,
     },
 }
 
 impl MissionState {
     /// Whether the fleet does nothing more about the mission.
-    pub fn is_end(&self) -> bool {
+    pub fn is_final(&self) -> bool {
         match self {
             MissionState::Pending | MissionState::Running => false,
             MissionState::Completed | MissionState::Failed { .. } | MissionState::Canceled { .. } => true,
@@ -244,12 +244,12 @@ impl MissionState {
     }
 
     /// Whether it waits for a person to close it.
-    pub fn needs_rescue(&self) -> bool {
+    pub fn needs_intervention(&self) -> bool {
         matches!(self, MissionState::NeedsRescue { .. })
     }
 
     /// One word for it.
-    pub fn word(&self) -> &'static str {
+    pub fn as_str(&self) -> &'static str {
         match self {
             MissionState::Pending => "pending",
             MissionState::Running => "running",
@@ -269,7 +269,7 @@ pub struct RoleEntry {
     /// Open, awarded, active or ended.
     pub phase: RolePhase,
     /// Who has it; stays after the end, to show who did it.
-    pub holder: Option<Holder>,
+    pub holder: Option<RoleAssignment>,
     /// Steps of its local plan that have ended.
     pub ended: BTreeSet<StepIndex>,
 }
@@ -298,7 +298,7 @@ pub enum RolePhase {
 
 /// Who holds a role.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Holder {
+pub struct RoleAssignment {
     /// The robot.
     pub robot: RobotId,
     /// By which award.
@@ -311,7 +311,7 @@ pub struct Holder {
 impl MissionEntry {
     /// The managed roles that nobody has, unless the mission has ended.
     pub fn open_roles(&self) -> BTreeSet<RoleId> {
-        if self.state.is_end() {
+        if self.state.is_final() {
             return BTreeSet::new();
         }
         let open = |(_, role): &(&RoleId, &RoleEntry)| role.kind == RoleKind::Managed && role.phase == RolePhase::Open;
@@ -325,14 +325,14 @@ impl MissionEntry {
     }
 
     /// The same with the awards.
-    pub fn holdings(&self) -> BTreeMap<RoleId, Holding> {
-        let holding = |holder: &Holder| Holding { robot: holder.robot.clone(), epoch: holder.epoch };
+    pub fn role_holders(&self) -> BTreeMap<RoleId, RoleHolder> {
+        let holding = |holder: &RoleAssignment| RoleHolder { robot: holder.robot.clone(), epoch: holder.epoch };
         let held = self.roles.iter().filter_map(|(id, role)| Some((id.clone(), holding(role.holder.as_ref()?))));
         held.collect()
     }
 
     /// What other roles have told a role, by the steps of theirs that have ended. It outlives those who told it.
-    pub fn told(&self, hearer: &RoleId) -> BTreeSet<Signal> {
+    pub fn signals_to(&self, hearer: &RoleId) -> BTreeSet<Signal> {
         let tellers = self.roles.iter().filter_map(|(id, role)| Some((role, self.plan(id)?)));
         let steps =
             tellers.flat_map(|(role, plan)| role.ended.iter().filter_map(|step| plan.steps.get(*step as usize)));
@@ -377,9 +377,9 @@ impl MissionEntry {
 
     /// Goes over to the recovery branch for what was lost, if there is one that has not been taken and that asks for
     /// nothing that is not known. All its roles are open.
-    pub(super) fn recover(&mut self, lost: &Stranded, kept: Vec<Stranded>) -> bool {
+    pub(super) fn recover(&mut self, lost: &HeldItem, kept: Vec<HeldItem>) -> bool {
         let from = lost.role.clone();
-        let lost = Lost { item: lost.item.clone(), robot: lost.robot.clone(), place: lost.place.clone() };
+        let lost = LostItem { item: lost.item.clone(), robot: lost.robot.clone(), place: lost.place.clone() };
         let filled = match self.branch {
             Branch::Main => self.submission.recovery.as_ref().and_then(|recovery| recovery.filled(&lost)),
             Branch::Recovery => None,
@@ -387,14 +387,14 @@ impl MissionEntry {
         let Some(filled) = filled else { return false };
         let in_force = |(_, role): &(&RoleId, &RoleEntry)| matches!(role.phase, RolePhase::Awarded | RolePhase::Active);
         let others = self.roles.iter().filter(|(id, _)| **id != from).filter(in_force);
-        self.former = others
+        self.former_holders = others
             .filter_map(|(_, role)| role.holder.as_ref())
-            .map(|holder| Holding { robot: holder.robot.clone(), epoch: holder.epoch })
+            .map(|holder| RoleHolder { robot: holder.robot.clone(), epoch: holder.epoch })
             .collect();
         self.roles = RoleEntry::all_open(&filled.mission);
         self.submission.recovery = Some(filled);
         self.branch = Branch::Recovery;
-        self.inherited = kept;
+        self.items_at_recovery = kept;
         self.auction = None;
         self.state = MissionState::Pending;
         true

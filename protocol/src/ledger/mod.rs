@@ -20,10 +20,10 @@ mod custody;
 mod entry;
 mod loss;
 
-pub use apply::{Command, HISTORY_MAX, Ledger, Outcome, Refused};
-pub use custody::Stranded;
+pub use apply::{Command, CommandError, CommandOutcome, HISTORY_MAX, Ledger};
+pub use custody::HeldItem;
 pub use entry::{
-    Branch, DeadlineError, Holder, MissionEntry, MissionState, Priority, PriorityError, RELEASES_KEPT, Recovery,
-    Released, RoleEntry, RolePhase, Submission, time_until_deadline,
+    Branch, DeadlineError, MissionEntry, MissionState, Priority, PriorityError, RELEASES_KEPT, RecoveryBranch,
+    RoleAssignment, RoleEntry, RolePhase, RoleRelease, Submission, time_until_deadline,
 };
 pub use loss::RELEASES_MAX;

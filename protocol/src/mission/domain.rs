@@ -4,7 +4,7 @@
 //! fleet's map is known, the places that it names are among those on it.
 //! The domain says nothing of how a task is done or what it costs: that is the knowledge of skills.
 
-use super::problem::{Allowed, Fault};
+use super::diagnostic::{AllowedNames, MissionErrorKind};
 use crate::ids::{PlaceId, TaskType};
 use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, BTreeSet};
@@ -124,13 +124,13 @@ impl Domain {
     }
 
     /// What is wrong with a value that should be of this kind and is of its form: a place that is on no map.
-    pub(super) fn misplaced(&self, name: &str, kind: &ValueKind, value: &str) -> Option<Fault> {
+    pub(super) fn unknown_place(&self, name: &str, kind: &ValueKind, value: &str) -> Option<MissionErrorKind> {
         let places = self.places().filter(|_| *kind == ValueKind::Place)?;
         if places.iter().any(|place| place.as_str() == value) {
             return None;
         }
-        let allowed = Allowed::instead_of(value, places);
-        Some(Fault::UnknownPlace { name: name.to_owned(), place: value.to_owned(), allowed })
+        let allowed = AllowedNames::suggest_for(value, places);
+        Some(MissionErrorKind::UnknownPlace { name: name.to_owned(), place: value.to_owned(), allowed })
     }
 
     /// What a task of this type is told, if the domain has it.

@@ -46,18 +46,18 @@
 //! aliases, merge keys and further documents are refused, as no mission needs them and a few of them make
 //! gigabytes.
 
-mod building;
+mod builder;
 mod form;
 
-pub(super) use form::each_key_once;
+pub(super) use form::unique_keys;
 pub use form::{TemplateKind, TemplateParameter};
 
-use self::building::{Building, branch_problems, part_roles};
+use self::builder::{MissionBuilder, recovery_diagnostics, split_roles};
 use self::form::MissionFile;
+use super::diagnostic::{MissionDiagnostic, MissionErrorKind, MissionErrors};
 use super::domain::Domain;
-use super::lost;
+use super::lost_item;
 use super::model::Mission;
-use super::problem::{Fault, MissionErrors, Problem};
 use crate::ids::{NameError, TaskId};
 use schemars::{Schema, schema_for};
 use std::collections::{BTreeMap, BTreeSet};
@@ -99,7 +99,7 @@ impl Format {
 
 /// Why a text is no mission file. Ordinary for files written by hand; nothing was taken over.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-pub enum FileError {
+pub enum MissionFileError {
     /// More text than any mission needs; none of it was read.
     #[error("the mission file has {bytes} bytes; at most {FILE_BYTES_MAX} are allowed")]
     TooLarge {
@@ -158,12 +158,12 @@ impl MissionTemplate {
     ///
     /// # Errors
     /// [`FileError`] says where the text is not of the documented form.
-    pub fn parse(text: &str, format: Format) -> Result<Self, FileError> {
+    pub fn parse(text: &str, format: Format) -> Result<Self, MissionFileError> {
         if text.len() > FILE_BYTES_MAX {
-            return Err(FileError::TooLarge { bytes: text.len() });
+            return Err(MissionFileError::TooLarge { bytes: text.len() });
         }
         let text = text.trim_start_matches('\u{feff}');
-        let syntax = |message: String| FileError::Syntax { format, message };
+        let syntax = |message: String| MissionFileError::Syntax { format, message };
         let file: MissionFile = match format {
             Format::Json => serde_json::from_str(text).map_err(|error| syntax(error.to_string()))?,
             Format::Yaml => {
@@ -200,49 +200,53 @@ impl MissionTemplate {
     /// # Errors
     /// [`MissionErrors`] lists every problem of the values given and of the file.
     pub fn instantiate(&self, given: &BTreeMap<String, String>, domain: &Domain) -> Result<Mission, MissionErrors> {
-        self.instantiate_both(given, domain).map(|(mission, _)| mission)
+        self.instantiate_with_recovery(given, domain).map(|(mission, _)| mission)
     }
 
     /// The mission and its recovery branch, if it has one. What is told of the loss is filled in when there is one.
     ///
     /// # Errors
     /// As [`instantiate`](MissionTemplate::instantiate).
-    pub fn instantiate_both(
+    pub fn instantiate_with_recovery(
         &self,
         given: &BTreeMap<String, String>,
         domain: &Domain,
     ) -> Result<(Mission, Option<Mission>), MissionErrors> {
-        let mut building = Building::default();
-        building.take_values(&self.file.parameters, given, domain);
+        let mut building = MissionBuilder::default();
+        building.bind_parameters(&self.file.parameters, given, domain);
         let mut mission = building.mission(&self.name, &self.file.roles, &self.file.root, "root");
         let mut recovery = self.file.recovery.as_ref().map(|root| {
-            building.values.extend(lost::NAMES);
+            building.values.extend(lost_item::VARIABLES);
             building.mission(&self.name, &self.file.roles, root, "recovery")
         });
         building.find_unused(&self.file.parameters);
-        let mut problems = building.problems;
+        let mut problems = building.diagnostics;
         let unwritten = !problems.is_empty();
-        let place = |problem: &Problem| match &problem.fault {
-            Fault::UnknownPlace { place, .. } => Some(place.clone()),
+        let place = |problem: &MissionDiagnostic| match &problem.kind {
+            MissionErrorKind::UnknownPlace { place, .. } => Some(place.clone()),
             _ => None,
         };
         let astray: BTreeSet<String> = problems.iter().filter_map(place).collect();
         let mut found = vec![];
         if let Some(recovery) = &mut recovery {
-            part_roles(&mut mission, recovery);
-            found = branch_problems(&mission, recovery, domain);
+            split_roles(&mut mission, recovery);
+            found = recovery_diagnostics(&mission, recovery, domain);
         }
-        found.splice(0..0, mission.check(domain).err().into_iter().flat_map(|errors| errors.problems));
+        found.splice(0..0, mission.check(domain).err().into_iter().flat_map(|errors| errors.diagnostics));
         // Where something could not be put in, what is missing for that reason is no problem of its own.
-        let own = |problem: &Problem| match &problem.fault {
-            Fault::NoRole { .. } | Fault::IdleRole | Fault::MissingParameter { .. } => !unwritten,
-            Fault::BadValue { .. } | Fault::EmptyMethod | Fault::NoManagedRole => !unwritten,
+        let own = |problem: &MissionDiagnostic| match &problem.kind {
+            MissionErrorKind::NoRole { .. }
+            | MissionErrorKind::UnusedRole
+            | MissionErrorKind::MissingParameter { .. } => !unwritten,
+            MissionErrorKind::BadValue { .. } | MissionErrorKind::EmptyMethod | MissionErrorKind::NoManagedRole => {
+                !unwritten
+            }
             // Told once, of the request, and not of every task that goes there.
-            Fault::UnknownPlace { place, .. } => !astray.contains(place),
+            MissionErrorKind::UnknownPlace { place, .. } => !astray.contains(place),
             _ => true,
         };
         problems.extend(found.into_iter().filter(own));
-        MissionErrors::unless_none(&self.name, problems)?;
+        MissionErrors::ok_if_empty(&self.name, problems)?;
         Ok((mission, recovery))
     }
 }

@@ -17,10 +17,10 @@
 //! - A parameter of kind role takes the one agent of the action's method which is not the action's own, if there is
 //!   exactly one: the robot that approaches in a method of `r1` and `lab_arm` approaches `lab_arm`.
 
+use super::diagnostic::{AllowedNames, MissionDiagnostic, MissionErrorKind, MissionErrors};
 use super::domain::{Domain, TaskSchema, ValueKind};
-use super::file::{FILE_BYTES_MAX, each_key_once};
-use super::model::{Body, Method, Mission, Order, Role, RoleKind, TaskIndex, TaskNode, TaskSpec};
-use super::problem::{Allowed, Fault, MissionErrors, Problem};
+use super::file::{FILE_BYTES_MAX, unique_keys};
+use super::model::{Method, Mission, Role, RoleKind, TaskBody, TaskIndex, TaskNode, TaskOrder, TaskSpec};
 use super::validate::TASKS_MAX;
 use crate::ids::{RoleId, TaskId, TaskType};
 use serde::Deserialize;
@@ -28,7 +28,7 @@ use std::collections::{BTreeMap, BTreeSet};
 
 /// What the reader of a flat iHTN must be told besides the file.
 #[derive(Debug, Clone)]
-pub struct IhtnReading {
+pub struct IhtnOptions {
     /// The mission's name.
     pub name: TaskId,
     /// The agents that are people, or otherwise take no orders.
@@ -39,7 +39,7 @@ pub struct IhtnReading {
 
 /// What can be wrong with a node of a flat iHTN. The node is told by the problem's path (`node 12 (deposit)`).
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-pub enum IhtnFault {
+pub enum IhtnError {
     /// More text than any mission needs.
     #[error("the file has {bytes} bytes; at most {FILE_BYTES_MAX} are allowed")]
     TooLarge {
@@ -125,7 +125,7 @@ pub enum IhtnFault {
     },
     /// An agent that its parent does not know.
     #[error("its agent `{agent}` is not among the agents of its parent")]
-    StrangeAgent {
+    AgentNotInParent {
         /// The agent.
         agent: String,
     },
@@ -137,7 +137,7 @@ pub enum IhtnFault {
     },
     /// A location that its type has no use for.
     #[error("has the location {location:?}, but `{task_type}` has no parameter for a place")]
-    UselessLocation {
+    UnusedLocation {
         /// The location.
         location: String,
         /// The task type.
@@ -147,7 +147,7 @@ pub enum IhtnFault {
     #[error("is said to be unmanaged, but acts nowhere in the file; {allowed}")]
     NoSuchAgent {
         /// The agents that act.
-        allowed: Allowed,
+        allowed: AllowedNames,
     },
 }
 
@@ -208,7 +208,7 @@ impl From<ListForm> for ListOrEmpty {
 
 #[derive(Deserialize)]
 #[serde(transparent)]
-struct FlatFile(#[serde(deserialize_with = "each_key_once")] BTreeMap<String, FlatNode>);
+struct FlatFile(#[serde(deserialize_with = "unique_keys")] BTreeMap<String, FlatNode>);
 
 const NO_PARENT: &str = "-1";
 
@@ -216,47 +216,47 @@ const NO_PARENT: &str = "-1";
 ///
 /// # Errors
 /// [`MissionErrors`] lists the problems of the tree; if there are none, those of the tasks.
-pub fn import_ihtn(text: &str, reading: &IhtnReading, domain: &Domain) -> Result<Mission, MissionErrors> {
-    let refuse = |fault: IhtnFault| MissionErrors {
+pub fn import_ihtn(text: &str, reading: &IhtnOptions, domain: &Domain) -> Result<Mission, MissionErrors> {
+    let refuse = |fault: IhtnError| MissionErrors {
         mission: reading.name.to_string(),
-        problems: vec![Problem { path: "file".to_owned(), fault: fault.into() }],
+        diagnostics: vec![MissionDiagnostic { path: "file".to_owned(), kind: fault.into() }],
     };
     if text.len() > FILE_BYTES_MAX {
-        return Err(refuse(IhtnFault::TooLarge { bytes: text.len() }));
+        return Err(refuse(IhtnError::TooLarge { bytes: text.len() }));
     }
     let FlatFile(nodes) =
-        serde_json::from_str(text).map_err(|error| refuse(IhtnFault::Syntax { message: error.to_string() }))?;
+        serde_json::from_str(text).map_err(|error| refuse(IhtnError::Syntax { message: error.to_string() }))?;
     if nodes.len() > 2 * TASKS_MAX {
-        let fault = Fault::TooManyTasks { found: nodes.len(), max: 2 * TASKS_MAX };
+        let fault = MissionErrorKind::TooManyTasks { found: nodes.len(), max: 2 * TASKS_MAX };
         return Err(MissionErrors {
             mission: reading.name.to_string(),
-            problems: vec![Problem { path: "file".to_owned(), fault }],
+            diagnostics: vec![MissionDiagnostic { path: "file".to_owned(), kind: fault }],
         });
     }
     let mut import = Import { nodes: &nodes, reading, domain, problems: Vec::new() };
     let root = import.find_tree();
-    MissionErrors::unless_none(&reading.name, std::mem::take(&mut import.problems))?;
+    MissionErrors::ok_if_empty(&reading.name, std::mem::take(&mut import.problems))?;
     let mission = import.mission(root.expect("a tree without problems has a root"));
-    MissionErrors::unless_none(&reading.name, import.problems)?;
+    MissionErrors::ok_if_empty(&reading.name, import.problems)?;
     mission.check(domain)?;
     Ok(mission)
 }
 
 struct Import<'a> {
     nodes: &'a BTreeMap<String, FlatNode>,
-    reading: &'a IhtnReading,
+    reading: &'a IhtnOptions,
     domain: &'a Domain,
-    problems: Vec<Problem>,
+    problems: Vec<MissionDiagnostic>,
 }
 
 impl<'a> Import<'a> {
-    fn problem(&mut self, id: &str, fault: impl Into<Fault>) {
+    fn problem(&mut self, id: &str, fault: impl Into<MissionErrorKind>) {
         let name = self.nodes.get(id).map_or("?", |node| &node.name);
-        self.problems.push(Problem { path: format!("node {id} ({name})"), fault: fault.into() });
+        self.problems.push(MissionDiagnostic { path: format!("node {id} ({name})"), kind: fault.into() });
     }
 
-    fn problem_of_file(&mut self, fault: IhtnFault) {
-        self.problems.push(Problem { path: "file".to_owned(), fault: fault.into() });
+    fn problem_of_file(&mut self, fault: IhtnError) {
+        self.problems.push(MissionDiagnostic { path: "file".to_owned(), kind: fault.into() });
     }
 
     /// Checks that the nodes form one tree of alternating kinds, and gives its root.
@@ -265,12 +265,12 @@ impl<'a> Import<'a> {
         let roots: Vec<&str> =
             nodes.iter().filter(|(_, node)| node.parent == NO_PARENT).map(|(id, _)| id.as_str()).collect();
         match roots[..] {
-            [] => self.problem_of_file(IhtnFault::NoRoot),
+            [] => self.problem_of_file(IhtnError::NoRoot),
             [root] if nodes[root].node_type != NodeType::Task => {
-                self.problem(root, IhtnFault::RootNotTask { found: nodes[root].node_type.word() });
+                self.problem(root, IhtnError::RootNotTask { found: nodes[root].node_type.word() });
             }
             [_] => {}
-            _ => self.problem_of_file(IhtnFault::SeveralRoots { nodes: roots.join(", ") }),
+            _ => self.problem_of_file(IhtnError::SeveralRoots { nodes: roots.join(", ") }),
         }
         for (id, node) in nodes {
             self.check_parent(id, node);
@@ -285,13 +285,13 @@ impl<'a> Import<'a> {
             return;
         }
         let Some(parent) = self.nodes.get(&node.parent) else {
-            return self.problem(id, IhtnFault::NoSuchParent { parent: node.parent.clone() });
+            return self.problem(id, IhtnError::NoSuchParent { parent: node.parent.clone() });
         };
         if !parent.children.0.iter().any(|child| child == id) {
-            self.problem(id, IhtnFault::NotAmongChildren { parent: node.parent.clone() });
+            self.problem(id, IhtnError::NotAmongChildren { parent: node.parent.clone() });
         }
         for agent in node.agents.0.iter().filter(|agent| !parent.agents.0.contains(agent)) {
-            self.problem(id, IhtnFault::StrangeAgent { agent: agent.clone() });
+            self.problem(id, IhtnError::AgentNotInParent { agent: agent.clone() });
         }
     }
 
@@ -304,13 +304,13 @@ impl<'a> Import<'a> {
         let mut seen = BTreeSet::new();
         for name in &node.children.0 {
             let Some(child) = self.nodes.get(name) else {
-                self.problem(id, IhtnFault::NoSuchChild { child: name.clone() });
+                self.problem(id, IhtnError::NoSuchChild { child: name.clone() });
                 continue;
             };
             if !seen.insert(name) {
-                self.problem(id, IhtnFault::ChildTwice { child: name.clone() });
+                self.problem(id, IhtnError::ChildTwice { child: name.clone() });
             } else if child.parent != id {
-                self.problem(id, IhtnFault::WrongParent { child: name.clone(), parent: child.parent.clone() });
+                self.problem(id, IhtnError::WrongParent { child: name.clone(), parent: child.parent.clone() });
             }
             let fits = match node.node_type {
                 NodeType::Task => child.node_type == NodeType::Method,
@@ -319,14 +319,14 @@ impl<'a> Import<'a> {
             };
             if !fits {
                 let (parent, found) = (node.node_type.word(), child.node_type.word());
-                self.problem(id, IhtnFault::WrongType { parent, child: name.clone(), found, takes });
+                self.problem(id, IhtnError::WrongType { parent, child: name.clone(), found, takes });
             }
         }
         match node.node_type {
             NodeType::Task if node.children.0.len() != 1 => {
-                self.problem(id, IhtnFault::NotOneMethod { found: node.children.0.len() });
+                self.problem(id, IhtnError::NotOneMethod { found: node.children.0.len() });
             }
-            NodeType::Method if node.children.0.is_empty() => self.problem(id, Fault::EmptyMethod),
+            NodeType::Method if node.children.0.is_empty() => self.problem(id, MissionErrorKind::EmptyMethod),
             NodeType::Task | NodeType::Method | NodeType::Action => {}
         }
     }
@@ -346,7 +346,7 @@ impl<'a> Import<'a> {
                     let mut cycle = trail[first..].to_vec();
                     cycle.push(at);
                     cycle.reverse();
-                    self.problem(at, IhtnFault::Cycle { cycle: cycle.join(" > ") });
+                    self.problem(at, IhtnError::Cycle { cycle: cycle.join(" > ") });
                     break;
                 }
                 trail.push(at);
@@ -365,7 +365,7 @@ impl<'a> Import<'a> {
         while let Some((id, parent)) = open.pop() {
             let node = &self.nodes[id];
             let index = tasks.len();
-            if let Some(Body::Abstract(method)) = parent.map(|parent| &mut tasks[parent].body) {
+            if let Some(TaskBody::Abstract(method)) = parent.map(|parent| &mut tasks[parent].body) {
                 method.children.push(index as TaskIndex);
             }
             let body = if node.node_type == NodeType::Action {
@@ -373,7 +373,7 @@ impl<'a> Import<'a> {
             } else {
                 let below = &self.nodes[&node.children.0[0]].children.0;
                 open.extend(below.iter().rev().map(|child| (child.as_str(), Some(index))));
-                Body::Abstract(Method::of(Order::Sequential, vec![]))
+                TaskBody::Abstract(Method::of(TaskOrder::Sequential, vec![]))
             };
             match TaskId::new(names.next(&node.name)) {
                 Ok(id) => tasks.push(TaskNode { id, body }),
@@ -385,14 +385,14 @@ impl<'a> Import<'a> {
             }
         }
         for agent in self.reading.unmanaged.iter().filter(|agent| !roles.contains_key(*agent)) {
-            let allowed = Allowed::instead_of(agent.as_str(), roles.keys());
-            let fault = IhtnFault::NoSuchAgent { allowed }.into();
-            self.problems.push(Problem { path: format!("roles/{agent}"), fault });
+            let allowed = AllowedNames::suggest_for(agent.as_str(), roles.keys());
+            let fault = IhtnError::NoSuchAgent { allowed }.into();
+            self.problems.push(MissionDiagnostic { path: format!("roles/{agent}"), kind: fault });
         }
         Mission { name: self.reading.name.clone(), roles, tasks }
     }
 
-    fn action(&mut self, id: &str, node: &FlatNode, roles: &mut BTreeMap<RoleId, Role>) -> Body {
+    fn action(&mut self, id: &str, node: &FlatNode, roles: &mut BTreeMap<RoleId, Role>) -> TaskBody {
         let mut own = Vec::new();
         for agent in &node.agents.0 {
             match RoleId::new(&**agent) {
@@ -408,9 +408,9 @@ impl<'a> Import<'a> {
         let (task_type, mut parameters) = match self.type_of(&node.name) {
             Some(found) => found,
             None => {
-                let allowed = Allowed::instead_of(&node.name, self.domain.task_types());
-                self.problem(id, Fault::UnknownType { task_type: node.name.clone(), allowed });
-                return Body::Abstract(Method::of(Order::Sequential, vec![]));
+                let allowed = AllowedNames::suggest_for(&node.name, self.domain.task_types());
+                self.problem(id, MissionErrorKind::UnknownType { task_type: node.name.clone(), allowed });
+                return TaskBody::Abstract(Method::of(TaskOrder::Sequential, vec![]));
             }
         };
         let mut reaches = BTreeMap::new();
@@ -424,7 +424,7 @@ impl<'a> Import<'a> {
                 parameters.entry(name.clone()).or_insert_with(|| other.clone());
             }
         }
-        Body::Elementary(TaskSpec { parameters, reaches, ..TaskSpec::of(task_type, own) })
+        TaskBody::Elementary(TaskSpec { parameters, reaches, ..TaskSpec::of(task_type, own) })
     }
 
     /// The task type that an action's name stands for, and the parameter that its ending stands for.
@@ -462,14 +462,14 @@ impl<'a> Import<'a> {
         let location = match &node.locations.0[..] {
             [] => return,
             [location] => location,
-            several => return self.problem(id, IhtnFault::SeveralLocations { found: several.len() }),
+            several => return self.problem(id, IhtnError::SeveralLocations { found: several.len() }),
         };
         let places = || schema.parameters.iter().filter(|(_, parameter)| parameter.kind == ValueKind::Place);
         match places().find(|(_, parameter)| parameter.required).or_else(|| places().next()) {
             Some((name, _)) => drop(parameters.insert(name.clone(), location.clone())),
             None => {
                 let (location, task_type) = (location.clone(), task_type.to_string());
-                return self.problem(id, IhtnFault::UselessLocation { location, task_type });
+                return self.problem(id, IhtnError::UnusedLocation { location, task_type });
             }
         }
         if task_type.as_str() == "navigation" {
@@ -508,8 +508,8 @@ impl<'a> Names<'a> {
 mod tests {
     use super::*;
 
-    fn reading() -> IhtnReading {
-        IhtnReading {
+    fn reading() -> IhtnOptions {
+        IhtnOptions {
             name: TaskId::new("trial").unwrap(),
             unmanaged: [RoleId::new("ann").unwrap()].into(),
             aliases: [("navto".to_owned(), TaskType::new("navigation").unwrap())].into(),
@@ -530,7 +530,7 @@ mod tests {
 
     fn import(nodes: &serde_json::Value) -> Result<Mission, Vec<String>> {
         import_ihtn(&nodes.to_string(), &reading(), &Domain::hospital())
-            .map_err(|errors| errors.problems.iter().map(ToString::to_string).collect())
+            .map_err(|errors| errors.diagnostics.iter().map(ToString::to_string).collect())
     }
 
     #[test]

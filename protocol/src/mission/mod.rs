@@ -13,24 +13,24 @@
 //! off the wire ────────────────── Mission::check ─────────┘
 //! ```
 
+mod diagnostic;
 mod domain;
 mod file;
 mod ihtn;
-mod lost;
+mod lost_item;
 mod model;
-mod problem;
 mod request;
 mod shipped;
 mod validate;
 
+pub use diagnostic::{AllowedNames, MissionDiagnostic, MissionErrorKind, MissionErrors};
 pub use domain::{Domain, ParameterSchema, TaskSchema, ValueKind};
-pub use file::{FILE_BYTES_MAX, FileError, Format, MissionTemplate, TemplateKind, TemplateParameter};
-pub use ihtn::{IhtnFault, IhtnReading, import_ihtn};
-pub use lost::Lost;
+pub use file::{FILE_BYTES_MAX, Format, MissionFileError, MissionTemplate, TemplateKind, TemplateParameter};
+pub use ihtn::{IhtnError, IhtnOptions, import_ihtn};
+pub use lost_item::LostItem;
 pub use model::{
-    ATTEMPTS, ATTEMPTS_MAX, Body, Method, Mission, OnLoss, Order, OtherMethod, Role, RoleKind, TaskIndex, TaskNode,
-    TaskSpec,
+    ATTEMPTS, ATTEMPTS_MAX, AlternativeMethod, Method, Mission, OnLoss, Role, RoleKind, TaskBody, TaskIndex, TaskNode,
+    TaskOrder, TaskSpec,
 };
-pub use problem::{Allowed, Fault, MissionErrors, Problem};
 pub use shipped::shipped;
 pub use validate::{DEPTH_MAX, ENTRIES_MAX, JOINT_MAX, ROLES_MAX, TASKS_MAX, VALUE_CHARS_MAX};

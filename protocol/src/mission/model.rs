@@ -65,12 +65,12 @@ pub struct TaskNode {
     /// Its name, unique within the mission.
     pub id: TaskId,
     /// What it comes down to.
-    pub body: Body,
+    pub body: TaskBody,
 }
 
 /// What a task comes down to.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-pub enum Body {
+pub enum TaskBody {
     /// Refined by a method.
     Abstract(Method),
     /// Done as it is.
@@ -81,19 +81,19 @@ pub enum Body {
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Method {
     /// Whether its tasks depend on one another.
-    pub order: Order,
+    pub order: TaskOrder,
     /// Its tasks; never empty.
     pub children: Vec<TaskIndex>,
     /// What its role may do instead when a task of it has failed for good, in the order in which it is tried.
     #[serde(default)]
-    pub alternatives: Vec<OtherMethod>,
+    pub alternatives: Vec<AlternativeMethod>,
 }
 
 /// Another way to do what a method does. *Local*: every elementary task below the method, and every task of its
 /// alternatives, belongs to one and the same managed role and to it alone, and none of them touches an item. So a role
 /// may go over to it without asking or telling anybody.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-pub struct OtherMethod {
+pub struct AlternativeMethod {
     /// Its tasks, one after the other; never empty.
     pub tasks: Vec<(TaskId, TaskSpec)>,
 }
@@ -101,7 +101,7 @@ pub struct OtherMethod {
 /// How the tasks of a method depend on one another.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
-pub enum Order {
+pub enum TaskOrder {
     /// Each begins after the one before it has ended.
     Sequential,
     /// No dependency: side by side where the roles differ, one after the other in any order where they do not.
@@ -145,7 +145,7 @@ fn attempts() -> u8 {
 
 impl Method {
     /// A method without alternatives.
-    pub fn of(order: Order, children: Vec<TaskIndex>) -> Self {
+    pub fn of(order: TaskOrder, children: Vec<TaskIndex>) -> Self {
         Method { order, children, alternatives: vec![] }
     }
 }
@@ -193,8 +193,8 @@ impl Mission {
                 continue;
             }
             match &node.body {
-                Body::Abstract(method) => open.extend(method.children.iter().rev()),
-                Body::Elementary(spec) => found.push((&node.id, spec)),
+                TaskBody::Abstract(method) => open.extend(method.children.iter().rev()),
+                TaskBody::Elementary(spec) => found.push((&node.id, spec)),
             }
         }
         found
@@ -203,9 +203,9 @@ impl Mission {
     /// The names of all tasks, those of alternatives included.
     pub fn task_names(&self) -> impl Iterator<Item = &TaskId> {
         self.tasks.iter().flat_map(|node| {
-            let others: &[OtherMethod] = match &node.body {
-                Body::Abstract(method) => &method.alternatives,
-                Body::Elementary(_) => &[],
+            let others: &[AlternativeMethod] = match &node.body {
+                TaskBody::Abstract(method) => &method.alternatives,
+                TaskBody::Elementary(_) => &[],
             };
             let others = others.iter().flat_map(|other| other.tasks.iter().map(|(id, _)| id));
             std::iter::once(&node.id).chain(others)

@@ -1,6 +1,6 @@
 //! Mission files as requests bring them.
 
-use super::file::{FileError, Format, MissionTemplate};
+use super::file::{Format, MissionFileError, MissionTemplate};
 use serde_json::Value;
 
 impl MissionTemplate {
@@ -8,9 +8,9 @@ impl MissionTemplate {
     ///
     /// # Errors
     /// As [`parse`](MissionTemplate::parse): mistakes of form are told here, where the file is, and not by the coordinator.
-    pub fn request(text: &str, format: Format) -> Result<Value, FileError> {
+    pub fn request(text: &str, format: Format) -> Result<Value, MissionFileError> {
         MissionTemplate::parse(text, format)?;
-        let syntax = |message: String| FileError::Syntax { format, message };
+        let syntax = |message: String| MissionFileError::Syntax { format, message };
         let text = text.trim_start_matches('\u{feff}');
         let value: Value = match format {
             Format::Json => serde_json::from_str(text).map_err(|problem| syntax(problem.to_string()))?,

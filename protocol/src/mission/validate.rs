@@ -4,9 +4,9 @@
 //! tree is a tree (every index in range, children after parents, one parent each, nothing left over), so that code
 //! which walks it needs no further care.
 
+use super::diagnostic::{AllowedNames, MissionDiagnostic, MissionErrorKind, MissionErrors};
 use super::domain::{Domain, ValueKind};
-use super::model::{ATTEMPTS_MAX, Body, Method, Mission, RoleKind, TaskSpec};
-use super::problem::{Allowed, Fault, MissionErrors, Problem};
+use super::model::{ATTEMPTS_MAX, Method, Mission, RoleKind, TaskBody, TaskSpec};
 use crate::ids::{RoleId, TaskId};
 use crate::plan::GlobalOrder;
 use std::collections::{BTreeMap, BTreeSet};
@@ -35,7 +35,7 @@ impl Mission {
         if found.is_empty()
             && let Err(errors) = GlobalOrder::of(self)
         {
-            found.extend(errors.problems);
+            found.extend(errors.diagnostics);
         }
         // With a broken tree some paths are meaningless, but the tasks themselves can still be judged.
         if self.tasks.len() <= TASKS_MAX && self.roles.len() <= ROLES_MAX {
@@ -46,7 +46,7 @@ impl Mission {
                 }
             }
         }
-        MissionErrors::unless_none(&self.name, found)
+        MissionErrors::ok_if_empty(&self.name, found)
     }
 
     /// Checks the tree and the roles alone, where no domain is at hand: enough to divide the mission.
@@ -54,19 +54,19 @@ impl Mission {
     /// # Errors
     /// [`MissionErrors`] lists all problems.
     pub fn check_structure(&self) -> Result<(), MissionErrors> {
-        MissionErrors::unless_none(&self.name, structure(self))
+        MissionErrors::ok_if_empty(&self.name, structure(self))
     }
 }
 
-fn at(path: &str, fault: Fault) -> Problem {
-    Problem { path: path.to_owned(), fault }
+fn at(path: &str, fault: MissionErrorKind) -> MissionDiagnostic {
+    MissionDiagnostic { path: path.to_owned(), kind: fault }
 }
 
 /// The parent of each task: the first that claims it from before it.
 fn parents(mission: &Mission) -> Vec<Option<usize>> {
     let mut parents = vec![None; mission.tasks.len()];
     for (index, node) in mission.tasks.iter().enumerate() {
-        let Body::Abstract(method) = &node.body else { continue };
+        let TaskBody::Abstract(method) = &node.body else { continue };
         for child in &method.children {
             let child = *child as usize;
             if child > index && child < parents.len() && parents[child].is_none() {
@@ -92,28 +92,28 @@ fn paths(mission: &Mission) -> Vec<String> {
     paths
 }
 
-fn structure(mission: &Mission) -> Vec<Problem> {
+fn structure(mission: &Mission) -> Vec<MissionDiagnostic> {
     let mut found = Vec::new();
     if mission.tasks.is_empty() {
-        found.push(at("root", Fault::NoTask));
+        found.push(at("root", MissionErrorKind::NoTask));
         return found;
     }
     let others = mission.tasks.iter().map(|node| match &node.body {
-        Body::Abstract(method) => method.alternatives.iter().map(|other| other.tasks.len()).sum(),
-        Body::Elementary(_) => 0,
+        TaskBody::Abstract(method) => method.alternatives.iter().map(|other| other.tasks.len()).sum(),
+        TaskBody::Elementary(_) => 0,
     });
     let count = mission.tasks.len() + others.sum::<usize>();
     if count > TASKS_MAX {
-        found.push(at("root", Fault::TooManyTasks { found: count, max: TASKS_MAX }));
+        found.push(at("root", MissionErrorKind::TooManyTasks { found: count, max: TASKS_MAX }));
     }
     if mission.roles.len() > ROLES_MAX {
-        found.push(at("roles", Fault::TooManyRoles { found: mission.roles.len(), max: ROLES_MAX }));
+        found.push(at("roles", MissionErrorKind::TooManyRoles { found: mission.roles.len(), max: ROLES_MAX }));
     }
     if !found.is_empty() {
         return found; // the rest could take long, and would be more than anyone reads
     }
     if mission.managed_roles().next().is_none() {
-        found.push(at("roles", Fault::NoManagedRole));
+        found.push(at("roles", MissionErrorKind::NoManagedRole));
     }
     let parents = parents(mission);
     let paths = paths(mission);
@@ -126,11 +126,11 @@ fn structure(mission: &Mission) -> Vec<Problem> {
         }
     }
     let idle = mission.roles.keys().filter(|role| !busy.contains(role));
-    found.extend(idle.map(|role| at(&format!("roles/{role}"), Fault::IdleRole)));
+    found.extend(idle.map(|role| at(&format!("roles/{role}"), MissionErrorKind::UnusedRole)));
     if found.is_empty() {
         // In a sound tree only: this walks it.
         for (index, (node, path)) in mission.tasks.iter().zip(&paths).enumerate() {
-            if let Body::Abstract(method) = &node.body {
+            if let TaskBody::Abstract(method) = &node.body {
                 found.extend(locality_fault(mission, index, method).map(|fault| at(path, fault)));
             }
         }
@@ -139,10 +139,10 @@ fn structure(mission: &Mission) -> Vec<Problem> {
 }
 
 /// The elementary tasks that a node holds itself, those of its alternatives included, with the path of each.
-fn specs<'a>(id: &'a TaskId, body: &'a Body, path: &str) -> Vec<(String, &'a TaskId, &'a TaskSpec)> {
+fn specs<'a>(id: &'a TaskId, body: &'a TaskBody, path: &str) -> Vec<(String, &'a TaskId, &'a TaskSpec)> {
     match body {
-        Body::Elementary(spec) => vec![(path.to_owned(), id, spec)],
-        Body::Abstract(method) => {
+        TaskBody::Elementary(spec) => vec![(path.to_owned(), id, spec)],
+        TaskBody::Abstract(method) => {
             let others = (1..).zip(&method.alternatives);
             let tasks = others.flat_map(|(number, other)| other.tasks.iter().map(move |task| (number, task)));
             tasks.map(|(number, (id, spec))| (format!("{path}/alternative {number}/{id}"), id, spec)).collect()
@@ -151,7 +151,7 @@ fn specs<'a>(id: &'a TaskId, body: &'a Body, path: &str) -> Vec<(String, &'a Tas
 }
 
 /// Whether a method with alternatives is one managed role's own affair.
-fn locality_fault(mission: &Mission, index: usize, method: &Method) -> Option<Fault> {
+fn locality_fault(mission: &Mission, index: usize, method: &Method) -> Option<MissionErrorKind> {
     if method.alternatives.is_empty() {
         return None;
     }
@@ -170,11 +170,11 @@ fn locality_fault(mission: &Mission, index: usize, method: &Method) -> Option<Fa
         } else {
             return None;
         };
-        Some(Fault::NotLocal { task: task.clone(), problem })
+        Some(MissionErrorKind::NonLocalAlternatives { task: task.clone(), problem })
     })
 }
 
-fn tree_faults(mission: &Mission, parents: &[Option<usize>], paths: &[String], found: &mut Vec<Problem>) {
+fn tree_faults(mission: &Mission, parents: &[Option<usize>], paths: &[String], found: &mut Vec<MissionDiagnostic>) {
     let tasks = mission.tasks.len();
     let mut named: BTreeMap<&TaskId, String> = BTreeMap::new();
     let mut claimed: BTreeSet<usize> = BTreeSet::new();
@@ -184,89 +184,89 @@ fn tree_faults(mission: &Mission, parents: &[Option<usize>], paths: &[String], f
         let depth = parents[index].map_or(1, |parent| depths[parent] + 1);
         depths.push(depth);
         if depth == DEPTH_MAX + 1 {
-            found.push(at(path, Fault::TooDeep { found: depth, max: DEPTH_MAX }));
+            found.push(at(path, MissionErrorKind::TooDeep { found: depth, max: DEPTH_MAX }));
         }
         if index > 0 && parents[index].is_none() {
-            found.push(at(path, Fault::NoParent));
+            found.push(at(path, MissionErrorKind::NoParent));
         }
         let others = match &node.body {
-            Body::Abstract(_) => specs(&node.id, &node.body, path),
-            Body::Elementary(_) => vec![],
+            TaskBody::Abstract(_) => specs(&node.id, &node.body, path),
+            TaskBody::Elementary(_) => vec![],
         };
         let own = std::iter::once((path.clone(), &node.id)).chain(others.into_iter().map(|(path, id, _)| (path, id)));
         for (path, id) in own {
             match named.get(id) {
-                Some(first) => found.push(at(&path, Fault::DuplicateId { first: first.clone() })),
+                Some(first) => found.push(at(&path, MissionErrorKind::DuplicateId { first: first.clone() })),
                 None => drop(named.insert(id, path)),
             }
         }
-        let Body::Abstract(method) = &node.body else { continue };
+        let TaskBody::Abstract(method) = &node.body else { continue };
         if method.children.is_empty() {
-            found.push(at(path, Fault::EmptyMethod));
+            found.push(at(path, MissionErrorKind::EmptyMethod));
         }
         for (number, other) in (1..).zip(&method.alternatives) {
             if other.tasks.is_empty() {
-                found.push(at(&format!("{path}/alternative {number}"), Fault::EmptyMethod));
+                found.push(at(&format!("{path}/alternative {number}"), MissionErrorKind::EmptyMethod));
             }
         }
         for &child in &method.children {
             let Some(child_node) = mission.tasks.get(child as usize) else {
-                found.push(at(path, Fault::ChildOutOfRange { child, tasks }));
+                found.push(at(path, MissionErrorKind::ChildOutOfRange { child, tasks }));
                 continue;
             };
             let name = child_node.id.to_string();
             if child as usize <= index {
-                found.push(at(path, Fault::ChildNotAfter { child: name }));
+                found.push(at(path, MissionErrorKind::ChildNotAfter { child: name }));
             } else if !claimed.insert(child as usize) {
                 let parent = parents[child as usize].map_or_else(String::new, |parent| paths[parent].clone());
-                found.push(at(path, Fault::TwoParents { child: name, parent }));
+                found.push(at(path, MissionErrorKind::TwoParents { child: name, parent }));
             }
         }
     }
 }
 
 /// Who does it.
-fn assignment_faults(mission: &Mission, spec: &TaskSpec) -> Vec<Fault> {
+fn assignment_faults(mission: &Mission, spec: &TaskSpec) -> Vec<MissionErrorKind> {
     let mut found = Vec::new();
     if spec.roles.is_empty() {
-        found.push(Fault::NoRole { allowed: Allowed { names: role_names(mission), nearest: None } });
+        found.push(MissionErrorKind::NoRole { allowed: AllowedNames { names: role_names(mission), nearest: None } });
     }
     if spec.roles.len() > JOINT_MAX {
-        found.push(Fault::TooManyJoint { found: spec.roles.len(), max: JOINT_MAX });
+        found.push(MissionErrorKind::TooManyJoint { found: spec.roles.len(), max: JOINT_MAX });
     }
     let mut seen = BTreeSet::new();
     for role in &spec.roles {
         if !seen.insert(role) {
-            found.push(Fault::RoleTwice { role: role.clone() });
+            found.push(MissionErrorKind::RoleTwice { role: role.clone() });
         } else if !mission.roles.contains_key(role) {
-            let allowed = Allowed::instead_of(role.as_str(), mission.roles.keys());
-            found.push(Fault::UnknownRole { role: role.to_string(), allowed });
+            let allowed = AllowedNames::suggest_for(role.as_str(), mission.roles.keys());
+            found.push(MissionErrorKind::UnknownRole { role: role.to_string(), allowed });
         }
     }
     if !(1..=ATTEMPTS_MAX).contains(&spec.attempts) {
-        found.push(Fault::Attempts { found: spec.attempts, max: ATTEMPTS_MAX });
+        found.push(MissionErrorKind::Attempts { found: spec.attempts, max: ATTEMPTS_MAX });
     }
     for role in spec.acquires.values().filter(|role| !mission.roles.contains_key(*role)) {
-        let allowed = Allowed::instead_of(role.as_str(), mission.roles.keys());
-        found.push(Fault::UnknownRole { role: role.to_string(), allowed });
+        let allowed = AllowedNames::suggest_for(role.as_str(), mission.roles.keys());
+        found.push(MissionErrorKind::UnknownRole { role: role.to_string(), allowed });
     }
     if let Some(item) = spec.releases.iter().find(|item| spec.acquires.contains_key(*item)) {
-        found.push(Fault::ItemTwice { item: item.clone() });
+        found.push(MissionErrorKind::ItemTwice { item: item.clone() });
     }
     let items = spec.items().count();
     if items > ENTRIES_MAX {
-        found.push(Fault::TooManyEntries { what: "items", found: items, max: ENTRIES_MAX });
+        found.push(MissionErrorKind::TooManyEntries { what: "items", found: items, max: ENTRIES_MAX });
     }
     for (what, entries) in [("parameters", &spec.parameters), ("reached states", &spec.reaches)] {
         if entries.len() > ENTRIES_MAX {
-            found.push(Fault::TooManyEntries { what, found: entries.len(), max: ENTRIES_MAX });
+            found.push(MissionErrorKind::TooManyEntries { what, found: entries.len(), max: ENTRIES_MAX });
         }
         let what = if what == "parameters" { "the parameter" } else { "the reached state" };
         for (name, value) in entries {
             let length = name.chars().count().max(value.chars().count());
             if length > VALUE_CHARS_MAX {
                 let name = name.chars().take(40).collect();
-                found.push(Fault::TooLong { what, name, found: length, max: VALUE_CHARS_MAX });
+                found.push(MissionErrorKind::TooLong { what, name, found: length, max: VALUE_CHARS_MAX });
             }
         }
     }
@@ -278,34 +278,34 @@ fn role_names(mission: &Mission) -> Vec<String> {
 }
 
 /// What it is told.
-fn task_faults(mission: &Mission, spec: &TaskSpec, domain: &Domain) -> Vec<Fault> {
+fn task_faults(mission: &Mission, spec: &TaskSpec, domain: &Domain) -> Vec<MissionErrorKind> {
     let Some(schema) = domain.get(&spec.task_type) else {
-        let allowed = Allowed::instead_of(spec.task_type.as_str(), domain.task_types());
-        return vec![Fault::UnknownType { task_type: spec.task_type.to_string(), allowed }];
+        let allowed = AllowedNames::suggest_for(spec.task_type.as_str(), domain.task_types());
+        return vec![MissionErrorKind::UnknownType { task_type: spec.task_type.to_string(), allowed }];
     };
     let task_type = || spec.task_type.to_string();
     let mut found = Vec::new();
     for (name, parameter) in &schema.parameters {
         if parameter.required && !spec.parameters.contains_key(name) {
             let kind = parameter.kind.to_string();
-            found.push(Fault::MissingParameter { task_type: task_type(), name: name.clone(), kind });
+            found.push(MissionErrorKind::MissingParameter { task_type: task_type(), name: name.clone(), kind });
         }
     }
     for (name, value) in &spec.parameters {
         let Some(parameter) = schema.parameters.get(name) else {
-            let allowed = Allowed::instead_of(name, schema.parameters.keys());
-            found.push(Fault::UnknownParameter { task_type: task_type(), name: name.clone(), allowed });
+            let allowed = AllowedNames::suggest_for(name, schema.parameters.keys());
+            found.push(MissionErrorKind::UnknownParameter { task_type: task_type(), name: name.clone(), allowed });
             continue;
         };
         let is_role = parameter.kind == ValueKind::Role;
         if is_role && !mission.roles.keys().any(|role| role.as_str() == value) {
-            let allowed = Allowed::instead_of(value, mission.roles.keys());
-            found.push(Fault::ParameterRole { name: name.clone(), role: value.clone(), allowed });
+            let allowed = AllowedNames::suggest_for(value, mission.roles.keys());
+            found.push(MissionErrorKind::ParameterRole { name: name.clone(), role: value.clone(), allowed });
         } else if !parameter.kind.admits(value) {
             let kind = parameter.kind.to_string();
-            found.push(Fault::BadValue { name: name.clone(), value: value.clone(), kind });
+            found.push(MissionErrorKind::BadValue { name: name.clone(), value: value.clone(), kind });
         } else {
-            found.extend(domain.misplaced(name, &parameter.kind, value));
+            found.extend(domain.unknown_place(name, &parameter.kind, value));
         }
     }
     found
@@ -313,7 +313,7 @@ fn task_faults(mission: &Mission, spec: &TaskSpec, domain: &Domain) -> Vec<Fault
 
 #[cfg(test)]
 mod tests {
-    use super::super::model::{Method, Order, Role, RoleKind, TaskNode};
+    use super::super::model::{Method, Role, RoleKind, TaskNode, TaskOrder};
     use super::*;
     use crate::ids::{TaskId, TaskType};
 
@@ -326,12 +326,12 @@ mod tests {
             parameters: parameters.iter().map(|(k, v)| ((*k).to_owned(), (*v).to_owned())).collect(),
             ..TaskSpec::of(TaskType::new(task_type).unwrap(), roles.iter().map(|name| role(name)).collect())
         };
-        TaskNode { id: TaskId::new(id).unwrap(), body: Body::Elementary(spec) }
+        TaskNode { id: TaskId::new(id).unwrap(), body: TaskBody::Elementary(spec) }
     }
 
     fn refined(id: &str, children: &[u32]) -> TaskNode {
-        let method = Method::of(Order::Sequential, children.to_vec());
-        TaskNode { id: TaskId::new(id).unwrap(), body: Body::Abstract(method) }
+        let method = Method::of(TaskOrder::Sequential, children.to_vec());
+        TaskNode { id: TaskId::new(id).unwrap(), body: TaskBody::Abstract(method) }
     }
 
     fn mission(roles: &[(&str, RoleKind)], tasks: Vec<TaskNode>) -> Mission {
@@ -347,7 +347,7 @@ mod tests {
     fn problems(mission: &Mission) -> Vec<String> {
         match mission.check(&Domain::hospital()) {
             Ok(()) => vec![],
-            Err(errors) => errors.problems.iter().map(ToString::to_string).collect(),
+            Err(errors) => errors.diagnostics.iter().map(ToString::to_string).collect(),
         }
     }
 

@@ -15,7 +15,7 @@
 
 use super::local::{Alternative, LocalPlan, StepAction, StepIndex};
 use crate::ids::{RoleId, TaskId};
-use crate::mission::{Body, Mission};
+use crate::mission::{Mission, TaskBody};
 use std::collections::{BTreeMap, BTreeSet};
 
 /// The alternatives of a role's plan: innermost first, then in the order of the file.
@@ -28,7 +28,7 @@ pub(super) fn alternatives(mission: &Mission, plan: &LocalPlan) -> Vec<Alternati
     let mut depths = vec![0usize; mission.tasks.len()];
     let mut found: Vec<(usize, Alternative)> = Vec::new();
     for (index, node) in mission.tasks.iter().enumerate() {
-        let Body::Abstract(method) = &node.body else { continue };
+        let TaskBody::Abstract(method) = &node.body else { continue };
         for child in &method.children {
             if let Some(depth) = depths.get(index).map(|depth| depth + 1)
                 && let Some(child) = depths.get_mut(*child as usize)
@@ -50,7 +50,7 @@ pub(super) fn alternatives(mission: &Mission, plan: &LocalPlan) -> Vec<Alternati
 }
 
 /// A step that stands between two that an alternative replaces and is not one of them.
-pub(super) fn waits_inside(plan: &LocalPlan, replaces: &BTreeSet<StepIndex>) -> Option<StepIndex> {
+pub(super) fn step_between(plan: &LocalPlan, replaces: &BTreeSet<StepIndex>) -> Option<StepIndex> {
     let mut later: BTreeSet<StepIndex> = BTreeSet::new();
     for (index, step) in (0..).zip(&plan.steps) {
         let follows = step.after.iter().any(|sooner| later.contains(sooner));
@@ -68,6 +68,6 @@ pub(super) fn waits_inside(plan: &LocalPlan, replaces: &BTreeSet<StepIndex>) -> 
 }
 
 /// Whose alternatives differ from the mission's: the role, if this one's do.
-pub(super) fn differ(mission: &Mission, role: &RoleId, plan: &LocalPlan) -> bool {
+pub(super) fn alternatives_differ(mission: &Mission, role: &RoleId, plan: &LocalPlan) -> bool {
     plan.role == *role && plan.alternatives != alternatives(mission, plan)
 }

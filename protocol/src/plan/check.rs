@@ -59,17 +59,17 @@
 //! If `r` may stand ready for `K` before it has heard of `B` (since `y` would wait for it), and `s` for `J`, then `r` waits
 //! for `y`, `y` for `B` of `s`, `s` for `x`, `x` for `A` of `r`.
 
-mod fault;
-mod product;
-mod survey;
+mod global_check;
+mod local_check;
+mod violation;
 
-pub use fault::{DivisionFault, DivisionFaults};
+pub use violation::{DivisionViolation, DivisionViolations};
 
-use self::product::Product;
-use self::survey::Survey;
-use super::alternatives::{differ, waits_inside};
+use self::global_check::GlobalCheck;
+use self::local_check::LocalCheck;
+use super::alternatives::{alternatives_differ, step_between};
 use super::divide::divide;
-use super::guards::guarded;
+use super::guards::guarded_steps;
 use super::local::Division;
 use super::order::GlobalOrder;
 use crate::mission::{Mission, MissionErrors};
@@ -91,14 +91,14 @@ pub fn divide_and_check(mission: &Mission) -> Result<Division, DivisionError> {
 /// [`DivisionError`] lists what is wrong, up to the first kind of problem that makes the rest meaningless.
 pub fn check_division(mission: &Mission, division: &Division) -> Result<(), DivisionError> {
     let order = GlobalOrder::of(mission)?;
-    let unsound = |faults: Vec<DivisionFault>| match faults.is_empty() {
+    let unsound = |faults: Vec<DivisionViolation>| match faults.is_empty() {
         true => Ok(()),
-        false => Err(DivisionError::Unsound(DivisionFaults { mission: mission.name.clone(), faults })),
+        false => Err(DivisionError::Unsound(DivisionViolations { mission: mission.name.clone(), violations: faults })),
     };
-    let survey = Survey::of(&order, division);
-    unsound(survey.faults)?;
-    let product = Product { order: &order, division, part_numbers: survey.parts, pairs: survey.pairs };
-    unsound(product.faults())?;
+    let survey = LocalCheck::of(&order, division);
+    unsound(survey.violations)?;
+    let product = GlobalCheck { order: &order, division, part_numbers: survey.parts, pairs: survey.pairs };
+    unsound(product.violations())?;
     unsound(recovery_faults(mission, division)?)
 }
 
@@ -110,25 +110,25 @@ pub enum DivisionError {
     Mission(#[from] MissionErrors),
     /// The plans do not carry out the mission.
     #[error(transparent)]
-    Unsound(#[from] DivisionFaults),
+    Unsound(#[from] DivisionViolations),
 }
 
 /// (f) and (g)
-fn recovery_faults(mission: &Mission, division: &Division) -> Result<Vec<DivisionFault>, MissionErrors> {
-    let mut expected = guarded(mission, division)?;
+fn recovery_faults(mission: &Mission, division: &Division) -> Result<Vec<DivisionViolation>, MissionErrors> {
+    let mut expected = guarded_steps(mission, division)?;
     let mut faults = Vec::new();
     for (role, plan) in &division.plans {
         let expected = expected.remove(role).unwrap_or_default();
         if plan.guarded != expected {
             let (role, found) = (role.clone(), plan.guarded.clone());
-            faults.push(DivisionFault::Guards { role, found, expected });
+            faults.push(DivisionViolation::GuardMismatch { role, found, expected });
         }
-        if differ(mission, role, plan) {
-            faults.push(DivisionFault::Alternatives { role: role.clone() });
+        if alternatives_differ(mission, role, plan) {
+            faults.push(DivisionViolation::AlternativeMismatch { role: role.clone() });
         }
         for alternative in &plan.alternatives {
-            if let Some(step) = waits_inside(plan, &alternative.replaces) {
-                faults.push(DivisionFault::NotLocal { role: role.clone(), step });
+            if let Some(step) = step_between(plan, &alternative.replaces) {
+                faults.push(DivisionViolation::NonLocalAlternative { role: role.clone(), step });
             }
         }
     }

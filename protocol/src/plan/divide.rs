@@ -29,7 +29,7 @@
 //! first in the list follows the file.
 
 use super::alternatives::alternatives;
-use super::guards::guarded;
+use super::guards::guarded_steps;
 use super::local::{Division, LocalPlan, Signal, SignalKind, Step, StepAction, StepIndex};
 use super::order::GlobalOrder;
 use crate::ids::RoleId;
@@ -54,7 +54,7 @@ pub fn divide(mission: &Mission) -> Result<Division, MissionErrors> {
     }
     let plans = plans.into_iter().map(|(role, draft)| (role.clone(), LocalPlan::of(role, draft.steps)));
     let mut division = Division { plans: plans.collect() };
-    let mut guarded = guarded(mission, &division)?;
+    let mut guarded = guarded_steps(mission, &division)?;
     for (role, plan) in &mut division.plans {
         plan.alternatives = alternatives(mission, plan);
         plan.guarded = guarded.remove(role).unwrap_or_default();

@@ -28,9 +28,9 @@ pub struct ItemMove {
     /// The task.
     pub task: TaskId,
     /// Who does it.
-    pub by: Vec<RoleId>,
+    pub performers: Vec<RoleId>,
     /// Who has the item afterwards; `None` for nobody of the mission.
-    pub to: Option<RoleId>,
+    pub receiver: Option<RoleId>,
     /// It begins after each of these steps, which are performed only when the ledger holds all that ended before them.
     pub guards: Vec<(RoleId, StepIndex)>,
 }
@@ -62,7 +62,7 @@ pub fn item_moves(mission: &Mission, division: &Division) -> Result<BTreeMap<Ite
                 };
                 guards.extend(steps.into_iter().map(|step| (keeper.clone(), step)));
             }
-            moves.push(ItemMove { task: id.clone(), by: spec.roles.clone(), to: to.cloned(), guards });
+            moves.push(ItemMove { task: id.clone(), performers: spec.roles.clone(), receiver: to.cloned(), guards });
             holder = to;
         }
         all.insert(item.clone(), moves);
@@ -71,7 +71,7 @@ pub fn item_moves(mission: &Mission, division: &Division) -> Result<BTreeMap<Ite
 }
 
 /// For each role, its guarded steps.
-pub(super) fn guarded(
+pub(super) fn guarded_steps(
     mission: &Mission,
     division: &Division,
 ) -> Result<BTreeMap<RoleId, BTreeSet<StepIndex>>, MissionErrors> {

@@ -6,7 +6,7 @@
 
 use super::bits::Bits;
 use crate::ids::{ItemId, TaskId};
-use crate::mission::{Body, Fault, Mission, MissionErrors, Order, Problem, TaskSpec};
+use crate::mission::{Mission, MissionDiagnostic, MissionErrorKind, MissionErrors, TaskBody, TaskOrder, TaskSpec};
 use std::collections::BTreeMap;
 
 /// The strict partial order of a mission's elementary tasks. Tasks are numbered in the order of the file, which is a
@@ -30,7 +30,11 @@ impl<'m> GlobalOrder<'m> {
         let mut order = Self { tasks, before };
         order.close_with_joint_tasks();
         let problems = order.unordered_moves();
-        if problems.is_empty() { Ok(order) } else { Err(MissionErrors { mission: mission.name.to_string(), problems }) }
+        if problems.is_empty() {
+            Ok(order)
+        } else {
+            Err(MissionErrors { mission: mission.name.to_string(), diagnostics: problems })
+        }
     }
 
     /// The tasks that move each item, in their order.
@@ -45,12 +49,12 @@ impl<'m> GlobalOrder<'m> {
     }
 
     /// Numbers extend the order, so it is enough to compare neighbours.
-    fn unordered_moves(&self) -> Vec<Problem> {
+    fn unordered_moves(&self) -> Vec<MissionDiagnostic> {
         let mut problems = Vec::new();
         for (item, tasks) in self.moves() {
             for pair in tasks.windows(2).filter(|pair| !self.precedes(pair[0], pair[1])) {
-                let fault = Fault::ItemUnordered { item: item.clone(), other: self.id(pair[0]).clone() };
-                problems.push(Problem { path: self.id(pair[1]).to_string(), fault });
+                let fault = MissionErrorKind::ItemUnordered { item: item.clone(), other: self.id(pair[0]).clone() };
+                problems.push(MissionDiagnostic { path: self.id(pair[1]).to_string(), kind: fault });
             }
         }
         problems
@@ -126,9 +130,9 @@ fn order_by_methods(mission: &Mission, before: &mut [Bits]) {
                     open.push((Visit::Leave { start, child_at: next }, None));
                 }
                 match &mission.tasks[index].body {
-                    Body::Elementary(_) => next += 1,
-                    Body::Abstract(method) => {
-                        let from = (method.order == Order::Sequential).then_some(next);
+                    TaskBody::Elementary(_) => next += 1,
+                    TaskBody::Abstract(method) => {
+                        let from = (method.order == TaskOrder::Sequential).then_some(next);
                         open.extend(method.children.iter().rev().map(|child| (Visit::Enter(*child as usize), from)));
                     }
                 }

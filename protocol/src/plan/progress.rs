@@ -61,7 +61,7 @@ pub enum ProgressError {
 /// or after its mission was taken away.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 #[error("step {step} cannot end now: {problem}")]
-pub struct NotPermitted {
+pub struct StepNotPermitted {
     /// The step.
     pub step: StepIndex,
     /// Why not.
@@ -111,7 +111,7 @@ impl PlanProgress {
             return Err(ProgressError::NotAwaited { signal: signal.clone() });
         }
         let known = waits(&plan).filter(|(step, signal)| {
-            ended.contains(step) || heard.contains(signal) || mutants::is(Mutant::WaitSkipped)
+            ended.contains(step) || heard.contains(signal) || mutants::is_active(Mutant::WaitSkipped)
         });
         let heard = known.map(|(step, _)| step).collect();
         Ok(Self { plan: Arc::new(plan), ended, heard })
@@ -186,8 +186,8 @@ impl PlanProgress {
     ///
     /// # Errors
     /// [`NotPermitted`] if the step could not have been performed; nothing is changed.
-    pub fn end(&mut self, step: StepIndex) -> Result<(), NotPermitted> {
-        let refuse = |problem| Err(NotPermitted { step, problem });
+    pub fn end(&mut self, step: StepIndex) -> Result<(), StepNotPermitted> {
+        let refuse = |problem| Err(StepNotPermitted { step, problem });
         if step as usize >= self.plan.steps.len() {
             return refuse("the plan has no such step");
         }
@@ -205,7 +205,7 @@ impl PlanProgress {
 
     /// Whoever plays `role` now is not who spoke for it before: what was heard from it and not yet acted on no longer holds.
     /// Returns whether there was any such thing.
-    pub fn forget(&mut self, role: &RoleId) -> bool {
+    pub fn discard_signals_from(&mut self, role: &RoleId) -> bool {
         let void = waits(&self.plan).filter(|(step, signal)| signal.from == *role && !self.ended.contains(step));
         let void: BTreeSet<StepIndex> = void.map(|(step, _)| step).collect();
         let heard = self.heard.len();
@@ -215,14 +215,14 @@ impl PlanProgress {
 
     /// Whether the step may be performed as far as the ledger is concerned: it is not guarded, or `known`, the steps that the
     /// ledger is known to hold of this plan, has all that ended so far.
-    pub fn guard_is_met(&self, step: StepIndex, known: &BTreeSet<StepIndex>) -> bool {
-        mutants::is(Mutant::GuardSkipped) || !self.plan.guarded.contains(&step) || self.ended.is_subset(known)
+    pub fn is_guard_met(&self, step: StepIndex, known: &BTreeSet<StepIndex>) -> bool {
+        mutants::is_active(Mutant::GuardSkipped) || !self.plan.guarded.contains(&step) || self.ended.is_subset(known)
     }
 
     /// As [`next`](Self::next), of the steps whose [guard is met](Self::guard_is_met). While a guarded step is held up,
     /// others may go on.
-    pub fn next_given(&self, known: &BTreeSet<StepIndex>) -> Option<(StepIndex, &Step)> {
-        self.first_of(self.permitted().into_iter().filter(|step| self.guard_is_met(*step, known)))
+    pub fn next_guarded(&self, known: &BTreeSet<StepIndex>) -> Option<(StepIndex, &Step)> {
+        self.first_of(self.permitted().into_iter().filter(|step| self.is_guard_met(*step, known)))
     }
 
     /// The alternatives, by their numbers, that could be tried when the task of this step has failed for good.
@@ -234,9 +234,9 @@ impl PlanProgress {
     ///
     /// # Errors
     /// [`NotPermitted`] if there is no such alternative or none of its steps could be performed; nothing is changed.
-    pub fn replace(&mut self, alternative: usize) -> Result<(), NotPermitted> {
+    pub fn apply_alternative(&mut self, alternative: usize) -> Result<(), StepNotPermitted> {
         let Some(Alternative { replaces, .. }) = self.plan.alternatives.get(alternative) else {
-            return Err(NotPermitted { step: 0, problem: "the plan has no such alternative" });
+            return Err(StepNotPermitted { step: 0, problem: "the plan has no such alternative" });
         };
         let mut then = self.clone();
         for step in replaces.iter().filter(|step| !self.ended.contains(step)) {
@@ -248,13 +248,13 @@ impl PlanProgress {
 
     /// A signal has arrived. Returns whether that is news: a signal that was heard before, or that is not for this plan,
     /// changes nothing.
-    pub fn hear(&mut self, signal: &Signal) -> bool {
+    pub fn receive(&mut self, signal: &Signal) -> bool {
         let wait = waits(&self.plan).find(|(_, awaited)| *awaited == signal).map(|(step, _)| step);
         wait.is_some_and(|step| self.heard.insert(step))
     }
 
     /// The signals whose time has come and which have not been heard: what to ask others for.
-    pub fn awaiting(&self) -> Vec<&Signal> {
+    pub fn awaited_signals(&self) -> Vec<&Signal> {
         self.open()
             .filter_map(|(index, step)| match &step.action {
                 StepAction::Wait(signal) if !self.heard.contains(&index) => Some(signal),

@@ -6,13 +6,13 @@
 //! speaks in its own name alone is what seals are for. A person's link carries views, requests within the
 //! scope, and what is to be heard.
 
-use super::identity::{Bearer, Identity, Scope};
+use super::identity::{AccessScope, Identity, Principal};
 use crate::ids::FleetId;
 use crate::keys::{ApiCall, Key, Keys};
 
 /// What a message on a link is, as Zenoh tells them apart.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
-pub enum Passing {
+pub enum LinkMessage {
     /// Something published.
     Put,
     /// A key struck out.
@@ -33,32 +33,32 @@ pub enum Passing {
     LivelinessQuery,
 }
 
-impl Passing {
+impl LinkMessage {
     /// All of them.
-    pub const ALL: [Passing; 9] = [
-        Passing::Put,
-        Passing::Delete,
-        Passing::DeclareSubscriber,
-        Passing::Query,
-        Passing::DeclareQueryable,
-        Passing::Reply,
-        Passing::LivelinessToken,
-        Passing::DeclareLivelinessSubscriber,
-        Passing::LivelinessQuery,
+    pub const ALL: [LinkMessage; 9] = [
+        LinkMessage::Put,
+        LinkMessage::Delete,
+        LinkMessage::DeclareSubscriber,
+        LinkMessage::Query,
+        LinkMessage::DeclareQueryable,
+        LinkMessage::Reply,
+        LinkMessage::LivelinessToken,
+        LinkMessage::DeclareLivelinessSubscriber,
+        LinkMessage::LivelinessQuery,
     ];
 
     /// Zenoh's word for it.
-    pub fn word(self) -> &'static str {
+    pub fn as_str(self) -> &'static str {
         match self {
-            Passing::Put => "put",
-            Passing::Delete => "delete",
-            Passing::DeclareSubscriber => "declare_subscriber",
-            Passing::Query => "query",
-            Passing::DeclareQueryable => "declare_queryable",
-            Passing::Reply => "reply",
-            Passing::LivelinessToken => "liveliness_token",
-            Passing::DeclareLivelinessSubscriber => "declare_liveliness_subscriber",
-            Passing::LivelinessQuery => "liveliness_query",
+            LinkMessage::Put => "put",
+            LinkMessage::Delete => "delete",
+            LinkMessage::DeclareSubscriber => "declare_subscriber",
+            LinkMessage::Query => "query",
+            LinkMessage::DeclareQueryable => "declare_queryable",
+            LinkMessage::Reply => "reply",
+            LinkMessage::LivelinessToken => "liveliness_token",
+            LinkMessage::DeclareLivelinessSubscriber => "declare_liveliness_subscriber",
+            LinkMessage::LivelinessQuery => "liveliness_query",
         }
     }
 }
@@ -69,18 +69,18 @@ pub struct Grant {
     /// The common name.
     pub common_name: String,
     /// What is let in, and on which key expressions. Everything else is not.
-    pub lets_in: Vec<(Vec<Passing>, Vec<String>)>,
+    pub permits: Vec<(Vec<LinkMessage>, Vec<String>)>,
 }
 
 /// The common name of a bearer's certificate.
 pub fn common_name(who: &Identity) -> String {
-    match &who.bearer {
-        Bearer::Node { .. } => "consort-node".to_owned(),
-        Bearer::Person { scope, .. } => person(*scope),
+    match &who.principal {
+        Principal::Node { .. } => "consort-node".to_owned(),
+        Principal::Person { scope, .. } => person(*scope),
     }
 }
 
-fn person(scope: Scope) -> String {
+fn person(scope: AccessScope) -> String {
     format!("consort-{scope}")
 }
 
@@ -89,24 +89,24 @@ pub fn grants(fleet: &FleetId, aside: &[&str]) -> Vec<Grant> {
     let keys = Keys::new(fleet);
     let mut all = vec![format!("consort/{fleet}/**")];
     all.extend(aside.iter().map(|aside| (*aside).to_owned()));
-    let node = Grant { common_name: "consort-node".to_owned(), lets_in: vec![(Passing::ALL.to_vec(), all)] };
-    let persons = Scope::ALL.iter().map(|scope| Grant {
+    let node = Grant { common_name: "consort-node".to_owned(), permits: vec![(LinkMessage::ALL.to_vec(), all)] };
+    let persons = AccessScope::ALL.iter().map(|scope| Grant {
         common_name: person(*scope),
-        lets_in: vec![
-            (vec![Passing::Query], asked(&keys, *scope)),
-            (vec![Passing::DeclareSubscriber], heard(&keys)),
-            (vec![Passing::DeclareLivelinessSubscriber, Passing::LivelinessQuery], vec![keys.any_alive()]),
+        permits: vec![
+            (vec![LinkMessage::Query], asked(&keys, *scope)),
+            (vec![LinkMessage::DeclareSubscriber], heard(&keys)),
+            (vec![LinkMessage::DeclareLivelinessSubscriber, LinkMessage::LivelinessQuery], vec![keys.any_alive()]),
         ],
     });
     std::iter::once(node).chain(persons).collect()
 }
 
 /// What a person of this scope may ask.
-fn asked(keys: &Keys, scope: Scope) -> Vec<String> {
-    let calls = ApiCall::ALL.iter().filter(|call| needed(**call) <= scope);
+fn asked(keys: &Keys, scope: AccessScope) -> Vec<String> {
+    let calls = ApiCall::ALL.iter().filter(|call| required_scope(**call) <= scope);
     let mut asked: Vec<String> = calls.map(|call| keys.write(&Key::Api(*call))).collect();
-    asked.extend([keys.any_view(), keys.any_seen_by_any(), keys.any_help(), keys.any_card()]);
-    if scope >= Scope::Operate {
+    asked.extend([keys.any_view(), keys.any_seen_by_any(), keys.any_help(), keys.any_certificate()]);
+    if scope >= AccessScope::Operate {
         asked.push(keys.any_leave());
     }
     asked
@@ -118,11 +118,11 @@ fn heard(keys: &Keys) -> Vec<String> {
 }
 
 /// Which scope a call needs.
-pub fn needed(call: ApiCall) -> Scope {
+pub fn required_scope(call: ApiCall) -> AccessScope {
     match call {
-        ApiCall::Get | ApiCall::List | ApiCall::Explain | ApiCall::Help => Scope::Read,
-        ApiCall::Submit | ApiCall::Cancel => Scope::Submit,
-        ApiCall::Rescued | ApiCall::Backup | ApiCall::Upgrade => Scope::Operate,
+        ApiCall::Get | ApiCall::List | ApiCall::Explain | ApiCall::Help => AccessScope::Read,
+        ApiCall::Submit | ApiCall::Cancel => AccessScope::Submit,
+        ApiCall::Resolve | ApiCall::Backup | ApiCall::Upgrade => AccessScope::Operate,
     }
 }
 
@@ -134,18 +134,18 @@ mod tests {
         FleetId::new("ward").unwrap()
     }
 
-    fn may(scope: Scope, passing: Passing, key: &str) -> bool {
+    fn may(scope: AccessScope, passing: LinkMessage, key: &str) -> bool {
         let grants = grants(&ward(), &[]);
         let grant = grants.iter().find(|grant| grant.common_name == person(scope)).unwrap();
-        let mut matching = grant.lets_in.iter().filter(|(passings, _)| passings.contains(&passing));
+        let mut matching = grant.permits.iter().filter(|(passings, _)| passings.contains(&passing));
         matching.any(|(_, keys)| keys.iter().any(|granted| granted == key))
     }
 
     #[test]
     fn a_person_asks_what_the_scope_allows_and_says_nothing() {
-        use Passing::{DeclareSubscriber, Put, Query, Reply};
+        use LinkMessage::{DeclareSubscriber, Put, Query, Reply};
         for (scope, submits, operates) in
-            [(Scope::Read, false, false), (Scope::Submit, true, false), (Scope::Operate, true, true)]
+            [(AccessScope::Read, false, false), (AccessScope::Submit, true, false), (AccessScope::Operate, true, true)]
         {
             assert!(may(scope, Query, "consort/ward/view/**"));
             assert_eq!(may(scope, Query, "consort/ward/api/submit"), submits);
@@ -155,7 +155,7 @@ mod tests {
             let grants = grants(&ward(), &[]);
             let own = grants.iter().find(|grant| grant.common_name == person(scope)).unwrap();
             let says =
-                own.lets_in.iter().flat_map(|(passings, _)| passings).any(|passing| [Put, Reply].contains(passing));
+                own.permits.iter().flat_map(|(passings, _)| passings).any(|passing| [Put, Reply].contains(passing));
             assert!(!says, "{scope}");
         }
     }
@@ -174,8 +174,8 @@ mod tests {
     fn a_nodes_link_carries_its_fleet_and_no_other() {
         let grants = grants(&ward(), &["consort-hearing/*"]);
         assert_eq!(
-            grants[0].lets_in,
-            [(Passing::ALL.to_vec(), vec!["consort/ward/**".to_owned(), "consort-hearing/*".to_owned()])]
+            grants[0].permits,
+            [(LinkMessage::ALL.to_vec(), vec!["consort/ward/**".to_owned(), "consort-hearing/*".to_owned()])]
         );
     }
 }

@@ -1,7 +1,7 @@
 //! What a certificate says of its bearer.
 
 use crate::ids::{FleetId, NameError, NodeId, PersonId};
-use crate::words::words;
+use crate::word_enum::words;
 use std::collections::BTreeSet;
 use std::fmt;
 use std::str::FromStr;
@@ -13,12 +13,12 @@ pub struct Identity {
     /// Of which fleet.
     pub fleet: FleetId,
     /// Of whom.
-    pub bearer: Bearer,
+    pub principal: Principal,
 }
 
 /// Whom a certificate is given to.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub enum Bearer {
+pub enum Principal {
     /// A node.
     Node {
         /// Its name.
@@ -31,7 +31,7 @@ pub enum Bearer {
         /// Who.
         name: PersonId,
         /// What the person may do.
-        scope: Scope,
+        scope: AccessScope,
     },
 }
 
@@ -46,7 +46,7 @@ words! {
         Host = "host",
     }
     /// What a person may do. Each may do what the ones before it may.
-    Scope {
+    AccessScope {
         /// Look in.
         Read = "read",
         /// Ask for missions and withdraw them.
@@ -60,15 +60,15 @@ macro_rules! read {
     ($($name:ident, $what:literal;)*) => {$(
         impl fmt::Display for $name {
             fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-                f.pad(self.word())
+                f.pad(self.as_str())
             }
         }
 
         impl FromStr for $name {
             type Err = IdentityError;
             fn from_str(text: &str) -> Result<Self, IdentityError> {
-                $name::read(text).ok_or_else(|| {
-                    let allowed = $name::ALL.iter().map(|known| known.word()).collect::<Vec<_>>().join(", ");
+                $name::parse(text).ok_or_else(|| {
+                    let allowed = $name::ALL.iter().map(|known| known.as_str()).collect::<Vec<_>>().join(", ");
                     IdentityError(format!("{text:?} is no {}; allowed: {allowed}", $what))
                 })
             }
@@ -78,7 +78,7 @@ macro_rules! read {
 
 read! {
     NodeRole, "role of a node";
-    Scope, "scope";
+    AccessScope, "scope";
 }
 
 /// Why a text does not say whose certificate it is.
@@ -92,12 +92,12 @@ impl From<NameError> for IdentityError {
     }
 }
 
-impl fmt::Display for Bearer {
+impl fmt::Display for Principal {
     /// For people: `node ada (robot, voter)`, `person kim (submit)`.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Bearer::Node { name, roles } => write!(f, "node {name} ({})", listed(roles, ", ")),
-            Bearer::Person { name, scope } => write!(f, "person {name} ({scope})"),
+            Principal::Node { name, roles } => write!(f, "node {name} ({})", listed(roles, ", ")),
+            Principal::Person { name, scope } => write!(f, "person {name} ({scope})"),
         }
     }
 }
@@ -105,19 +105,19 @@ impl fmt::Display for Bearer {
 fn listed(roles: &BTreeSet<NodeRole>, between: &str) -> String {
     match roles.is_empty() {
         true => "no role".to_owned(),
-        false => roles.iter().map(|role| role.word()).collect::<Vec<_>>().join(between),
+        false => roles.iter().map(|role| role.as_str()).collect::<Vec<_>>().join(between),
     }
 }
 
 impl fmt::Display for Identity {
     /// As it is written into a certificate.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match &self.bearer {
-            Bearer::Node { name, roles } => {
-                let roles = roles.iter().map(|role| role.word()).collect::<Vec<_>>().join(",");
+        match &self.principal {
+            Principal::Node { name, roles } => {
+                let roles = roles.iter().map(|role| role.as_str()).collect::<Vec<_>>().join(",");
                 write!(f, "consort://{}/node/{name}?roles={roles}", self.fleet)
             }
-            Bearer::Person { name, scope } => write!(f, "consort://{}/person/{name}?scope={scope}", self.fleet),
+            Principal::Person { name, scope } => write!(f, "consort://{}/person/{name}?scope={scope}", self.fleet),
         }
     }
 }
@@ -136,14 +136,14 @@ impl FromStr for Identity {
             (&[fleet, "node", name], Some(("roles", roles))) => {
                 let roles = roles.split(',').filter(|role| !role.is_empty());
                 let roles = roles.map(str::parse).collect::<Result<_, _>>()?;
-                (fleet, Bearer::Node { name: name.parse()?, roles })
+                (fleet, Principal::Node { name: name.parse()?, roles })
             }
             (&[fleet, "person", name], Some(("scope", scope))) => {
-                (fleet, Bearer::Person { name: name.parse()?, scope: scope.parse()? })
+                (fleet, Principal::Person { name: name.parse()?, scope: scope.parse()? })
             }
             _ => return Err(form()),
         };
-        Ok(Identity { fleet: fleet.parse()?, bearer })
+        Ok(Identity { fleet: fleet.parse()?, principal: bearer })
     }
 }
 
@@ -178,6 +178,6 @@ mod tests {
 
     #[test]
     fn a_wider_scope_is_greater() {
-        assert!(Scope::Read < Scope::Submit && Scope::Submit < Scope::Operate);
+        assert!(AccessScope::Read < AccessScope::Submit && AccessScope::Submit < AccessScope::Operate);
     }
 }

@@ -15,14 +15,17 @@
 //! (`alive/`) have no content to be sealed, and are hints.
 
 pub mod access;
-mod beside;
+mod attachment;
+mod envelope;
 mod identity;
+mod replay_window;
 mod rights;
-mod seal;
-mod window;
 
-pub use beside::{read_asker, signed_beside, write_asker};
-pub use identity::{Bearer, Identity, IdentityError, NodeRole, Scope};
-pub use rights::{Act, Denied, check};
-pub use seal::{Fingerprint, Kind, OVERHEAD, SIGNATURE, SealError, Sealed, open, signed_part, write};
-pub use window::{Freshness, Window};
+pub use attachment::{decode_requester, encode_requester, signed_attachment};
+pub use envelope::{
+    ENVELOPE_BYTES, EnvelopeError, Fingerprint, MessageKind, SIGNATURE_BYTES, SignedEnvelope, decode_envelope,
+    encode_envelope, signed_part,
+};
+pub use identity::{AccessScope, Identity, IdentityError, NodeRole, Principal};
+pub use replay_window::{Freshness, ReplayWindow};
+pub use rights::{AccessDenied, Operation, authorize};

@@ -28,12 +28,12 @@
 //! Persons publish and answer nothing. What this cannot tell: whether a robot holds the role for which it signals (hearers
 //! compare the epoch), whether a voter leads (terms and majorities do), and what a node hands on of a third one's knowledge.
 
-use super::identity::{Bearer, Identity, NodeRole};
-use crate::auction::Tender;
+use super::identity::{Identity, NodeRole, Principal};
+use crate::auction::BidResponse;
 use crate::codec;
 use crate::ids::NodeId;
 use crate::keys::ApiCall;
-use crate::message::{Beacon, Changed, Founder, Report, Statement, Within};
+use crate::message::{Beacon, BootstrapRequest, ClusterEnvelope, MissionsChanged, RecordUpdate, Report};
 use serde::Deserialize;
 use serde::de::DeserializeOwned;
 use std::collections::BTreeSet;
@@ -43,31 +43,31 @@ mod tests;
 
 /// What is done on a key.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
-pub enum Act {
+pub enum Operation {
     /// Something is published.
     Publish,
     /// Something is asked.
-    Ask,
+    Query,
     /// Something is answered.
-    Answer,
+    Reply,
 }
 
-impl Act {
+impl Operation {
     fn word(self) -> &'static str {
         match self {
-            Act::Publish => "publish on",
-            Act::Ask => "ask",
-            Act::Answer => "answer on",
+            Operation::Publish => "publish on",
+            Operation::Query => "ask",
+            Operation::Reply => "answer on",
         }
     }
 }
 
 /// Why somebody may not say what was said. Whoever hears it takes no notice of the message.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-pub enum Denied {
+pub enum AccessDenied {
     /// The bearer may not do this there at all.
     #[error("{bearer} may not {act} {key}")]
-    Act {
+    Operation {
         /// Who.
         bearer: String,
         /// What, in words.
@@ -77,7 +77,7 @@ pub enum Denied {
     },
     /// It was said in somebody else's name.
     #[error("{bearer} speaks on {key} in the name of {name}")]
-    Name {
+    Impersonation {
         /// Who.
         bearer: String,
         /// Where, below the fleet's prefix.
@@ -101,29 +101,30 @@ pub enum Denied {
 ///
 /// # Errors
 /// [`Denied`] says why not.
-pub fn check(who: &Identity, act: Act, key: &str, payload: &[u8]) -> Result<(), Denied> {
+pub fn authorize(who: &Identity, act: Operation, key: &str, payload: &[u8]) -> Result<(), AccessDenied> {
     let claim = Claim { who, key, payload };
-    let Bearer::Node { name, roles } = &who.bearer else { return Err(claim.denied(act)) };
+    let Principal::Node { name, roles } = &who.principal else { return Err(claim.denied(act)) };
     let bearer = Node { name, roles };
     match claimed_name(&bearer, act, key) {
         None => Err(claim.denied(act)),
         Some(Says::Anything) => Ok(()),
         Some(Says::Statement) => {
-            let said = codec::decode_any(claim.payload).map_err(|problem| claim.unreadable(problem.to_string()))?;
+            let said =
+                codec::decode_any_version(claim.payload).map_err(|problem| claim.unreadable(problem.to_string()))?;
             claim.is_own(
                 name,
                 match said {
-                    Statement::Record(record) => Some(record.owner.to_string()),
-                    Statement::Still { .. } => None,
+                    RecordUpdate::Record(record) => Some(record.owner.to_string()),
+                    RecordUpdate::Refresh { .. } => None,
                 },
             )
         }
-        Some(Says::Founder) => claim.named(name, |said: &Founder| Some(said.node.to_string())),
+        Some(Says::Founder) => claim.named(name, |said: &BootstrapRequest| Some(said.node.to_string())),
         Some(Says::Beacon) => claim.named_within(name, |said: &Beacon| Some(said.node.to_string())),
-        Some(Says::Changed) => claim.named_within(name, |said: &Changed| Some(said.node.to_string())),
+        Some(Says::Changed) => claim.named_within(name, |said: &MissionsChanged| Some(said.node.to_string())),
         Some(Says::Report) => claim.named_within(name, |said: &Report| Some(said.robot.to_string())),
         Some(Says::Event) => claim.is_own(name, Some(claim.teller()?.to_string())),
-        Some(Says::Tender) => claim.named(name, |said: &Tender| Some(said.robot.to_string())),
+        Some(Says::Tender) => claim.named(name, |said: &BidResponse| Some(said.robot.to_string())),
     }
 }
 
@@ -155,9 +156,9 @@ impl Node<'_> {
 }
 
 /// What the node may say there, if anything.
-fn claimed_name(node: &Node<'_>, act: Act, key: &str) -> Option<Says> {
-    use Act::{Answer, Ask, Publish};
+fn claimed_name(node: &Node<'_>, act: Operation, key: &str) -> Option<Says> {
     use NodeRole::{Host, Robot, Voter};
+    use Operation::{Publish, Query, Reply};
     let segments: Vec<&str> = key.split('/').collect();
     let anything = |may: bool| may.then_some(Says::Anything);
     match (segments.as_slice(), act) {
@@ -165,7 +166,7 @@ fn claimed_name(node: &Node<'_>, act: Act, key: &str) -> Option<Says> {
         (&["wire", "swim", _], Publish) => anything(true),
         (&["wire", "gossip", _], Ask) => anything(true),
         (&["wire", "gossip", name], Answer) => anything(node.called(name)),
-        (&["wire", "raft", _, _], Ask | Answer) => anything(node.is(Voter)),
+        (&["wire", "raft", _, _], Query | Reply) => anything(node.is(Voter)),
         (&["wire", "found", _], Ask) => node.is(Voter).then_some(Says::Founder),
         (&["wire", "found", name], Answer) => anything(node.is(Voter) && node.called(name)),
         (&["wire", "beacon"], Publish) => node.is(Voter).then_some(Says::Beacon),
@@ -177,17 +178,17 @@ fn claimed_name(node: &Node<'_>, act: Act, key: &str) -> Option<Says> {
         (&["wire", "report", _], Ask) => node.is(Robot).then_some(Says::Report),
         (&["wire", "report" | "live", name], Answer) => anything(node.is(Voter) && node.called(name)),
         (&["wire", "live", _] | &["wire", "said", _, _] | &["wire", "world"], Ask) => anything(true),
-        (&["wire", "signal", _, _], Publish) | (&["wire", "said", _, _], Answer) => {
+        (&["wire", "signal", _, _], Publish) | (&["wire", "said", _, _], Reply) => {
             anything(node.is(Robot) || node.is(Host))
         }
         (&["wire", "body", name, "command"], Ask) => anything(node.is(Robot) && node.called(name)),
         (&["wire", "body", _, "command"] | &["wire", "world"], Answer) => anything(node.is(Host)),
         (&["wire", "body", _, "state"] | &["wire", "people", "done"], Publish) => anything(node.is(Host)),
-        (&["wire", "people", "ask"], Ask | Answer) => anything(node.is(Host)),
+        (&["wire", "people", "ask"], Query | Reply) => anything(node.is(Host)),
         (&["events", name], Publish) => node.called(name).then_some(Says::Event),
         (&["view", ..] | &["api", _, "help"], Answer) => anything(true),
         (&["seen", name, ..] | &["api", "leave", name], Answer) => anything(node.called(name)),
-        (&["api", call], Answer) => anything(ApiCall::read(call)?.is_reading() || node.is(Voter)),
+        (&["api", call], Answer) => anything(ApiCall::parse(call)?.is_read_only() || node.is(Voter)),
         _ => None,
     }
 }
@@ -206,11 +207,15 @@ struct Claim<'a> {
 }
 
 impl Claim<'_> {
-    fn denied(&self, act: Act) -> Denied {
-        Denied::Act { bearer: self.who.bearer.to_string(), act: act.word(), key: self.key.to_owned() }
+    fn denied(&self, act: Operation) -> AccessDenied {
+        AccessDenied::Operation { bearer: self.who.principal.to_string(), act: act.word(), key: self.key.to_owned() }
     }
 
-    fn named<T: DeserializeOwned>(&self, own: &NodeId, name: impl FnOnce(&T) -> Option<String>) -> Result<(), Denied> {
+    fn named<T: DeserializeOwned>(
+        &self,
+        own: &NodeId,
+        name: impl FnOnce(&T) -> Option<String>,
+    ) -> Result<(), AccessDenied> {
         let said: T = self.read(self.payload)?;
         self.is_own(own, name(&said))
     }
@@ -220,31 +225,33 @@ impl Claim<'_> {
         &self,
         own: &NodeId,
         name: impl FnOnce(&T) -> Option<String>,
-    ) -> Result<(), Denied> {
-        let within: Within = self.read(self.payload)?;
-        let said: T = self.read(&within.said)?;
+    ) -> Result<(), AccessDenied> {
+        let within: ClusterEnvelope = self.read(self.payload)?;
+        let said: T = self.read(&within.payload)?;
         self.is_own(own, name(&said))
     }
 
-    fn read<T: DeserializeOwned>(&self, bytes: &[u8]) -> Result<T, Denied> {
+    fn read<T: DeserializeOwned>(&self, bytes: &[u8]) -> Result<T, AccessDenied> {
         codec::decode(bytes).map_err(|problem| self.unreadable(problem.to_string()))
     }
 
     /// Where an event says that it happened.
-    fn teller(&self) -> Result<NodeId, Denied> {
+    fn teller(&self) -> Result<NodeId, AccessDenied> {
         let told = serde_json::from_slice::<Teller>(self.payload);
         told.map(|told| told.node).map_err(|problem| self.unreadable(problem.to_string()))
     }
 
-    fn unreadable(&self, problem: String) -> Denied {
-        Denied::Unreadable { bearer: self.who.bearer.to_string(), key: self.key.to_owned(), problem }
+    fn unreadable(&self, problem: String) -> AccessDenied {
+        AccessDenied::Unreadable { bearer: self.who.principal.to_string(), key: self.key.to_owned(), problem }
     }
 
-    fn is_own(&self, own: &NodeId, name: Option<String>) -> Result<(), Denied> {
+    fn is_own(&self, own: &NodeId, name: Option<String>) -> Result<(), AccessDenied> {
         match name {
-            Some(name) if name != own.as_str() => {
-                Err(Denied::Name { bearer: self.who.bearer.to_string(), key: self.key.to_owned(), name })
-            }
+            Some(name) if name != own.as_str() => Err(AccessDenied::Impersonation {
+                bearer: self.who.principal.to_string(),
+                key: self.key.to_owned(),
+                name,
+            }),
             _ => Ok(()),
         }
     }

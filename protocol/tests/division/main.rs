@@ -1,7 +1,7 @@
 //! Division of missions into local plans, and what comes of it when the plans are carried out.
 
-mod known;
+mod alternative_methods;
+mod known_missions;
 mod moved_items;
-mod other_methods;
 mod properties;
 mod support;

@@ -1,27 +1,29 @@
 //! Random missions that hand items on: an item moves only when the ledger knows enough to tell that it may have.
 
-use crate::properties::{Dice, run_from, small_trees, trees};
-use crate::support::{Event, Explored, Team, Tree, explore_from, mission, slow_order};
+use crate::properties::{SeededRng, run_from, small_trees, trees};
+use crate::support::{Event, Explored, Team, Tree, explore_from, mission, reference_order};
 use consort_protocol::auction::{AuctionId, AuctionRecord};
 use consort_protocol::ids::{ItemId, RequestId, RobotId, RoleId};
 use consort_protocol::lease::Epoch;
 use consort_protocol::ledger::{Branch, Command, Ledger, RolePhase, Submission};
-use consort_protocol::mission::{Body, Domain, Mission, RoleKind};
-use consort_protocol::plan::{Division, DivisionError, DivisionFault, check_division, divide_and_check, item_moves};
+use consort_protocol::mission::{Domain, Mission, RoleKind, TaskBody};
+use consort_protocol::plan::{
+    Division, DivisionError, DivisionViolation, check_division, divide_and_check, item_moves,
+};
 use proptest::prelude::*;
 use std::collections::{BTreeMap, BTreeSet};
 
 /// The mission of a tree, in which up to two items are moved, by tasks in order, to roles and out of the mission.
 fn moving(tree: &Tree, seed: u64) -> Mission {
-    let mut dice = Dice(seed);
-    let before = slow_order(tree);
+    let mut dice = SeededRng(seed);
+    let before = reference_order(tree);
     let mut mission = mission(tree);
     let roles: Vec<_> = mission.roles.keys().cloned().collect();
     for item in ["sample", "tray"] {
         let item = ItemId::new(item).unwrap();
         let (mut task, mut last) = (0, None::<usize>);
         for node in &mut mission.tasks {
-            let Body::Elementary(spec) = &mut node.body else { continue };
+            let TaskBody::Elementary(spec) = &mut node.body else { continue };
             if dice.below(2) == 0 && last.is_none_or(|last| before[last][task]) {
                 match dice.below(roles.len() + 1) {
                     role if role < roles.len() => drop(spec.acquires.insert(item.clone(), roles[role].clone())),
@@ -52,7 +54,7 @@ fn held(mission: &Mission, division: &Division) -> Ledger {
     for role in roles {
         ledger.apply(
             AWARD,
-            Command::Accept { mission: mission.clone(), role, epoch: AWARD, incarnation: 1, resumes: false },
+            Command::Accept { mission: mission.clone(), role, epoch: AWARD, incarnation: 1, from_checkpoint: false },
         );
     }
     ledger
@@ -63,7 +65,7 @@ proptest! {
 
     #[test]
     fn no_item_moves_before_the_ledger_knows_that_it_may(tree in trees(6, 30), seed: u64) {
-        let before = slow_order(&tree);
+        let before = reference_order(&tree);
         let mission = moving(&tree, seed);
         let division = divide_and_check(&mission).map_err(|error| TestCaseError::fail(error.to_string()))?;
         let moves: Vec<_> = item_moves(&mission, &division).unwrap().into_values().flatten().collect();
@@ -75,7 +77,7 @@ proptest! {
 
     #[test]
     fn whatever_the_order_of_reports_a_small_mission_ends(tree in small_trees(), seed: u64) {
-        let before = slow_order(&tree);
+        let before = reference_order(&tree);
         let mission = moving(&tree, seed);
         let division = divide_and_check(&mission).unwrap();
         let moves: Vec<_> = item_moves(&mission, &division).unwrap().into_values().flatten().collect();
@@ -87,13 +89,13 @@ proptest! {
     /// the ledger is certain nobody else can have it.
     #[test]
     fn the_ledger_is_never_wrong_about_who_has_what(tree in trees(5, 20), seed: u64) {
-        let before = slow_order(&tree);
+        let before = reference_order(&tree);
         let mission = moving(&tree, seed);
         let division = divide_and_check(&mission).unwrap();
         let moves = item_moves(&mission, &division).unwrap();
         let mut ledger = held(&mission, &division);
         let id = ledger.missions().next().unwrap().id.clone();
-        let mut dice = Dice(seed);
+        let mut dice = SeededRng(seed);
         let mut team = Team::of(&division, &before);
         loop {
             let events = team.events();
@@ -110,7 +112,7 @@ proptest! {
                 ledger.apply(AWARD, Command::Progress { mission, role, epoch, branch, ended });
             }
             let entry = ledger.mission(&id).unwrap();
-            if entry.state.is_end() {
+            if entry.state.is_final() {
                 break; // robots have no more to do
             }
             let said = entry.custody();
@@ -123,10 +125,10 @@ proptest! {
                         keepers.clear();
                     }
                     if begun {
-                        keepers.insert(moved.to.as_ref());
+                        keepers.insert(moved.receiver.as_ref());
                     }
                     let over = |role: &RoleId| entry.roles[role].phase == RolePhase::Ended;
-                    delivered = index + 1 == moves.len() && ended && moved.to.as_ref().is_some_and(over);
+                    delivered = index + 1 == moves.len() && ended && moved.receiver.as_ref().is_some_and(over);
                 }
                 let said: Vec<_> = said.iter().filter(|kept| kept.item == *item).collect();
                 for keeper in keepers.iter().flatten().filter(|_| !delivered) {
@@ -151,8 +153,8 @@ proptest! {
                 let Err(DivisionError::Unsound(faults)) = check_division(&mission, &unguarded) else {
                     return Err(TestCaseError::fail(format!("step {guard} of {role} need not be guarded")));
                 };
-                let guards = |fault: &DivisionFault| matches!(fault, DivisionFault::Guards { .. });
-                prop_assert!(faults.faults.iter().all(guards), "{}", faults);
+                let guards = |fault: &DivisionViolation| matches!(fault, DivisionViolation::GuardMismatch { .. });
+                prop_assert!(faults.violations.iter().all(guards), "{}", faults);
             }
         }
     }
@@ -164,11 +166,11 @@ fn moves_of_one_item_in_no_order_are_refused_and_both_tasks_are_named() {
         Tree::Sequence(vec![Tree::Unordered(vec![Tree::Task(vec![1]), Tree::Task(vec![2])]), Tree::Task(vec![1])]);
     let mut mission = mission(&tree);
     for node in &mut mission.tasks {
-        if let Body::Elementary(spec) = &mut node.body {
+        if let TaskBody::Elementary(spec) = &mut node.body {
             spec.releases.insert(ItemId::new("sample").unwrap());
         }
     }
-    let problems = mission.check(&Domain::hospital()).unwrap_err().problems;
+    let problems = mission.check(&Domain::hospital()).unwrap_err().diagnostics;
     let said: Vec<String> = problems.iter().map(ToString::to_string).collect();
     assert_eq!(said, ["t1: touches the item `sample`, as does t0, and neither must come first; put them in sequence"]);
 }

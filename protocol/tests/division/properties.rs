@@ -1,11 +1,11 @@
 //! Random missions, divided: whatever happens in whatever order, the mission is carried out.
 
 use crate::support::{
-    Explored, Sequence, Task, Team, Tree, Unordered, explore, leaves, mission, signals, slow_order, without_signal,
-    without_step,
+    Explored, Sequence, Task, Team, Tree, Unordered, explore_all_states, leaves, mission, reference_order, signals,
+    without_signal, without_step,
 };
 use consort_protocol::plan::{
-    Division, DivisionError, DivisionFault, GlobalOrder, PlanProgress, SignalKind, StepAction, StepIndex,
+    Division, DivisionError, DivisionViolation, GlobalOrder, PlanProgress, SignalKind, StepAction, StepIndex,
     check_division, divide, divide_and_check,
 };
 use proptest::prelude::*;
@@ -29,9 +29,9 @@ pub(crate) fn small_trees() -> impl Strategy<Value = Tree> {
 }
 
 /// Numbers without pattern, from a seed.
-pub(crate) struct Dice(pub(crate) u64);
+pub(crate) struct SeededRng(pub(crate) u64);
 
-impl Dice {
+impl SeededRng {
     pub(crate) fn below(&mut self, bound: usize) -> usize {
         self.0 = self.0.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
         ((self.0 >> 33) as usize) % bound
@@ -45,7 +45,7 @@ fn run(division: &Division, before: &[Vec<bool>], seed: u64, advised: bool) -> R
 
 /// The same from a given state.
 pub(crate) fn run_from(mut team: Team<'_>, seed: u64, advised: bool) -> Result<(), String> {
-    let mut dice = Dice(seed);
+    let mut dice = SeededRng(seed);
     loop {
         let events = if advised { team.advised() } else { team.events() };
         if events.is_empty() {
@@ -62,10 +62,10 @@ pub(crate) fn run_from(mut team: Team<'_>, seed: u64, advised: bool) -> Result<(
     }
 }
 
-fn refused(tree: &Tree, division: &Division) -> Option<Vec<DivisionFault>> {
+fn refused(tree: &Tree, division: &Division) -> Option<Vec<DivisionViolation>> {
     match check_division(&mission(tree), division) {
         Ok(()) => None,
-        Err(DivisionError::Unsound(error)) => Some(error.faults),
+        Err(DivisionError::Unsound(error)) => Some(error.violations),
         Err(DivisionError::Mission(error)) => panic!("{error}"),
     }
 }
@@ -76,7 +76,7 @@ proptest! {
     #[test]
     fn the_global_order_is_the_slow_one(tree in trees(5, 40)) {
         let mission = mission(&tree);
-        let (order, slow) = (GlobalOrder::of(&mission).unwrap(), slow_order(&tree));
+        let (order, slow) = (GlobalOrder::of(&mission).unwrap(), reference_order(&tree));
         for (first, row) in slow.iter().enumerate() {
             for (second, before) in row.iter().enumerate() {
                 prop_assert_eq!(order.precedes(first, second), *before, "t{} t{}", first, second);
@@ -104,7 +104,7 @@ proptest! {
 
     #[test]
     fn nothing_is_ordered_that_the_mission_leaves_open(tree in trees(4, 20)) {
-        let (mission, slow) = (mission(&tree), slow_order(&tree));
+        let (mission, slow) = (mission(&tree), reference_order(&tree));
         let division = divide(&mission).unwrap();
         for plan in division.plans.values() {
             let mut before: Vec<BTreeSet<usize>> = Vec::new();
@@ -127,7 +127,7 @@ proptest! {
 
     #[test]
     fn large_missions_end_in_order_however_they_run(tree in trees(6, 40), seed: u64) {
-        let before = slow_order(&tree);
+        let before = reference_order(&tree);
         let division = divide_and_check(&mission(&tree)).unwrap();
         for walk in 0..4 {
             let run = run(&division, &before, seed ^ walk, walk % 2 == 1);
@@ -137,9 +137,9 @@ proptest! {
 
     #[test]
     fn every_interleaving_of_a_small_mission_ends_in_order(tree in small_trees()) {
-        let before = slow_order(&tree);
+        let before = reference_order(&tree);
         let division = divide_and_check(&mission(&tree)).unwrap();
-        let explored = explore(&division, &before, 3_000);
+        let explored = explore_all_states(&division, &before, 3_000);
         prop_assert!(!matches!(explored, Explored::Wrong(_)), "{:?}", explored);
     }
 
@@ -151,7 +151,7 @@ proptest! {
             let Some(faults) = refused(&tree, &without_signal(&division, &signal)) else {
                 return Err(TestCaseError::fail(format!("{signal} says nothing new")));
             };
-            let breaks_order = |fault: &DivisionFault| matches!(fault, DivisionFault::OutOfOrder { .. });
+            let breaks_order = |fault: &DivisionViolation| matches!(fault, DivisionViolation::OutOfOrder { .. });
             prop_assert!(joint || faults.iter().any(breaks_order), "{:?}", faults);
         }
     }
@@ -161,10 +161,10 @@ proptest! {
         let division = divide(&mission(&tree)).unwrap();
         for (signal, send, wait) in signals(&division) {
             let faults = refused(&tree, &without_step(&division, &send.0, send.1)).unwrap();
-            let signal_of_fault = DivisionFault::WaitInVain { signal: signal.clone() };
+            let signal_of_fault = DivisionViolation::UnmatchedWait { signal: signal.clone() };
             prop_assert_eq!(faults, vec![signal_of_fault]);
             let faults = refused(&tree, &without_step(&division, &wait.0, wait.1)).unwrap();
-            prop_assert_eq!(faults, vec![DivisionFault::SendUnheard { signal: signal.clone() }]);
+            prop_assert_eq!(faults, vec![DivisionViolation::UnmatchedSend { signal: signal.clone() }]);
 
             for other in division.plans.keys().filter(|other| **other != signal.to) {
                 let mut retargeted = division.clone();
@@ -178,16 +178,16 @@ proptest! {
     /// The check is worth what it accepts: of plans spoilt at random, all that pass run soundly to their end.
     #[test]
     fn what_passes_the_check_runs_soundly(tree in small_trees(), seed: u64) {
-        let before = slow_order(&tree);
+        let before = reference_order(&tree);
         let sound = divide(&mission(&tree)).unwrap();
-        let mut dice = Dice(seed);
+        let mut dice = SeededRng(seed);
         for _ in 0..8 {
             let mut division = sound.clone();
             for _ in 0..=dice.below(2) {
                 spoil(&mut division, &mut dice);
             }
             if division != sound && refused(&tree, &division).is_none() {
-                let explored = explore(&division, &before, 1_000);
+                let explored = explore_all_states(&division, &before, 1_000);
                 prop_assert!(!matches!(explored, Explored::Wrong(_)), "{:?}\n{:#?}", explored, division);
             }
         }
@@ -195,7 +195,7 @@ proptest! {
 }
 
 /// Takes an order or a signal away from some plan, or adds an order.
-fn spoil(division: &mut Division, dice: &mut Dice) {
+fn spoil(division: &mut Division, dice: &mut SeededRng) {
     let plans = division.plans.len();
     let role = division.plans.keys().nth(dice.below(plans)).unwrap().clone();
     let plan = division.plans.get_mut(&role).unwrap();

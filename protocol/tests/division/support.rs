@@ -1,7 +1,7 @@
 //! Missions made of little, and a robot for every role that does whatever its progress permits.
 
 use consort_protocol::ids::{RoleId, TaskId, TaskType};
-use consort_protocol::mission::{Body, Method, Mission, Order, Role, RoleKind, TaskIndex, TaskNode, TaskSpec};
+use consort_protocol::mission::{Method, Mission, Role, RoleKind, TaskBody, TaskIndex, TaskNode, TaskOrder, TaskSpec};
 use consort_protocol::plan::{Division, ItemMove, PlanProgress, Signal, StepAction, StepIndex};
 use std::collections::{BTreeMap, BTreeSet, HashSet};
 
@@ -33,17 +33,20 @@ pub(crate) fn mission(tree: &Tree) -> Mission {
                     parameters: [("seconds".to_owned(), "1".to_owned())].into(),
                     ..TaskSpec::of(TaskType::new("wait").unwrap(), roles.iter().copied().map(role).collect())
                 };
-                tasks.push(TaskNode { id: TaskId::new(format!("t{leaves}")).unwrap(), body: Body::Elementary(spec) });
+                tasks.push(TaskNode {
+                    id: TaskId::new(format!("t{leaves}")).unwrap(),
+                    body: TaskBody::Elementary(spec),
+                });
                 *leaves += 1;
                 return index as TaskIndex;
             }
-            Sequence(below) => (Order::Sequential, below),
-            Unordered(below) => (Order::Unordered, below),
+            Sequence(below) => (TaskOrder::Sequential, below),
+            Unordered(below) => (TaskOrder::Unordered, below),
         };
         let id = TaskId::new(format!("a{index}")).unwrap();
-        tasks.push(TaskNode { id, body: Body::Abstract(Method::of(order, vec![])) });
+        tasks.push(TaskNode { id, body: TaskBody::Abstract(Method::of(order, vec![])) });
         let children = below.iter().map(|tree| add(tree, tasks, leaves)).collect();
-        tasks[index].body = Body::Abstract(Method::of(order, children));
+        tasks[index].body = TaskBody::Abstract(Method::of(order, children));
         index as TaskIndex
     }
     let mut tasks = Vec::new();
@@ -67,7 +70,7 @@ pub(crate) fn leaves(tree: &Tree) -> Vec<Vec<usize>> {
 }
 
 /// Which task comes before which, computed slowly: parting branches, then joint tasks by file order, then the closure.
-pub(crate) fn slow_order(tree: &Tree) -> Vec<Vec<bool>> {
+pub(crate) fn reference_order(tree: &Tree) -> Vec<Vec<bool>> {
     fn mark(tree: &Tree, first: usize, before: &mut Vec<Vec<bool>>) -> usize {
         let (below, sequential) = match tree {
             Task(_) => return first + 1,
@@ -117,7 +120,7 @@ pub(crate) enum Event<'d> {
     /// The robot ends the task it does.
     Finish(usize),
     /// The robot hears a signal that was sent.
-    Hear(usize, &'d Signal),
+    Receive(usize, &'d Signal),
     /// The task it does fails; it does an alternative to its end.
     Replace(usize, usize),
     /// The ledger hears of all that the robot has ended.
@@ -163,7 +166,8 @@ impl<'d> Team<'d> {
     }
 
     pub(crate) fn events(&self) -> Vec<Event<'d>> {
-        let mut events: Vec<Event<'d>> = self.on_the_way.iter().map(|(to, signal)| Event::Hear(*to, signal)).collect();
+        let mut events: Vec<Event<'d>> =
+            self.on_the_way.iter().map(|(to, signal)| Event::Receive(*to, signal)).collect();
         for (robot, progress) in self.robots.iter().enumerate() {
             match self.doing[robot] {
                 Some(step) => {
@@ -172,7 +176,7 @@ impl<'d> Team<'d> {
                 }
                 None => {
                     let permitted = progress.permitted().into_iter();
-                    let may = permitted.filter(|step| progress.guard_is_met(*step, &self.known[robot]));
+                    let may = permitted.filter(|step| progress.is_guard_met(*step, &self.known[robot]));
                     events.extend(may.map(|step| Event::Perform(robot, step)));
                 }
             }
@@ -185,10 +189,10 @@ impl<'d> Team<'d> {
 
     /// What happens if everybody follows `next`.
     pub(crate) fn advised(&self) -> Vec<Event<'d>> {
-        let next = |robot: &usize| self.robots[*robot].next_given(&self.known[*robot]).map(|(step, _)| step);
+        let next = |robot: &usize| self.robots[*robot].next_guarded(&self.known[*robot]).map(|(step, _)| step);
         let advised = |event: &Event<'d>| match event {
             Event::Perform(robot, step) => next(robot) == Some(*step),
-            Event::Finish(_) | Event::Hear(..) | Event::Replace(..) | Event::Report(_) => true,
+            Event::Finish(_) | Event::Receive(..) | Event::Replace(..) | Event::Report(_) => true,
         };
         self.events().into_iter().filter(advised).collect()
     }
@@ -200,9 +204,9 @@ impl<'d> Team<'d> {
     /// Lets it happen; an error says which order was broken.
     pub(crate) fn apply(&mut self, event: Event<'d>) -> Result<(), String> {
         match event {
-            Event::Hear(to, signal) => {
-                assert!(self.robots[to].hear(signal), "{signal} was awaited and is news");
-                assert!(!self.robots[to].hear(signal), "{signal} is news once");
+            Event::Receive(to, signal) => {
+                assert!(self.robots[to].receive(signal), "{signal} was awaited and is news");
+                assert!(!self.robots[to].receive(signal), "{signal} is news once");
                 self.on_the_way.remove(&(to, signal));
             }
             Event::Report(robot) => self.known[robot] = self.robots[robot].ended().clone(),
@@ -222,7 +226,7 @@ impl<'d> Team<'d> {
                     };
                     self.may_begin(id, spec, of_it)?;
                 }
-                self.robots[robot].replace(other).map_err(|error| error.to_string())?;
+                self.robots[robot].apply_alternative(other).map_err(|error| error.to_string())?;
             }
             Event::Finish(robot) => {
                 let step = self.doing[robot].take().expect("it does a task");
@@ -328,7 +332,7 @@ pub(crate) enum Explored {
 }
 
 /// Visits every state that can be reached, up to a number of them.
-pub(crate) fn explore(division: &Division, before: &[Vec<bool>], most: usize) -> Explored {
+pub(crate) fn explore_all_states(division: &Division, before: &[Vec<bool>], most: usize) -> Explored {
     explore_from(Team::of(division, before), most)
 }
 
@@ -379,11 +383,11 @@ pub(crate) fn without_step(division: &Division, role: &RoleId, step: usize) -> D
 }
 
 /// Where a step stands: whose, and its number.
-pub(crate) type Place = (RoleId, usize);
+pub(crate) type StepPlace = (RoleId, usize);
 
 /// Every signal, with the places of its send and its wait.
-pub(crate) fn signals(division: &Division) -> Vec<(Signal, Place, Place)> {
-    let mut places: BTreeMap<Signal, [Option<Place>; 2]> = BTreeMap::new();
+pub(crate) fn signals(division: &Division) -> Vec<(Signal, StepPlace, StepPlace)> {
+    let mut places: BTreeMap<Signal, [Option<StepPlace>; 2]> = BTreeMap::new();
     for (role, plan) in &division.plans {
         for (index, step) in plan.steps.iter().enumerate() {
             let (signal, which) = match &step.action {

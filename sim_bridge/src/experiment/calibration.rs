@@ -10,7 +10,8 @@ use consort_protocol::ids::{PlaceId, TaskType};
 use consort_protocol::mission::TaskSpec;
 use consort_protocol::units::Seconds;
 use consort_skills::descriptor::{
-    Context, DescriptorRegistry, Estimate, EstimateError, FixedTime, Navigation, STEP_TIME_S, SkillDescriptor,
+    DescriptorRegistry, Estimate, EstimateContext, EstimateError, FixedDuration, NavigationDescriptor, STEP_DURATION_S,
+    SkillDescriptor,
 };
 use consort_skills::environment::Environment;
 use schemars::JsonSchema;
@@ -19,10 +20,10 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 
 /// Fewer observations than this say nothing by themselves: with five, the upper quantile lies between the two largest.
-pub const COUNT_MIN: usize = 5;
+pub const MIN_OBSERVATIONS: usize = 5;
 
 /// The share of cases in which the battery is to last. Default of `consort experiment calibrate`.
-pub const QUANTILE: f64 = 0.9;
+pub const DEFAULT_QUANTILE: f64 = 0.9;
 
 /// The one skill whose tasks lead from place to place.
 const NAVIGATION: &str = "navigation";
@@ -51,7 +52,7 @@ pub struct Observation {
 /// How many times as long as estimated.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
-pub struct Factor {
+pub struct TimeFactor {
     /// How many observations it comes from.
     pub count: usize,
     /// Their mean.
@@ -62,13 +63,13 @@ pub struct Factor {
     pub upper: f64,
 }
 
-impl Factor {
-    fn of(factors: &[f64], share: f64) -> Option<Factor> {
-        if factors.len() < COUNT_MIN {
+impl TimeFactor {
+    fn of(factors: &[f64], share: f64) -> Option<TimeFactor> {
+        if factors.len() < MIN_OBSERVATIONS {
             return None;
         }
         let (mean, sd) = (mean(factors), variance(factors).sqrt());
-        Some(Factor { count: factors.len(), mean, sd, upper: quantile(factors, share)? })
+        Some(TimeFactor { count: factors.len(), mean, sd, upper: quantile(factors, share)? })
     }
 }
 
@@ -81,7 +82,7 @@ pub struct LegFactor {
     /// Where they lead.
     pub to: PlaceId,
     /// The factor.
-    pub factor: Factor,
+    pub factor: TimeFactor,
 }
 
 /// What was learned.
@@ -92,13 +93,13 @@ pub struct Calibration {
     pub quantile: f64,
     /// By skill.
     #[serde(default)]
-    pub skills: BTreeMap<TaskType, Factor>,
+    pub skills: BTreeMap<TaskType, TimeFactor>,
     /// Drives that lead to a place.
     #[serde(default)]
-    pub to: BTreeMap<PlaceId, Factor>,
+    pub to: BTreeMap<PlaceId, TimeFactor>,
     /// Drives that begin at a place.
     #[serde(default)]
-    pub from: BTreeMap<PlaceId, Factor>,
+    pub from: BTreeMap<PlaceId, TimeFactor>,
     /// Drives between two places.
     #[serde(default)]
     pub legs: Vec<LegFactor>,
@@ -119,8 +120,8 @@ impl Calibration {
                 legs.entry((start.clone(), end.clone())).or_default().push(factor);
             }
         }
-        fn fit<K: Ord>(seen: BTreeMap<K, Vec<f64>>, quantile: f64) -> impl Iterator<Item = (K, Factor)> {
-            seen.into_iter().filter_map(move |(key, factors)| Some((key, Factor::of(&factors, quantile)?)))
+        fn fit<K: Ord>(seen: BTreeMap<K, Vec<f64>>, quantile: f64) -> impl Iterator<Item = (K, TimeFactor)> {
+            seen.into_iter().filter_map(move |(key, factors)| Some((key, TimeFactor::of(&factors, quantile)?)))
         }
         Calibration {
             quantile,
@@ -132,7 +133,7 @@ impl Calibration {
     }
 
     /// What is known of a drive; `None` if no drives were seen at all.
-    pub fn leg(&self, from: &PlaceId, to: &PlaceId) -> Option<Factor> {
+    pub fn leg_factor(&self, from: &PlaceId, to: &PlaceId) -> Option<TimeFactor> {
         let leg = self.legs.iter().find(|leg| leg.from == *from && leg.to == *to).map(|leg| leg.factor);
         // Of the two ends the slower makes itself felt.
         let ends = [self.to.get(to), self.from.get(from)].into_iter().flatten();
@@ -140,7 +141,7 @@ impl Calibration {
         leg.or(end).or_else(|| self.skill(NAVIGATION))
     }
 
-    fn skill(&self, name: &str) -> Option<Factor> {
+    fn skill(&self, name: &str) -> Option<TimeFactor> {
         self.skills.iter().find(|(skill, _)| skill.as_str() == name).map(|(_, factor)| *factor)
     }
 
@@ -153,13 +154,13 @@ impl Calibration {
     /// The standard descriptors with what was learned, and with a reserve for the quantile.
     pub fn descriptors(self: &Arc<Calibration>) -> DescriptorRegistry {
         let name = |name: &str| TaskType::new(name).expect("a skill's own name");
-        let drives = Calibrated { inner: Navigation::new(name(NAVIGATION)), learned: Arc::clone(self) };
-        let registry = DescriptorRegistry::standard().with(drives).cautious(self.margin_sds());
+        let drives = Calibrated { inner: NavigationDescriptor::new(name(NAVIGATION)), calibration: Arc::clone(self) };
+        let registry = DescriptorRegistry::standard().with(drives).with_energy_margin(self.margin_sds());
         // Tasks of stated length are left as they are stated.
         let fixed = self.skills.keys().filter(|skill| ![NAVIGATION, "wait"].contains(&skill.as_str()));
-        let time = Seconds::new(STEP_TIME_S).expect("two seconds are a duration");
+        let time = Seconds::new(STEP_DURATION_S).expect("two seconds are a duration");
         fixed.fold(registry, |registry, skill| {
-            registry.with(Calibrated { inner: FixedTime::new(skill.clone(), time), learned: Arc::clone(self) })
+            registry.with(Calibrated { inner: FixedDuration::new(skill.clone(), time), calibration: Arc::clone(self) })
         })
     }
 }
@@ -170,7 +171,7 @@ pub struct Calibrated<D> {
     /// The descriptor.
     pub inner: D,
     /// What was learned.
-    pub learned: Arc<Calibration>,
+    pub calibration: Arc<Calibration>,
 }
 
 impl<D: SkillDescriptor> SkillDescriptor for Calibrated<D> {
@@ -178,21 +179,21 @@ impl<D: SkillDescriptor> SkillDescriptor for Calibrated<D> {
         self.inner.task_type()
     }
 
-    fn needs(&self) -> Vec<&'static str> {
-        self.inner.needs()
+    fn required_descriptors(&self) -> Vec<&'static str> {
+        self.inner.required_descriptors()
     }
 
     fn estimate(
         &self,
         task: &TaskSpec,
-        context: &Context,
+        context: &EstimateContext,
         environment: &Environment,
     ) -> Result<Estimate, EstimateError> {
         let plain = self.inner.estimate(task, context, environment)?;
         let factor = if self.task_type().as_str() == NAVIGATION {
-            self.learned.leg(&context.place, &plain.ends_at)
+            self.calibration.leg_factor(&context.place, &plain.ends_at)
         } else {
-            self.learned.skill(self.task_type().as_str())
+            self.calibration.skill(self.task_type().as_str())
         };
         let Some(factor) = factor else { return Ok(plain) };
         let time = Seconds::new(plain.time.get() * factor.mean).unwrap_or(plain.time);
@@ -236,15 +237,15 @@ mod tests {
     fn a_leg_is_judged_by_itself_then_by_its_slower_end_then_by_all_drives() {
         let learned = learned();
         let close = |found: f64, wanted: f64| assert!((found - wanted).abs() < 1e-9, "{found}, not {wanted}");
-        let leg = learned.leg(&place("A"), &place("B")).unwrap();
+        let leg = learned.leg_factor(&place("A"), &place("B")).unwrap();
         close(leg.mean, 2.0);
         close(leg.upper, 2.4);
         assert_eq!(leg.count, 11);
-        close(learned.leg(&place("C"), &place("B")).unwrap().upper, 1.0);
+        close(learned.leg_factor(&place("C"), &place("B")).unwrap().upper, 1.0);
         // Too few drives from A to C: those from A count, with the one to C among them.
-        close(learned.leg(&place("A"), &place("C")).unwrap().mean, 31.0 / 12.0);
-        close(learned.leg(&place("X"), &place("Y")).unwrap().mean, 36.0 / 17.0);
-        assert_eq!(Calibration::of(&[], 0.9).leg(&place("A"), &place("B")), None);
+        close(learned.leg_factor(&place("A"), &place("C")).unwrap().mean, 31.0 / 12.0);
+        close(learned.leg_factor(&place("X"), &place("Y")).unwrap().mean, 36.0 / 17.0);
+        assert_eq!(Calibration::of(&[], 0.9).leg_factor(&place("A"), &place("B")), None);
     }
 
     #[test]
@@ -255,7 +256,7 @@ mod tests {
         };
         let environment = Environment::new().with(Routes::new(&map).unwrap());
         let estimator = learned().descriptors().resolve(environment).unwrap();
-        let context = Context {
+        let context = EstimateContext {
             place: place("A"),
             pose: None,
             speed: MetresPerSecond::new(0.5).unwrap(),

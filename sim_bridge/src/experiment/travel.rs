@@ -24,7 +24,7 @@ const FACTORS: (f64, f64) = (0.2, 10.0);
 /// The part of a design about drives.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
-pub struct Travel {
+pub struct TravelSettings {
     /// How far drives differ from one another: the standard deviation of the factor's logarithm. 0.1: two of three drives
     /// take between 0.9 and 1.1 times as long as in the middle. Default 0.
     pub spread: f64,
@@ -36,9 +36,9 @@ pub struct Travel {
     pub legs: Option<PathBuf>,
 }
 
-impl Travel {
+impl TravelSettings {
     /// What is wrong with it, each with its key.
-    pub(super) fn problems(&self) -> Vec<String> {
+    pub(super) fn validation_errors(&self) -> Vec<String> {
         let mut problems = vec![];
         if !(0.0..=1.0).contains(&self.spread) {
             problems.push(format!("travel.spread: is {}, allowed is 0 to 1", self.spread));
@@ -55,9 +55,9 @@ impl Travel {
 #[derive(Debug, Clone, PartialEq)]
 pub enum TravelModel {
     /// Reckoned.
-    Kinematic(Travel),
+    Kinematic(TravelSettings),
     /// Measured.
-    Empirical(Legs),
+    Empirical(MeasuredLegs),
 }
 
 impl TravelModel {
@@ -97,7 +97,7 @@ fn normal(rng: &mut ChaCha8Rng) -> f64 {
 
 /// Measured drives: how many times as long as estimated each took.
 #[derive(Debug, Clone, Default, PartialEq)]
-pub struct Legs {
+pub struct MeasuredLegs {
     pairs: BTreeMap<(PlaceId, PlaceId), Vec<f64>>,
     to: BTreeMap<PlaceId, Vec<f64>>,
     from: BTreeMap<PlaceId, Vec<f64>>,
@@ -115,7 +115,7 @@ struct LegEntry {
 
 /// Why there are no legs.
 #[derive(Debug, thiserror::Error)]
-pub enum LegsError {
+pub enum MeasuredLegsError {
     /// Not a table with the columns wanted: the message names line and column.
     #[error("{0}; a file of legs has the columns origin, dest, duration_s, estimate_s")]
     Form(#[from] csv::Error),
@@ -134,18 +134,18 @@ pub enum LegsError {
     Empty,
 }
 
-impl Legs {
+impl MeasuredLegs {
     /// Reads them from a table with at least the columns `origin`, `dest`, `duration_s` and `estimate_s`.
     ///
     /// # Errors
     /// [`LegsError`] names the first line that is wrong.
-    pub fn read(from: impl std::io::Read) -> Result<Legs, LegsError> {
-        let mut legs = Legs::default();
+    pub fn read(from: impl std::io::Read) -> Result<MeasuredLegs, MeasuredLegsError> {
+        let mut legs = MeasuredLegs::default();
         for (index, entry) in csv::Reader::from_reader(from).into_deserialize::<LegEntry>().enumerate() {
             let LegEntry { origin, dest, duration_s, estimate_s } = entry?;
             for (field, value) in [("duration_s", duration_s), ("estimate_s", estimate_s)] {
                 if !(value.is_finite() && value > 0.0) {
-                    return Err(LegsError::Time { line: index + 2, field, value });
+                    return Err(MeasuredLegsError::Time { line: index + 2, field, value });
                 }
             }
             let factor = duration_s / estimate_s;
@@ -154,7 +154,7 @@ impl Legs {
             legs.to.entry(dest).or_default().push(factor);
             legs.any.push(factor);
         }
-        if legs.any.is_empty() { Err(LegsError::Empty) } else { Ok(legs) }
+        if legs.any.is_empty() { Err(MeasuredLegsError::Empty) } else { Ok(legs) }
     }
 
     fn draw(&self, from: &PlaceId, to: &PlaceId, rng: &mut ChaCha8Rng) -> f64 {
@@ -181,7 +181,7 @@ mod tests {
 
     #[test]
     fn the_slower_end_and_the_spread_make_the_factor() {
-        let travel = Travel { spread: 0.1, slow: [(place("B"), 1.5), (place("C"), 1.2)].into(), legs: None };
+        let travel = TravelSettings { spread: 0.1, slow: [(place("B"), 1.5), (place("C"), 1.2)].into(), legs: None };
         let model = TravelModel::Kinematic(travel);
         for (from, to, middle) in [("A", "D", 1.0), ("B", "C", 1.5), ("C", "B", 1.5), ("A", "C", 1.2)] {
             let drawn = factors(&model, from, to);
@@ -189,13 +189,15 @@ mod tests {
             let spread = (quantile(&drawn, 0.8413).unwrap() / middle).ln();
             assert!((spread - 0.1).abs() < 0.01, "{spread}");
         }
-        assert!(factors(&TravelModel::Kinematic(Travel::default()), "A", "B").iter().all(|factor| *factor == 1.0));
+        assert!(
+            factors(&TravelModel::Kinematic(TravelSettings::default()), "A", "B").iter().all(|factor| *factor == 1.0)
+        );
     }
 
     #[test]
     fn a_missing_leg_is_drawn_from_those_to_the_same_place_then_from_it_then_from_any() {
         let text = "origin,dest,length_m,duration_s,estimate_s\nA,B,1,20,10\nC,B,1,30,10\nC,D,1,40,10\n";
-        let model = TravelModel::Empirical(Legs::read(text.as_bytes()).unwrap());
+        let model = TravelModel::Empirical(MeasuredLegs::read(text.as_bytes()).unwrap());
         let drawn = |from, to| {
             let mut drawn = factors(&model, from, to);
             drawn.sort_by(f64::total_cmp);
@@ -210,7 +212,7 @@ mod tests {
 
     #[test]
     fn what_is_no_leg_is_told_with_its_line() {
-        let said = |text: &str| Legs::read(text.as_bytes()).unwrap_err().to_string();
+        let said = |text: &str| MeasuredLegs::read(text.as_bytes()).unwrap_err().to_string();
         let header = "origin,dest,duration_s,estimate_s\n";
         assert_eq!(said(header), "there are no legs in it");
         assert_eq!(

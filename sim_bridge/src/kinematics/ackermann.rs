@@ -1,7 +1,7 @@
 //! A car: it drives ahead or backs, never turns tighter than its wheels allow, and follows the shortest such way.
 
 use super::dubins::DubinsPath;
-use super::servo::{arc, stopping_speed, toward_one};
+use super::motion_math::{drive_arc, step_toward_scalar, stopping_speed};
 use super::settings::AckermannSettings;
 use nalgebra::{Isometry2, UnitComplex};
 use std::f64::consts::PI;
@@ -98,7 +98,7 @@ impl Ackermann {
             return way.to_the_end;
         }
         let wanted = if way.to_the_end { stopping_speed(left, limit, period).min(self.top_mps) } else { 0.0 };
-        self.speed_mps = toward_one(self.speed_mps, wanted, limit * period);
+        self.speed_mps = step_toward_scalar(self.speed_mps, wanted, limit * period);
         false
     }
 
@@ -108,7 +108,7 @@ impl Ackermann {
         if let Some(way) = &mut self.way {
             way.along_m += self.speed_mps * dt_s;
             let beyond = (way.along_m - way.length_m).max(0.0);
-            let front = arc(&way.path.pose_at(way.along_m), beyond, 0.0, 1.0);
+            let front = drive_arc(&way.path.pose_at(way.along_m), beyond, 0.0, 1.0);
             self.pose = if way.backward { turned(front) } else { front };
         }
     }

@@ -1,8 +1,8 @@
 //! A drone: it flies straight to where it is to be, climbs and sinks at its own rate, makes way for others, and holds its
 //! place in the air against whatever pushes it. Where others hold it up it flies over them, and comes down over its place.
 
-use super::avoidance::{Agility, Neighbour, make_way};
-use super::servo::{stopping_speed, toward, toward_one, turning, wrapped};
+use super::avoidance::{AvoidanceLimits, Neighbour, avoid_neighbours};
+use super::motion_math::{next_turn_rate, step_toward, step_toward_scalar, stopping_speed, wrap_angle};
 use super::settings::AerialSettings;
 use nalgebra::{Isometry2, Isometry3, Translation3, UnitQuaternion, Vector2, Vector3};
 
@@ -102,12 +102,12 @@ impl Aerial {
             self.settings;
         let (now, notch) = (self.velocity.norm(), acceleration_mps2.hypot(climb_acceleration_mps2) * control_period_s);
         let speed = (now + notch).min(self.top_mps.hypot(climb_mps).max(now));
-        let stops_m = self.agility().stops_within(speed);
+        let stops_m = self.agility().stopping_distance(speed);
         2.0 * stops_m + self.radius_m + radius_m + self.settings.margin_m
     }
 
-    fn agility(&self) -> Agility {
-        Agility {
+    fn agility(&self) -> AvoidanceLimits {
+        AvoidanceLimits {
             acceleration_mps2: self.settings.acceleration_mps2.min(self.settings.climb_acceleration_mps2),
             period_s: self.settings.control_period_s,
             radius_m: self.radius_m,
@@ -136,7 +136,7 @@ impl Aerial {
     }
 
     pub(super) fn turn_to(&mut self, yaw: f64) {
-        self.yaw = wrapped(yaw);
+        self.yaw = wrap_angle(yaw);
         self.hold = self.hold.map(|(at, _)| (at, self.yaw));
     }
 
@@ -152,7 +152,7 @@ impl Aerial {
     /// One turn of the control loop: sets the speeds for the next period. True when it has just arrived.
     pub(super) fn decide(&mut self, period: f64, around: &[Neighbour]) -> bool {
         let Some((target, yaw)) = self.hold else { return false };
-        let (to, error) = (target - self.position, wrapped(yaw - self.yaw));
+        let (to, error) = (target - self.position, wrap_angle(yaw - self.yaw));
         let (distance, speed) = (to.norm(), self.velocity.norm());
         if self.arrived && distance <= AT_REST_M && speed <= AT_REST_M && around.is_empty() {
             (self.velocity, self.turn_rps) = (Vector3::zeros(), 0.0);
@@ -167,9 +167,10 @@ impl Aerial {
         let wanted = self.wanted(over, period);
         self.get_over(to.xy().norm(), wanted.xy().norm(), period);
         let wanted = self.within_limits(wanted, period);
-        self.velocity = make_way(wanted, self.velocity, self.agility(), around, |v| self.within_limits(v, period));
+        self.velocity =
+            avoid_neighbours(wanted, self.velocity, self.agility(), around, |v| self.within_limits(v, period));
         let AerialSettings { turn_rate_rps, turn_acceleration_rps2, .. } = self.settings;
-        self.turn_rps = turning(self.turn_rps, error, turn_rate_rps, turn_acceleration_rps2, period);
+        self.turn_rps = next_turn_rate(self.turn_rps, error, turn_rate_rps, turn_acceleration_rps2, period);
         just_arrived
     }
 
@@ -200,8 +201,8 @@ impl Aerial {
 
     /// The closest to a velocity that it can have after one period.
     fn within_limits(&self, wanted: Vector3<f64>, period: f64) -> Vector3<f64> {
-        let level = toward(self.velocity.xy(), wanted.xy(), self.settings.acceleration_mps2 * period);
-        let climb = toward_one(self.velocity.z, wanted.z, self.settings.climb_acceleration_mps2 * period);
+        let level = step_toward(self.velocity.xy(), wanted.xy(), self.settings.acceleration_mps2 * period);
+        let climb = step_toward_scalar(self.velocity.z, wanted.z, self.settings.climb_acceleration_mps2 * period);
         Vector3::new(level.x, level.y, climb)
     }
 
@@ -209,7 +210,7 @@ impl Aerial {
     pub(super) fn coast(&mut self, dt_s: f64) {
         self.position += self.velocity * dt_s;
         if self.turn_rps != 0.0 {
-            self.yaw = wrapped(self.yaw + self.turn_rps * dt_s);
+            self.yaw = wrap_angle(self.yaw + self.turn_rps * dt_s);
         }
     }
 }

@@ -17,7 +17,7 @@ pub struct Neighbour {
 
 /// What a body can do to get out of the way.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Agility {
+pub(super) struct AvoidanceLimits {
     /// How quickly it changes its velocity in any direction.
     pub(super) acceleration_mps2: f64,
     /// Until it decides again.
@@ -33,9 +33,9 @@ const APART_PER_S: f64 = 2.0;
 /// allowed could move nowhere.
 const LEEWAY: f64 = 0.25;
 
-impl Agility {
+impl AvoidanceLimits {
     /// How far it comes until it stands if it moves at `speed` until its next decision and brakes then.
-    pub(super) fn stops_within(&self, speed: f64) -> f64 {
+    pub(super) fn stopping_distance(&self, speed: f64) -> f64 {
         speed * self.period_s + speed * speed / (2.0 * self.acceleration_mps2)
     }
 
@@ -70,10 +70,10 @@ impl Agility {
 
 /// The velocity for the next period that comes closest to what is wanted and leaves everybody their room. Both what is
 /// wanted and what is answered have passed through `within_limits`: what the body can do in one period.
-pub(super) fn make_way(
+pub(super) fn avoid_neighbours(
     wanted: Vector3<f64>,
     now: Vector3<f64>,
-    agility: Agility,
+    agility: AvoidanceLimits,
     around: &[Neighbour],
     within_limits: impl Fn(Vector3<f64>) -> Vector3<f64>,
 ) -> Vector3<f64> {

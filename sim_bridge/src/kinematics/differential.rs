@@ -1,7 +1,7 @@
 //! Two driven wheels, after thesis Figure 5.2: one PID controller steers the heading, another the speed.
 
+use super::motion_math::{bearing, drive_arc, step_toward_scalar, stopping_speed, wrap_angle};
 use super::pid::Pid;
-use super::servo::{arc, bearing, stopping_speed, toward_one, wrapped};
 use super::settings::DifferentialSettings;
 use nalgebra::{Isometry2, UnitComplex};
 use std::f64::consts::PI;
@@ -117,7 +117,7 @@ impl Differential {
             Aim::Point(target) => {
                 let to = target.translation.vector - self.pose.translation.vector;
                 let (front, ahead) = if self.backward { (yaw + PI, -1.0) } else { (yaw, 1.0) };
-                let error = wrapped(bearing(to) - front);
+                let error = wrap_angle(bearing(to) - front);
                 let brakes = self.settings.acceleration_mps2 * RESERVE;
                 let speed = if error.abs() < AHEAD_RAD {
                     // Where it is close, slower than brakes would allow, so that the lag of the controller is no matter.
@@ -129,7 +129,7 @@ impl Differential {
                 self.set(ahead * speed, turn, period);
             }
             Aim::Heading(wanted) => {
-                let error = wrapped(wanted - yaw);
+                let error = wrap_angle(wanted - yaw);
                 if error.abs() <= REACHED_RAD
                     && self.turn_rps.abs() <= self.settings.turn_acceleration_rps2 * period
                     && self.speed_mps == 0.0
@@ -148,25 +148,25 @@ impl Differential {
     fn turn(&mut self, error: f64, period: f64) -> f64 {
         let brakes = self.settings.turn_acceleration_rps2 * RESERVE;
         let limit = stopping_speed(error.abs(), brakes, period).min(self.settings.turn_rate_rps);
-        self.heading.answer(error, period, limit)
+        self.heading.output(error, period, limit)
     }
 
     fn set(&mut self, speed: f64, turn: f64, period: f64) {
         let limit = self.settings.acceleration_mps2;
         self.speed_mps = match self.aim {
             Aim::Point(_) => {
-                let faster = self.speed.answer(speed - self.speed_mps, period, limit) * period;
+                let faster = self.speed.output(speed - self.speed_mps, period, limit) * period;
                 (self.speed_mps + faster).clamp(-self.top_mps, self.top_mps)
             }
-            Aim::Rest | Aim::Heading(_) => toward_one(self.speed_mps, speed, limit * period),
+            Aim::Rest | Aim::Heading(_) => step_toward_scalar(self.speed_mps, speed, limit * period),
         };
-        self.turn_rps = toward_one(self.turn_rps, turn, self.settings.turn_acceleration_rps2 * period);
+        self.turn_rps = step_toward_scalar(self.turn_rps, turn, self.settings.turn_acceleration_rps2 * period);
     }
 
     /// Lets time pass with the speeds as they are.
     pub(super) fn coast(&mut self, dt_s: f64) {
         if self.speed_mps != 0.0 || self.turn_rps != 0.0 {
-            self.pose = arc(&self.pose, self.speed_mps, self.turn_rps, dt_s);
+            self.pose = drive_arc(&self.pose, self.speed_mps, self.turn_rps, dt_s);
         }
     }
 }

@@ -4,7 +4,7 @@
 //! it is one of six words of left turn, right turn and straight. The lengths of each are those of Shkel and Lumelsky,
 //! *Classification of the Dubins set*, Robotics and Autonomous Systems 34 (2001).
 
-use super::servo::arc;
+use super::motion_math::drive_arc;
 use nalgebra::Isometry2;
 use std::f64::consts::TAU;
 
@@ -67,7 +67,7 @@ impl DubinsPath {
                 Straight => 0.0,
             };
             let part = left.min(length);
-            pose = arc(&pose, 1.0, curvature, part);
+            pose = drive_arc(&pose, 1.0, curvature, part);
             left -= part;
         }
         pose

@@ -18,25 +18,25 @@ mod aerial;
 mod avoidance;
 mod differential;
 mod dubins;
-mod mover;
+mod kinematic_model;
+mod motion_math;
 mod omnidirectional;
 mod pid;
-mod servo;
 mod settings;
-mod straight;
 #[cfg(test)]
 mod tests;
+mod trapezoid_profile;
 
 pub use ackermann::Ackermann;
 pub use aerial::Aerial;
 pub use avoidance::Neighbour;
 pub use differential::Differential;
 pub use dubins::DubinsPath;
-pub use mover::Mover;
+pub use kinematic_model::KinematicModel;
+pub use motion_math::drive_arc;
 pub use omnidirectional::Omnidirectional;
-pub use pid::{Gains, Pid};
-pub use servo::arc;
+pub use pid::{Pid, PidGains};
 pub use settings::{
     AckermannSettings, AerialSettings, DifferentialSettings, Kinematics, KinematicsError, OmnidirectionalSettings,
 };
-pub use straight::{Halt, Ramp, StraightRun};
+pub use trapezoid_profile::{ProfileLimits, StopPoint, TrapezoidProfile};

@@ -1,6 +1,6 @@
 //! Wheels that roll in every direction: it drives straight to where it is to be, and turns meanwhile.
 
-use super::servo::{stopping_speed, toward, turning, wrapped};
+use super::motion_math::{next_turn_rate, step_toward, stopping_speed, wrap_angle};
 use super::settings::OmnidirectionalSettings;
 use nalgebra::{Isometry2, UnitComplex, Vector2};
 
@@ -63,7 +63,7 @@ impl Omnidirectional {
         let (to, error) = match self.target {
             Some(target) => {
                 let to = target.translation.vector - self.pose.translation.vector;
-                (to, wrapped(target.rotation.angle() - self.pose.rotation.angle()))
+                (to, wrap_angle(target.rotation.angle() - self.pose.rotation.angle()))
             }
             None => (Vector2::zeros(), 0.0),
         };
@@ -75,8 +75,8 @@ impl Omnidirectional {
         }
         let speed = stopping_speed(distance, acceleration_mps2, period).min(self.top_mps);
         let wanted = if distance > 0.0 { to * (speed / distance) } else { Vector2::zeros() };
-        self.velocity = toward(self.velocity, wanted, notch);
-        self.turn_rps = turning(self.turn_rps, error, turn_rate_rps, turn_acceleration_rps2, period);
+        self.velocity = step_toward(self.velocity, wanted, notch);
+        self.turn_rps = next_turn_rate(self.turn_rps, error, turn_rate_rps, turn_acceleration_rps2, period);
         false
     }
 

@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 /// What a controller makes of an error: its answer per unit of the error, of the error's integral, and of its rate.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
-pub struct Gains {
+pub struct PidGains {
     /// Per unit of the error; above 0.
     pub kp: f64,
     /// Per unit and second of the error: removes what would stay.
@@ -21,20 +21,20 @@ pub struct Gains {
 /// to take back afterwards.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Pid {
-    gains: Gains,
+    gains: PidGains,
     integral: f64,
     before: Option<f64>,
 }
 
 impl Pid {
     /// A controller that remembers nothing.
-    pub fn new(gains: Gains) -> Pid {
+    pub fn new(gains: PidGains) -> Pid {
         Pid { gains, integral: 0.0, before: None }
     }
 
     /// The answer to an error `dt_s` seconds after the last one, from `-limit` to `limit`.
-    pub fn answer(&mut self, error: f64, dt_s: f64, limit: f64) -> f64 {
-        let Gains { kp, ki, kd } = self.gains;
+    pub fn output(&mut self, error: f64, dt_s: f64, limit: f64) -> f64 {
+        let PidGains { kp, ki, kd } = self.gains;
         let rate = self.before.map_or(0.0, |before| (error - before) / dt_s);
         self.before = Some(error);
         let integral = self.integral + error * dt_s;

@@ -1,6 +1,6 @@
 //! What a chassis is set up with.
 
-use super::pid::Gains;
+use super::pid::PidGains;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -30,9 +30,9 @@ pub struct DifferentialSettings {
     /// How quickly it changes its turn rate, in radians per second squared.
     pub turn_acceleration_rps2: f64,
     /// From an error of heading, in radians, to a turn rate.
-    pub heading: Gains,
+    pub heading: PidGains,
     /// From an error of speed, in metres per second, to an acceleration.
-    pub speed: Gains,
+    pub speed: PidGains,
     /// Time between two decisions of its controller, in seconds.
     pub control_period_s: f64,
 }
@@ -43,8 +43,8 @@ impl Default for DifferentialSettings {
             acceleration_mps2: 0.8,
             turn_rate_rps: 1.5,
             turn_acceleration_rps2: 3.0,
-            heading: Gains { kp: 4.0, ki: 0.05, kd: 0.05 },
-            speed: Gains { kp: 10.0, ki: 0.5, kd: 0.0 },
+            heading: PidGains { kp: 4.0, ki: 0.05, kd: 0.05 },
+            speed: PidGains { kp: 10.0, ki: 0.5, kd: 0.0 },
             control_period_s: 0.02,
         }
     }

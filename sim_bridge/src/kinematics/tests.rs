@@ -19,15 +19,15 @@ fn pose(x: f64, y: f64, yaw: f64) -> Isometry2<f64> {
     Isometry2::new(Vector2::new(x, y), yaw)
 }
 
-fn still(kinematics: &Kinematics) -> Mover {
-    Mover::new(kinematics, TOP_MPS, 0.25, Isometry2::identity())
+fn still(kinematics: &Kinematics) -> KinematicModel {
+    KinematicModel::new(kinematics, TOP_MPS, 0.25, Isometry2::identity())
 }
 
 /// When it arrives at each of the poses, one after the other, if time passes in steps of `dt_s`.
-fn course(mover: &mut Mover, poses: &[Isometry2<f64>], dt_s: f64) -> f64 {
+fn course(mover: &mut KinematicModel, poses: &[Isometry2<f64>], dt_s: f64) -> f64 {
     let mut now = 0.0;
     for target in poses {
-        mover.aim(*target);
+        mover.set_target(*target);
         let (began, mut arrived) = (now, None);
         while arrived.is_none() {
             assert!(now < began + 300.0, "never reached {target}: {:?}", mover.pose());
@@ -59,7 +59,7 @@ fn one_leg_ends_at_the_same_instant_and_place_however_time_is_cut() {
     for (name, kinematics) in all() {
         let run = |dt: f64| {
             let mut mover = still(&kinematics);
-            mover.aim(pose(6.0, 4.0, 1.0));
+            mover.set_target(pose(6.0, 4.0, 1.0));
             let (mut now, mut arrived) = (0.0, None);
             while arrived.is_none() && now < 60.0 {
                 arrived = mover.advance(dt, &[]).map(|after| now + after);
@@ -83,10 +83,10 @@ fn nothing_moves_before_it_is_told_to_and_halted_it_stands() {
         let mut mover = still(&kinematics);
         assert!(!mover.is_moving());
         assert_eq!((mover.advance(10.0, &[]), mover.pose()), (None, Isometry2::identity()), "{name}");
-        mover.aim(pose(20.0, 0.0, 0.0));
+        mover.set_target(pose(20.0, 0.0, 0.0));
         mover.advance(4.0, &[]);
         assert!(mover.is_moving());
-        mover.halt();
+        mover.brake();
         let at = mover.pose().translation.vector;
         assert_eq!(mover.advance(20.0, &[]), None);
         let rolled = (mover.pose().translation.vector - at).norm();
@@ -99,8 +99,8 @@ fn nothing_moves_before_it_is_told_to_and_halted_it_stands() {
 
 #[test]
 fn a_straight_drive_takes_what_the_closed_form_says() {
-    let (length, ramp) = (12.0, Ramp { speed_mps: TOP_MPS, acceleration_mps2: 0.8, deceleration_mps2: 0.8 });
-    let closed = StraightRun::new(length, ramp).duration_s();
+    let (length, ramp) = (12.0, ProfileLimits { speed_mps: TOP_MPS, acceleration_mps2: 0.8, deceleration_mps2: 0.8 });
+    let closed = TrapezoidProfile::new(length, ramp).duration_s();
     for (name, kinematics) in all().into_iter().filter(|(name, _)| *name != "aerial") {
         let took = course(&mut still(&kinematics), &[pose(length, 0.0, 0.0)], 0.02);
         let late = if name == "differential" { 2.5 } else { 0.05 };
@@ -126,11 +126,11 @@ fn a_drone_climbs_at_its_own_rate_and_holds_its_place_against_a_push() {
 fn two_drones_pass_each_other_and_both_arrive() {
     let kinematics = Kinematics::Aerial(AerialSettings::default());
     let mut drones = [
-        Mover::new(&kinematics, 3.0, 0.25, pose(0.0, 0.0, 0.0)),
-        Mover::new(&kinematics, 3.0, 0.25, pose(12.0, 0.0, 0.0)),
+        KinematicModel::new(&kinematics, 3.0, 0.25, pose(0.0, 0.0, 0.0)),
+        KinematicModel::new(&kinematics, 3.0, 0.25, pose(12.0, 0.0, 0.0)),
     ];
-    drones[0].aim(pose(12.0, 0.0, 0.0));
-    drones[1].aim(pose(0.0, 0.0, 0.0));
+    drones[0].set_target(pose(12.0, 0.0, 0.0));
+    drones[1].set_target(pose(0.0, 0.0, 0.0));
     let mut arrived = [false; 2];
     for _ in 0..400 {
         let [a, b] = [drones[0].position(), drones[1].position()];
@@ -154,9 +154,9 @@ fn numbers_that_make_no_sense_are_named() {
 fn the_integral_removes_what_proportion_leaves() {
     // A plant that drifts by 0.5 a second whatever it is told.
     let settles = |ki| {
-        let (mut pid, mut value) = (Pid::new(Gains { kp: 2.0, ki, kd: 0.0 }), 0.0);
+        let (mut pid, mut value) = (Pid::new(PidGains { kp: 2.0, ki, kd: 0.0 }), 0.0);
         for _ in 0..2000 {
-            value += (pid.answer(1.0 - value, 0.01, 5.0) - 0.5) * 0.01;
+            value += (pid.output(1.0 - value, 0.01, 5.0) - 0.5) * 0.01;
         }
         value
     };
@@ -173,13 +173,13 @@ proptest! {
     ) {
         for (name, kinematics) in all() {
             let mut mover = still(&kinematics);
-            mover.aim(pose(-4.0, 3.0, 1.0));
+            mover.set_target(pose(-4.0, 3.0, 1.0));
             let period = if name == "aerial" { 0.05 } else { 0.02 };
             let (mut before, mut now, mut arrived) = (mover, 0.0, false);
             let mut told = false;
             while !(told && arrived) && now < 120.0 {
                 if !told && now >= changed {
-                    mover.aim(pose(x, y, yaw));
+                    mover.set_target(pose(x, y, yaw));
                     told = true;
                 }
                 arrived = mover.advance(period, &[]).is_some();
@@ -195,10 +195,10 @@ proptest! {
     #[test]
     fn an_arc_driven_backwards_leads_back(speed in -3.0..3.0, turn in -3.0..3.0, dt in 0.0..5.0, cut in 0.0..1.0) {
         let from = pose(1.0, -2.0, 0.5);
-        let there = arc(&from, speed, turn, dt);
-        let back = arc(&there, -speed, -turn, dt);
+        let there = drive_arc(&from, speed, turn, dt);
+        let back = drive_arc(&there, -speed, -turn, dt);
         prop_assert!((back.translation.vector - from.translation.vector).norm() < 1e-9);
-        let halves = arc(&arc(&from, speed, turn, dt * cut), speed, turn, dt * (1.0 - cut));
+        let halves = drive_arc(&drive_arc(&from, speed, turn, dt * cut), speed, turn, dt * (1.0 - cut));
         prop_assert!((halves.translation.vector - there.translation.vector).norm() < 1e-9);
     }
 
@@ -206,7 +206,7 @@ proptest! {
     fn there_and_back_takes_an_omnidirectional_chassis_the_same_time(x in -8.0..8.0, y in -8.0..8.0, yaw in -3.0..3.0) {
         let (kinematics, target) = (all()[1].1, pose(x, y, yaw));
         let there = course(&mut still(&kinematics), &[target], 0.02);
-        let mut back = Mover::new(&kinematics, TOP_MPS, 0.25, target);
+        let mut back = KinematicModel::new(&kinematics, TOP_MPS, 0.25, target);
         let back = course(&mut back, &[Isometry2::identity()], 0.02);
         prop_assert!((there - back).abs() < 0.05, "{there} s there, {back} s back");
     }
@@ -230,7 +230,7 @@ proptest! {
 
     #[test]
     fn a_straight_run_is_consistent(length in 0.0..50.0, speed in 0.1..4.0, up in 0.1..5.0, down in 0.1..5.0, share in 0.0..1.0) {
-        let run = StraightRun::new(length, Ramp { speed_mps: speed, acceleration_mps2: up, deceleration_mps2: down });
+        let run = TrapezoidProfile::new(length, ProfileLimits { speed_mps: speed, acceleration_mps2: up, deceleration_mps2: down });
         let time = share * run.duration_s();
         prop_assert!((run.distance_at(run.duration_s()) - length).abs() < 1e-9);
         prop_assert!(run.speed_at(time) <= speed + 1e-9);
@@ -241,17 +241,17 @@ proptest! {
         let driven = sum * time / f64::from(parts);
         prop_assert!((driven - run.distance_at(time)).abs() < 1e-3 * (1.0 + length), "{driven} m");
         // Broken off, it stands later and further on, but not beyond the end.
-        let halt = run.halted(time);
+        let halt = run.stop_from(time);
         prop_assert!(halt.distance_m >= run.distance_at(time) && halt.distance_m <= length);
         prop_assert!(halt.stands_at_s >= time && halt.stands_at_s <= run.duration_s() + 1e-9);
         // The other way round it is the same run backwards in time.
-        let back = StraightRun::new(length, Ramp { speed_mps: speed, acceleration_mps2: down, deceleration_mps2: up });
+        let back = TrapezoidProfile::new(length, ProfileLimits { speed_mps: speed, acceleration_mps2: down, deceleration_mps2: up });
         prop_assert!((back.duration_s() - run.duration_s()).abs() < 1e-9);
         prop_assert!((length - back.distance_at(run.duration_s() - time) - run.distance_at(time)).abs() < 1e-6);
     }
 }
 
-fn check_limits(name: &str, before: &Mover, after: &Mover, period: f64) -> Result<(), TestCaseError> {
+fn check_limits(name: &str, before: &KinematicModel, after: &KinematicModel, period: f64) -> Result<(), TestCaseError> {
     let hair = 1e-9;
     if let (Some(a), Some(b)) = (before.as_differential(), after.as_differential()) {
         let (settings, (v0, w0), (v1, w1)) = (DifferentialSettings::default(), a.speeds(), b.speeds());
@@ -285,9 +285,9 @@ fn check_limits(name: &str, before: &Mover, after: &Mover, period: f64) -> Resul
 
 #[test]
 fn a_steady_run_is_its_length_over_its_speed_all_the_way() {
-    let run = StraightRun::steady(6.0, 0.5);
+    let run = TrapezoidProfile::constant_speed(6.0, 0.5);
     assert_eq!((run.duration_s(), run.distance_at(3.0), run.time_at(4.5)), (12.0, 1.5, 9.0));
     assert_eq!((run.speed_at(0.1), run.speed_at(11.9), run.distance_at(99.0)), (0.5, 0.5, 6.0));
-    let nowhere = StraightRun::steady(0.0, 0.5);
+    let nowhere = TrapezoidProfile::constant_speed(0.0, 0.5);
     assert_eq!((nowhere.duration_s(), nowhere.distance_at(1.0)), (0.0, 0.0));
 }

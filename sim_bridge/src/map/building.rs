@@ -7,7 +7,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 /// The level of a map that names none.
-pub const GROUND: &str = "ground";
+pub const DEFAULT_LEVEL: &str = "ground";
 
 /// Position of a level in [`Map::levels`]; the default is the first.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -15,7 +15,7 @@ pub struct LevelIndex(pub(crate) usize);
 
 /// A floor of the building.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Level {
+pub struct MapLevel {
     /// Its name, unique on the map.
     pub name: String,
     /// Metres above the lowest level, or above whatever the map counts from.
@@ -37,7 +37,7 @@ pub struct Door {
 
 /// A door on the way from one place to another.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct DoorOnWay<'a> {
+pub struct LaneDoor<'a> {
     /// The door.
     pub door: &'a Door,
     /// Where it stands, as the share of the way from 0 (the start) to 1 (the end).
@@ -61,7 +61,7 @@ pub struct Lift {
 
 /// A ride by lift.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Ride<'a> {
+pub struct LiftRide<'a> {
     /// The lift.
     pub lift: &'a Lift,
     /// How long it takes from the closing of the doors at one stop to their having opened at the other.
@@ -90,7 +90,7 @@ impl Facing {
 
 impl Map {
     /// All levels, in the order of the file. Never empty: a map that names none has one, [`GROUND`].
-    pub fn levels(&self) -> &[Level] {
+    pub fn levels(&self) -> &[MapLevel] {
         &self.levels
     }
 
@@ -98,7 +98,7 @@ impl Map {
     ///
     /// # Panics
     /// If the index is of another map.
-    pub fn level(&self, index: LevelIndex) -> &Level {
+    pub fn level(&self, index: LevelIndex) -> &MapLevel {
         &self.levels[index.0]
     }
 
@@ -135,7 +135,7 @@ impl Map {
 
     /// Where a door stands: its posts, as (x, y) in metres, for each place where it stands. Without a span it is a metre wide,
     /// across the middle of each of its lanes.
-    pub fn posts(&self, door: &Door) -> Vec<((f64, f64), (f64, f64))> {
+    pub fn door_posts(&self, door: &Door) -> Vec<((f64, f64), (f64, f64))> {
         if let Some(span) = door.span {
             return vec![span];
         }
@@ -155,16 +155,13 @@ impl Map {
     }
 
     /// The doors one meets on the lane from one place to the other, in that order. None if no lane leads there.
-    pub fn doors_on(&self, from: &PlaceId, to: &PlaceId) -> Vec<DoorOnWay<'_>> {
+    pub fn doors_on(&self, from: &PlaceId, to: &PlaceId) -> Vec<LaneDoor<'_>> {
         let ends = self.index(from).zip(self.index(to));
         let Some(lane) = ends.and_then(|ends| self.by_ends.get(&ends)) else { return Vec::new() };
         let forward = self.lanes[*lane].from == *from;
         let met = self.doors_by_lane.get(lane).into_iter().flatten();
         let mut doors: Vec<_> = met
-            .map(|(door, share)| DoorOnWay {
-                door: &self.doors[*door],
-                at: if forward { *share } else { 1.0 - *share },
-            })
+            .map(|(door, share)| LaneDoor { door: &self.doors[*door], at: if forward { *share } else { 1.0 - *share } })
             .collect();
         doors.sort_by(|a, b| a.at.total_cmp(&b.at));
         doors
@@ -186,20 +183,20 @@ impl Map {
     }
 
     /// The ride by lift from one place to the other; none if no lift stops at both.
-    pub fn ride(&self, from: &PlaceId, to: &PlaceId) -> Option<Ride<'_>> {
+    pub fn ride(&self, from: &PlaceId, to: &PlaceId) -> Option<LiftRide<'_>> {
         let (a, b) = (self.index(from)?, self.index(to)?);
         let lift = *self.lift_of.get(&a).filter(|lift| a != b && self.lift_of.get(&b) == Some(*lift))?;
         let lift = &self.lifts[lift];
-        let height = |place: PlaceIndex| self.level(self.at(place).level).elevation_m;
+        let height = |place: PlaceIndex| self.level(self.place_at(place).level).elevation_m;
         let doors = 2.0 * lift.opening.get();
         let time = Seconds::new(doors + (height(a) - height(b)).abs() / lift.speed.get());
-        Some(Ride { lift, time: time.expect("elevations, speeds and opening times of a sound map are finite") })
+        Some(LiftRide { lift, time: time.expect("elevations, speeds and opening times of a sound map are finite") })
     }
 }
 
 /// Where the straight line from `a` to `b` meets that from `c` to `d`, as the share of the way from `a` to `b`.
 /// Parallel lines never meet.
-pub(crate) fn crossing(a: (f64, f64), b: (f64, f64), c: (f64, f64), d: (f64, f64)) -> Option<f64> {
+pub(crate) fn intersection(a: (f64, f64), b: (f64, f64), c: (f64, f64), d: (f64, f64)) -> Option<f64> {
     let (along, across) = ((b.0 - a.0, b.1 - a.1), (d.0 - c.0, d.1 - c.1));
     let turn = along.0 * across.1 - along.1 * across.0;
     let gap = (c.0 - a.0, c.1 - a.1);

@@ -46,7 +46,7 @@ fn problems(text: &str) -> Vec<String> {
 fn places_and_walls_are_on_the_levels_they_say_and_else_on_the_first() {
     let map = clinic();
     let level = |name| map.level_named(name).unwrap();
-    assert_eq!(map.levels()[1], Level { name: "first".into(), elevation_m: 4.0 });
+    assert_eq!(map.levels()[1], MapLevel { name: "first".into(), elevation_m: 4.0 });
     assert_eq!(map.level_indices().collect::<Vec<_>>(), [level("ground"), level("first")]);
     assert_eq!(map.level_of(&place("Hall")), Some(level("ground")));
     assert_eq!(map.level_of(&place("Station")), Some(level("first")));
@@ -60,7 +60,7 @@ fn places_and_walls_are_on_the_levels_they_say_and_else_on_the_first() {
 #[test]
 fn a_map_without_levels_is_one_ground_floor() {
     let map = shipped("hospital").unwrap();
-    assert_eq!(map.levels(), [Level { name: GROUND.into(), elevation_m: 0.0 }]);
+    assert_eq!(map.levels(), [MapLevel { name: DEFAULT_LEVEL.into(), elevation_m: 0.0 }]);
     assert_eq!(map.walls_on(LevelIndex::default()).count(), map.walls().len());
 }
 

@@ -1,9 +1,9 @@
 //! Whether what was written is a sound map.
 
+use super::building_check::{self, BuildingDiagnostic};
+use super::connectivity::disconnected_places;
 use super::file::{LaneEntry, MapFile, PlaceEntry, limits};
-use super::fittings::{self, FittingProblem};
-use super::reach::cut_off;
-use super::{Lane, LaneName, Map, MapProblem, Place, PlaceIndex};
+use super::{Lane, LaneName, Map, MapDiagnostic, MapPlace, PlaceIndex};
 use crate::suggest::did_you_mean;
 use consort_protocol::ids::PlaceId;
 use consort_protocol::pose::Pose;
@@ -13,13 +13,13 @@ use std::collections::BTreeMap;
 /// A lane may be this much shorter than the straight line: hand-written lengths are rounded to a centimetre.
 const ROUNDING_M: f64 = 0.01;
 
-pub(super) fn check(written: &MapFile) -> Result<Map, Vec<MapProblem>> {
+pub(super) fn check(written: &MapFile) -> Result<Map, Vec<MapDiagnostic>> {
     let mut problems = too_many(written);
     if !problems.is_empty() {
         return Err(problems);
     }
     if consort_protocol::ids::EnsembleId::new(written.name.as_str()).is_err() {
-        problems.push(MapProblem::Name { text: written.name.clone() });
+        problems.push(MapDiagnostic::Name { text: written.name.clone() });
     }
     let mut map = Map {
         name: written.name.clone(),
@@ -35,7 +35,7 @@ pub(super) fn check(written: &MapFile) -> Result<Map, Vec<MapProblem>> {
         doors_by_lane: BTreeMap::new(),
         lift_of: BTreeMap::new(),
     };
-    fittings::levels(written, &mut map, &mut problems);
+    building_check::check_levels(written, &mut map, &mut problems);
     corners(&map.walls, &mut problems);
     for entry in &written.places {
         place(entry, &mut map, &mut problems);
@@ -43,16 +43,16 @@ pub(super) fn check(written: &MapFile) -> Result<Map, Vec<MapProblem>> {
     for entry in &written.lanes {
         lane(entry, &mut map, written, &mut problems);
     }
-    fittings::doors_and_lifts(written, &mut map, &mut problems);
+    building_check::check_doors_and_lifts(written, &mut map, &mut problems);
     if problems.is_empty() {
-        problems = cut_off(&map);
+        problems = disconnected_places(&map);
     }
     if problems.is_empty() { Ok(map) } else { Err(problems) }
 }
 
-fn too_many(written: &MapFile) -> Vec<MapProblem> {
+fn too_many(written: &MapFile) -> Vec<MapDiagnostic> {
     if written.places.is_empty() {
-        return vec![MapProblem::Empty];
+        return vec![MapDiagnostic::Empty];
     }
     [
         ("places", written.places.len(), limits::PLACES),
@@ -66,7 +66,7 @@ fn too_many(written: &MapFile) -> Vec<MapProblem> {
     ]
     .into_iter()
     .filter(|(_, count, max)| count > max)
-    .map(|(what, count, max)| MapProblem::TooMany { what, count, max })
+    .map(|(what, count, max)| MapDiagnostic::TooMany { what, count, max })
     .collect()
 }
 
@@ -75,77 +75,77 @@ fn sane(value: f64) -> bool {
     value.abs() <= limits::EXTENT_M
 }
 
-fn corners(walls: &[Vec<(f64, f64)>], problems: &mut Vec<MapProblem>) {
+fn corners(walls: &[Vec<(f64, f64)>], problems: &mut Vec<MapDiagnostic>) {
     for (index, wall) in walls.iter().enumerate() {
         if let Some(&(x, y)) = wall.iter().find(|(x, y)| !sane(*x) || !sane(*y)) {
-            problems.push(MapProblem::Corner { wall: index + 1, x, y });
+            problems.push(MapDiagnostic::Corner { wall: index + 1, x, y });
         }
     }
 }
 
-fn place(entry: &PlaceEntry, map: &mut Map, problems: &mut Vec<MapProblem>) {
+fn place(entry: &PlaceEntry, map: &mut Map, problems: &mut Vec<MapDiagnostic>) {
     for (field, value) in [("x_m", entry.x_m), ("y_m", entry.y_m), ("yaw_rad", entry.yaw_rad)] {
         if !sane(value) {
-            problems.push(MapProblem::Number { place: entry.name.clone(), field, value });
+            problems.push(MapDiagnostic::Number { place: entry.name.clone(), field, value });
         }
     }
     match PlaceId::new(entry.name.as_str()) {
         Err(error) => problems.push(error.into()),
-        Ok(id) if map.by_name.contains_key(&id) => problems.push(MapProblem::Duplicate { place: id }),
+        Ok(id) if map.by_name.contains_key(&id) => problems.push(MapDiagnostic::Duplicate { place: id }),
         Ok(id) => {
             map.by_name.insert(id.clone(), PlaceIndex(map.places.len()));
             let pose = Pose::new(entry.x_m, entry.y_m, entry.yaw_rad);
-            let level = fittings::level_of(&entry.name, entry.level.as_deref(), map, problems);
-            map.places.push(Place { id, kind: entry.kind, pose, level });
+            let level = building_check::check_level_of(&entry.name, entry.level.as_deref(), map, problems);
+            map.places.push(MapPlace { id, kind: entry.kind, pose, level });
         }
     }
 }
 
-fn lane(entry: &LaneEntry, map: &mut Map, written: &MapFile, problems: &mut Vec<MapProblem>) {
+fn lane(entry: &LaneEntry, map: &mut Map, written: &MapFile, problems: &mut Vec<MapDiagnostic>) {
     let name = || LaneName(entry.between.0.clone(), entry.between.1.clone());
     let mut end = |text: &String| {
         let found = PlaceId::new(text.as_str()).ok().and_then(|id| map.index(&id));
         if found.is_none() {
             let hint = did_you_mean(text, written.places.iter().map(|place| place.name.as_str()));
-            problems.push(MapProblem::UnknownPlace { lane: name(), place: text.clone(), hint });
+            problems.push(MapDiagnostic::UnknownPlace { lane: name(), place: text.clone(), hint });
         }
         found
     };
     let (Some(from), Some(to)) = (end(&entry.between.0), end(&entry.between.1)) else { return };
     if from == to {
-        problems.push(MapProblem::Loop { lane: name() });
+        problems.push(MapDiagnostic::Loop { lane: name() });
         return;
     }
-    let [from_level, to_level] = [from, to].map(|end| map.at(end).level);
+    let [from_level, to_level] = [from, to].map(|end| map.place_at(end).level);
     if from_level != to_level {
         let [from, to] = [from_level, to_level].map(|level| map.level(level).name.clone());
-        problems.push(FittingProblem::LaneAcrossLevels { lane: name(), from, to }.into());
+        problems.push(BuildingDiagnostic::LaneAcrossLevels { lane: name(), from, to }.into());
         return;
     }
     let speed_limit = entry.speed_limit_mps.map(MetresPerSecond::new);
     let Ok(speed_limit) = speed_limit.transpose() else {
         let value = entry.speed_limit_mps.unwrap_or_default();
-        problems.push(FittingProblem::SpeedLimit { lane: name(), value }.into());
+        problems.push(BuildingDiagnostic::SpeedLimit { lane: name(), value }.into());
         return;
     };
-    let (a, b) = (map.at(from).pose, map.at(to).pose);
+    let (a, b) = (map.place_at(from).pose, map.place_at(to).pose);
     if ![a.x, a.y, b.x, b.y].into_iter().all(sane) {
         return; // said of the place already
     }
     let straight_m = a.distance(b).get();
     let length_m = entry.length_m.unwrap_or(straight_m);
     let Some(length) = Metres::new(length_m).ok().filter(|_| length_m > 0.0 && sane(length_m)) else {
-        problems.push(MapProblem::Length { lane: name(), length_m });
+        problems.push(MapDiagnostic::Length { lane: name(), length_m });
         return;
     };
     if length_m < straight_m - ROUNDING_M {
-        problems.push(MapProblem::TooShort { lane: name(), length_m, straight_m });
+        problems.push(MapDiagnostic::TooShort { lane: name(), length_m, straight_m });
         return;
     }
     let two_way = !entry.one_way;
     let taken = map.by_ends.contains_key(&(from, to)) || (two_way && map.by_ends.contains_key(&(to, from)));
     if taken {
-        problems.push(MapProblem::DuplicateLane { lane: name() });
+        problems.push(MapDiagnostic::DuplicateLane { lane: name() });
         return;
     }
     let index = map.lanes.len();
@@ -153,6 +153,6 @@ fn lane(entry: &LaneEntry, map: &mut Map, written: &MapFile, problems: &mut Vec<
     if two_way {
         map.by_ends.insert((to, from), index);
     }
-    let [from, to] = [from, to].map(|end| map.at(end).id.clone());
+    let [from, to] = [from, to].map(|end| map.place_at(end).id.clone());
     map.lanes.push(Lane { from, to, length, two_way, speed_limit, facing: entry.facing });
 }

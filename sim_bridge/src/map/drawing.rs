@@ -15,14 +15,14 @@ pub struct Drawing {
     /// People.
     pub people: Vec<DrawnPerson>,
     /// Things of any other type.
-    pub others: Vec<Drawn>,
+    pub others: Vec<DrawnItem>,
     /// What was left out, and why: a sentence each.
     pub notes: Vec<String>,
 }
 
 /// Something on the floor.
 #[derive(Debug, Clone, Default, PartialEq)]
-pub struct Drawn {
+pub struct DrawnItem {
     /// Its identity in the file: the id of the cell, or the level and number of the vertex.
     pub id: String,
     /// Its type as written.
@@ -49,7 +49,7 @@ pub struct Drawn {
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct DrawnRobot {
     /// Where and how it is drawn; the attribute `robot_type` is its model, if one is given.
-    pub body: Drawn,
+    pub body: DrawnItem,
     /// What it has: by the name of a component the values it starts with.
     pub components: BTreeMap<String, serde_json::Value>,
     /// A path drawn for it alone, as (x, y) in metres after where it stands; empty if there is none.
@@ -60,7 +60,7 @@ pub struct DrawnRobot {
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct DrawnObject {
     /// Where and how it is drawn.
-    pub body: Drawn,
+    pub body: DrawnItem,
     /// Its weight; finite, not negative.
     pub weight_kg: f64,
 }
@@ -69,14 +69,14 @@ pub struct DrawnObject {
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct DrawnPerson {
     /// Where and how they are drawn.
-    pub body: Drawn,
+    pub body: DrawnItem,
     /// What they are here for: `nurse` or what the file says; `person` if it says nothing.
     pub role: String,
 }
 
 impl Drawing {
     /// Everything drawn beside the map.
-    pub fn bodies(&self) -> impl Iterator<Item = &Drawn> {
+    pub fn items(&self) -> impl Iterator<Item = &DrawnItem> {
         let robots = self.robots.iter().map(|robot| &robot.body);
         let objects = self.objects.iter().map(|object| &object.body);
         let people = self.people.iter().map(|person| &person.body);
@@ -84,7 +84,7 @@ impl Drawing {
     }
 
     /// Tells everything which place of its level is nearest; of equals the first.
-    pub(super) fn settle(&mut self) {
+    pub(super) fn assign_nearest_places(&mut self) {
         let robots = self.robots.iter_mut().map(|robot| &mut robot.body);
         let objects = self.objects.iter_mut().map(|object| &mut object.body);
         let people = self.people.iter_mut().map(|person| &mut person.body);

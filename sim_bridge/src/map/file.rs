@@ -1,9 +1,9 @@
 //! The file a map is read from.
 
-use super::MapProblem;
+use super::MapDiagnostic;
 use super::check::check;
 use super::drawing::Drawing;
-use super::import::name_by_file;
+use super::import::map_name_from_path;
 use super::{Facing, Map, PlaceKind, drawio, rmf};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -209,11 +209,11 @@ pub enum MapError {
     },
     /// The text is of the format, and describes no sound map.
     #[error("{}", join(file, problems))]
-    Unsound {
+    Invalid {
         /// The file as named.
         file: String,
         /// All that is wrong, in the order of the file.
-        problems: Vec<MapProblem>,
+        problems: Vec<MapDiagnostic>,
     },
     /// There is no map of this name in the program.
     #[error("no map {name:?} is shipped; there are: {known}", known = super::SHIPPED.join(", "))]
@@ -223,7 +223,7 @@ pub enum MapError {
     },
 }
 
-fn join(file: &str, problems: &[MapProblem]) -> String {
+fn join(file: &str, problems: &[MapDiagnostic]) -> String {
     problems.iter().map(|problem| format!("map {file}: {problem}")).collect::<Vec<_>>().join("\n")
 }
 
@@ -232,12 +232,12 @@ fn join(file: &str, problems: &[MapProblem]) -> String {
 /// # Errors
 /// [`MapError`] with all that is wrong.
 pub fn read(text: &str, file: &str) -> Result<Map, MapError> {
-    open(text, file, &Options::default())?.map.check(file)
+    parse_drawing(text, file, &ImportOptions::default())?.map.check(file)
 }
 
 /// What a map file is, told by the ending of its name.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum MapForm {
+pub enum MapFormat {
     /// Our own form as YAML: whatever has no other ending.
     Yaml,
     /// Our own form as JSON: `.json`.
@@ -248,31 +248,31 @@ pub enum MapForm {
     Building,
 }
 
-impl MapForm {
+impl MapFormat {
     /// The form of a file of this name.
-    pub fn of(file: &str) -> MapForm {
+    pub fn of(file: &str) -> MapFormat {
         let name = file.to_ascii_lowercase();
         let ends = |endings: &[&str]| endings.iter().any(|ending| name.ends_with(ending));
         if ends(&[".drawio", ".xml"]) {
-            MapForm::Drawing
+            MapFormat::Drawing
         } else if ends(&[".building.yaml", ".building.yml"]) {
-            MapForm::Building
+            MapFormat::Building
         } else if ends(&[".json"]) {
-            MapForm::Json
+            MapFormat::Json
         } else {
-            MapForm::Yaml
+            MapFormat::Yaml
         }
     }
 
     /// Whether it is none of our own forms.
     pub fn is_foreign(self) -> bool {
-        matches!(self, MapForm::Drawing | MapForm::Building)
+        matches!(self, MapFormat::Drawing | MapFormat::Building)
     }
 }
 
 /// How to read what a file leaves open.
 #[derive(Debug, Clone, Default, PartialEq)]
-pub struct Options {
+pub struct ImportOptions {
     /// How many metres a unit of a drawing stands for, or a pixel of an Open-RMF building: a number above 0. Else the file
     /// says, or for a drawing it is [`drawio::METRES_PER_UNIT`].
     pub scale_m: Option<f64>,
@@ -284,16 +284,20 @@ pub struct Options {
 ///
 /// # Errors
 /// [`MapError::TooLarge`] and [`MapError::Syntax`].
-pub fn open(text: &str, file: &str, options: &Options) -> Result<Drawing, MapError> {
+pub fn parse_drawing(text: &str, file: &str, options: &ImportOptions) -> Result<Drawing, MapError> {
     if text.len() > limits::FILE_BYTES {
         return Err(MapError::TooLarge { file: file.to_owned(), bytes: text.len() as u64 });
     }
     let syntax = |message: String| MapError::Syntax { file: file.to_owned(), message };
-    let map: MapFile = match MapForm::of(file) {
-        MapForm::Drawing => return drawio::read(text, &name_by_file(file), options).map_err(|error| error.of(file)),
-        MapForm::Building => return rmf::read(text, &name_by_file(file), options).map_err(|error| error.of(file)),
-        MapForm::Json => serde_json::from_str(text).map_err(|error| syntax(error.to_string()))?,
-        MapForm::Yaml => serde_saphyr::from_str(text).map_err(|error| syntax(error.to_string()))?,
+    let map: MapFile = match MapFormat::of(file) {
+        MapFormat::Drawing => {
+            return drawio::read(text, &map_name_from_path(file), options).map_err(|error| error.of(file));
+        }
+        MapFormat::Building => {
+            return rmf::read(text, &map_name_from_path(file), options).map_err(|error| error.of(file));
+        }
+        MapFormat::Json => serde_json::from_str(text).map_err(|error| syntax(error.to_string()))?,
+        MapFormat::Yaml => serde_saphyr::from_str(text).map_err(|error| syntax(error.to_string()))?,
     };
     Ok(Drawing { map, ..Drawing::default() })
 }
@@ -303,21 +307,21 @@ pub fn open(text: &str, file: &str, options: &Options) -> Result<Drawing, MapErr
 /// # Errors
 /// [`MapError`] with all that is wrong.
 pub fn load(path: &Path) -> Result<Map, MapError> {
-    load_drawing(path, &Options::default())?.map.check(&path.display().to_string())
+    load_drawing(path, &ImportOptions::default())?.map.check(&path.display().to_string())
 }
 
 /// Reads a map file, not yet checked, and what is drawn beside the map.
 ///
 /// # Errors
 /// [`MapError::Unreadable`], [`MapError::TooLarge`] and [`MapError::Syntax`].
-pub fn load_drawing(path: &Path, options: &Options) -> Result<Drawing, MapError> {
+pub fn load_drawing(path: &Path, options: &ImportOptions) -> Result<Drawing, MapError> {
     let file = path.display().to_string();
     let unreadable = |source| MapError::Unreadable { file: file.clone(), source };
     let bytes = std::fs::metadata(path).map_err(unreadable)?.len();
     if bytes > limits::FILE_BYTES as u64 {
         return Err(MapError::TooLarge { file, bytes });
     }
-    open(&std::fs::read_to_string(path).map_err(unreadable)?, &file, options)
+    parse_drawing(&std::fs::read_to_string(path).map_err(unreadable)?, &file, options)
 }
 
 impl MapFile {
@@ -326,7 +330,7 @@ impl MapFile {
     /// # Errors
     /// [`MapError::Unsound`] with all that is wrong.
     pub fn check(&self, file: &str) -> Result<Map, MapError> {
-        check(self).map_err(|problems| MapError::Unsound { file: file.to_owned(), problems })
+        check(self).map_err(|problems| MapError::Invalid { file: file.to_owned(), problems })
     }
 
     /// The walls of all levels.

@@ -32,34 +32,34 @@
 //! what they hold beside a map is in [`Drawing`]. [`show`] draws any of them.
 
 mod building;
+mod building_check;
 #[cfg(test)]
 mod building_tests;
 mod check;
+mod connectivity;
+mod diagnostic;
 mod drawing;
 pub mod drawio;
 mod file;
-mod fittings;
 mod import;
+mod map_json;
 #[cfg(test)]
 mod nesting_tests;
-mod problem;
-mod reach;
+pub mod render;
 pub mod rmf;
 mod shipped;
-pub mod show;
-mod telling;
 #[cfg(test)]
 mod tests;
 mod topology;
 
-pub use building::{Door, DoorOnWay, Facing, GROUND, Level, LevelIndex, Lift, Ride};
-pub use drawing::{Drawing, Drawn, DrawnObject, DrawnPerson, DrawnRobot};
+pub use building::{DEFAULT_LEVEL, Door, Facing, LaneDoor, LevelIndex, Lift, LiftRide, MapLevel};
+pub use building_check::BuildingDiagnostic;
+pub use diagnostic::{Disconnection, LaneName, MapDiagnostic};
+pub use drawing::{Drawing, DrawnItem, DrawnObject, DrawnPerson, DrawnRobot};
 pub use file::{
-    DoorEntry, LaneEntry, LevelEntry, LiftEntry, MapError, MapFile, MapForm, Options, PlaceEntry, limits, load,
-    load_drawing, open, read,
+    DoorEntry, ImportOptions, LaneEntry, LevelEntry, LiftEntry, MapError, MapFile, MapFormat, PlaceEntry, limits, load,
+    load_drawing, parse_drawing, read,
 };
-pub use fittings::FittingProblem;
-pub use problem::{LaneName, MapProblem, Seclusion};
 pub use shipped::{SHIPPED, shipped, shipped_drawing};
 
 use consort_protocol::ids::PlaceId;
@@ -113,7 +113,7 @@ impl PlaceKind {
 
 /// A named pose on the floor.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Place {
+pub struct MapPlace {
     /// Its name, unique on the map.
     pub id: PlaceId,
     /// What it is for.
@@ -150,8 +150,8 @@ pub(crate) struct PlaceIndex(pub(crate) usize);
 #[derive(Debug, Clone, PartialEq)]
 pub struct Map {
     name: String,
-    levels: Vec<Level>,
-    places: Vec<Place>,
+    levels: Vec<MapLevel>,
+    places: Vec<MapPlace>,
     lanes: Vec<Lane>,
     walls: Vec<Vec<(f64, f64)>>,
     /// For each wall its level.
@@ -174,7 +174,7 @@ impl Map {
     }
 
     /// All places, in the order of the file. Never empty.
-    pub fn places(&self) -> &[Place] {
+    pub fn places(&self) -> &[MapPlace] {
         &self.places
     }
 
@@ -189,7 +189,7 @@ impl Map {
     }
 
     /// The place of this name.
-    pub fn place(&self, id: &PlaceId) -> Option<&Place> {
+    pub fn place(&self, id: &PlaceId) -> Option<&MapPlace> {
         self.by_name.get(id).map(|index| &self.places[index.0])
     }
 
@@ -213,11 +213,11 @@ impl Map {
         self.by_name.get(id).copied()
     }
 
-    pub(crate) fn at(&self, index: PlaceIndex) -> &Place {
+    pub(crate) fn place_at(&self, index: PlaceIndex) -> &MapPlace {
         &self.places[index.0]
     }
 
-    pub(crate) fn drivable(&self, from: PlaceIndex, to: PlaceIndex) -> Option<&Lane> {
+    pub(crate) fn lane_between(&self, from: PlaceIndex, to: PlaceIndex) -> Option<&Lane> {
         self.by_ends.get(&(from, to)).map(|lane| &self.lanes[*lane])
     }
 

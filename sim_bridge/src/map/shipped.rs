@@ -1,6 +1,6 @@
 //! Maps that come with the program.
 
-use super::{Drawing, Map, MapError, Options, open};
+use super::{Drawing, ImportOptions, Map, MapError, parse_drawing};
 
 /// The names that [`shipped`] knows.
 pub const SHIPPED: &[&str] = &["hospital", "clinic"];
@@ -22,8 +22,8 @@ pub fn shipped(name: &str) -> Result<Map, MapError> {
 /// [`MapError::NotShipped`] names those that do.
 pub fn shipped_drawing(name: &str) -> Result<Drawing, MapError> {
     match name {
-        "hospital" => open(HOSPITAL, "hospital.yaml", &Options::default()),
-        "clinic" => open(CLINIC, "clinic.yaml", &Options::default()),
+        "hospital" => parse_drawing(HOSPITAL, "hospital.yaml", &ImportOptions::default()),
+        "clinic" => parse_drawing(CLINIC, "clinic.yaml", &ImportOptions::default()),
         _ => Err(MapError::NotShipped { name: name.to_owned() }),
     }
 }

@@ -36,7 +36,7 @@ impl Map {
                 continue;
             }
             let stands = doors.iter().fold(Seconds::ZERO, |stands, met| stands + met.door.opening);
-            let passage = Passage::Driven { speed_limit: lane.speed_limit, stands };
+            let passage = Passage::Drive { speed_limit: lane.speed_limit, stands };
             passages = passages.with(lane.from.clone(), lane.to.clone(), passage);
             if lane.two_way {
                 passages = passages.with(lane.to.clone(), lane.from.clone(), passage);
@@ -47,7 +47,7 @@ impl Map {
                 [(&ride.a, &ride.b), (&ride.b, &ride.a)].into_iter().take(if ride.one_way { 1 } else { 2 })
             {
                 if let Some(time) = self.expected_ride(from, to) {
-                    passages = passages.with(from.clone(), to.clone(), Passage::Ridden(time));
+                    passages = passages.with(from.clone(), to.clone(), Passage::Lift(time));
                 }
             }
         }

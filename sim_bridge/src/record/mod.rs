@@ -18,13 +18,13 @@
 //! seconds of world time (or since time was last let pass, if that is longer ago); what is there can be read from its beginning
 //! on, and the command line tool of MCAP makes a whole file of it (`mcap recover`).
 
+mod driven_paths;
 pub mod foxglove;
-mod paths;
 
-use crate::world::{JournalEntry, Motion, Stance, World};
+use crate::world::{LoggedEvent, MotionState, MotionSummary, World};
 use consort_protocol::ids::RobotId;
 use consort_protocol::units::WorldTime;
-use consort_skills::actions::{BodyEvent, BodyHost};
+use consort_skills::actions::{BackendEvent, RobotBackend};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
@@ -33,7 +33,7 @@ pub const RATE_HZ: f64 = 10.0;
 
 /// Where recordings go.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
-pub struct Outputs {
+pub struct RecordingOutputs {
     /// An MCAP file for Foxglove.
     pub mcap: Option<PathBuf>,
     /// A picture of the paths driven.
@@ -42,50 +42,50 @@ pub struct Outputs {
 
 /// Why something was not recorded. The world itself is not affected.
 #[derive(Debug, thiserror::Error)]
-#[error("{}: the recording cannot be written: {problem}", file.display())]
+#[error("{}: the recording cannot be written: {reason}", file.display())]
 pub struct RecordError {
     /// The file.
     pub file: PathBuf,
     /// What the system says.
-    pub problem: String,
+    pub reason: String,
 }
 
 impl RecordError {
     fn of<E: std::fmt::Display>(file: &Path) -> impl FnOnce(E) -> RecordError {
-        move |problem| RecordError { file: file.to_owned(), problem: problem.to_string() }
+        move |problem| RecordError { file: file.to_owned(), reason: problem.to_string() }
     }
 }
 
 /// Something that recordings are made on.
-trait Tape: Send {
+trait RecordingSink: Send {
     /// The world as it is when the recording begins.
     fn begin(&mut self, world: &World) -> Result<(), RecordError>;
 
     /// What happened by now that was not yet told, and who is somewhere else than last told.
-    fn take(&mut self, world: &World, moment: &Moment<'_>) -> Result<(), RecordError>;
+    fn write_changes(&mut self, world: &World, moment: &WorldChanges<'_>) -> Result<(), RecordError>;
 
     /// So much world time has passed, whatever happened.
-    fn time_passed(&mut self, now_s: f64) -> Result<(), RecordError>;
+    fn on_time_advanced(&mut self, now_s: f64) -> Result<(), RecordError>;
 
     /// The recording is over. What there is of it, in words.
     fn end(&mut self, world: &World) -> Result<String, RecordError>;
 }
 
-struct Moment<'a> {
+struct WorldChanges<'a> {
     now_s: f64,
-    news: &'a [JournalEntry],
-    moved: &'a [Stance],
+    events: &'a [LoggedEvent],
+    moved: &'a [MotionState],
 }
 
 /// Writes down what happens in a world. It is handed to [`SharedWorld::record`](crate::world::SharedWorld::record).
 pub struct Recorder {
-    tapes: Vec<Box<dyn Tape>>,
+    tapes: Vec<Box<dyn RecordingSink>>,
     failed: Vec<RecordError>,
     /// How many happenings of the world were told.
     told: u64,
     /// Where each robot was when that was last told.
-    stances: BTreeMap<RobotId, Stance>,
-    motion: Motion,
+    stances: BTreeMap<RobotId, MotionState>,
+    motion: MotionSummary,
 }
 
 impl Recorder {
@@ -93,34 +93,35 @@ impl Recorder {
     ///
     /// # Errors
     /// [`RecordError`] if a file cannot be written.
-    pub fn open(outputs: &Outputs) -> Result<Option<Recorder>, RecordError> {
-        let mut tapes: Vec<Box<dyn Tape>> = vec![];
+    pub fn open(outputs: &RecordingOutputs) -> Result<Option<Recorder>, RecordError> {
+        let mut tapes: Vec<Box<dyn RecordingSink>> = vec![];
         if let Some(file) = &outputs.mcap {
-            tapes.push(Box::new(foxglove::Foxglove::create(file)?));
+            tapes.push(Box::new(foxglove::FoxgloveSink::create(file)?));
         }
         if let Some(file) = &outputs.svg {
-            tapes.push(Box::new(paths::Paths::create(file)?));
+            tapes.push(Box::new(driven_paths::DrivenPathsSink::create(file)?));
         }
-        let recorder = Recorder { tapes, failed: vec![], told: 0, stances: BTreeMap::new(), motion: Motion::default() };
+        let recorder =
+            Recorder { tapes, failed: vec![], told: 0, stances: BTreeMap::new(), motion: MotionSummary::default() };
         Ok((!recorder.tapes.is_empty()).then_some(recorder))
     }
 
     /// Begins: all that is in the world is told.
     pub(crate) fn begin(&mut self, world: &World) {
-        self.told = world.journal_after(0).1;
-        self.stances = world.stances().map(|stance| (stance.robot.clone(), stance)).collect();
-        self.motion = world.motion();
+        self.told = world.events_after(0).1;
+        self.stances = world.motion_states().map(|stance| (stance.robot.clone(), stance)).collect();
+        self.motion = world.motion_summary();
         self.each_tape(|tape| tape.begin(world));
     }
 
     /// Lets the world's time pass as [`World::advance`] does, and tells what happens meanwhile.
-    pub(crate) fn advance(&mut self, world: &mut World, to: WorldTime) -> Vec<BodyEvent> {
+    pub(crate) fn advance(&mut self, world: &mut World, to: WorldTime) -> Vec<BackendEvent> {
         let to_s = to.as_secs().max(world.now().as_secs());
         let mut events = vec![];
         self.look(world, false);
         loop {
             let mut until_s = to_s;
-            let sample_s = if self.motion.moves { next_sample_s(world.now().as_secs()) } else { f64::INFINITY };
+            let sample_s = if self.motion.any_moving { next_sample_s(world.now().as_secs()) } else { f64::INFINITY };
             until_s = until_s.min(sample_s);
             if let Some(due) = world.next_due() {
                 until_s = until_s.min(due.as_secs());
@@ -131,7 +132,7 @@ impl Recorder {
                 break;
             }
         }
-        self.each_tape(|tape| tape.time_passed(to_s));
+        self.each_tape(|tape| tape.on_time_advanced(to_s));
         events
     }
 
@@ -146,25 +147,25 @@ impl Recorder {
 
     /// Tells what has happened, if anything has or if it is time to.
     fn look(&mut self, world: &World, sample: bool) {
-        let (news, told) = world.journal_after(self.told);
-        let news: Vec<JournalEntry> = news.cloned().collect();
+        let (news, told) = world.events_after(self.told);
+        let news: Vec<LoggedEvent> = news.cloned().collect();
         self.told = told;
-        let before = std::mem::replace(&mut self.motion, world.motion());
+        let before = std::mem::replace(&mut self.motion, world.motion_summary());
         if !sample && news.is_empty() && before == self.motion {
             return;
         }
-        let moved: Vec<Stance> =
-            world.stances().filter(|stance| self.stances.get(&stance.robot) != Some(stance)).collect();
+        let moved: Vec<MotionState> =
+            world.motion_states().filter(|stance| self.stances.get(&stance.robot) != Some(stance)).collect();
         if news.is_empty() && moved.is_empty() {
             return;
         }
-        let moment = Moment { now_s: world.now().as_secs(), news: &news, moved: &moved };
-        self.each_tape(|tape| tape.take(world, &moment));
+        let moment = WorldChanges { now_s: world.now().as_secs(), events: &news, moved: &moved };
+        self.each_tape(|tape| tape.write_changes(world, &moment));
         self.stances.extend(moved.into_iter().map(|stance| (stance.robot.clone(), stance)));
     }
 
     /// A tape that fails is told of once, and left alone from then on: the world goes on.
-    fn each_tape(&mut self, mut work: impl FnMut(&mut dyn Tape) -> Result<(), RecordError>) {
+    fn each_tape(&mut self, mut work: impl FnMut(&mut dyn RecordingSink) -> Result<(), RecordError>) {
         let failed = &mut self.failed;
         self.tapes.retain_mut(|tape| match work(&mut **tape) {
             Ok(()) => true,

@@ -3,12 +3,12 @@
 //! Both indexes are uniform grids; that of bodies is laid out anew whenever they have moved. Each question looks only at
 //! the cells that it touches, so that the work for all bodies together grows with their number and not with its square.
 
-mod bodies;
+mod body_grid;
 mod rays;
 mod sensor;
-mod walls;
+mod wall_grid;
 
-pub use bodies::{Bodies, Disc};
+pub use body_grid::{BodyGrid, Disc};
 pub use rays::{Ray, Segment};
 pub use sensor::Sensor;
-pub use walls::Walls;
+pub use wall_grid::WallGrid;

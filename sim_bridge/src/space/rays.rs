@@ -39,7 +39,7 @@ impl Ray {
     }
 
     /// How far along it meets a wall; none if it does not, or runs along it.
-    pub fn meets(&self, wall: &Segment) -> Option<f64> {
+    pub fn intersect_wall(&self, wall: &Segment) -> Option<f64> {
         let along = wall.b - wall.a;
         let across = self.direction.perp(&along);
         if across == 0.0 {
@@ -51,7 +51,7 @@ impl Ray {
     }
 
     /// How far along it enters a disc: 0 if it begins in it, none if it misses it.
-    pub fn enters(&self, middle: Vector2<f64>, radius_m: f64) -> Option<f64> {
+    pub fn intersect_disc(&self, middle: Vector2<f64>, radius_m: f64) -> Option<f64> {
         let to = middle - self.from;
         if to.norm_squared() <= radius_m * radius_m {
             return Some(0.0);
@@ -64,7 +64,7 @@ impl Ray {
 
 impl Segment {
     /// The point of it that is closest to a point.
-    pub fn closest(&self, to: Vector2<f64>) -> Vector2<f64> {
+    pub fn closest_point(&self, to: Vector2<f64>) -> Vector2<f64> {
         let along = self.b - self.a;
         let length_2 = along.norm_squared();
         if length_2 == 0.0 {
@@ -85,20 +85,20 @@ mod tests {
     #[test]
     fn a_ray_meets_what_is_ahead_and_nothing_behind() {
         let east = Ray::at_angle(Vector2::new(1.0, 1.0), 0.0);
-        assert_eq!(east.meets(&wall(3.0, 0.0, 3.0, 2.0)), Some(2.0));
-        assert_eq!(east.meets(&wall(3.0, 2.0, 3.0, 3.0)), None);
-        assert_eq!(east.meets(&wall(0.0, 0.0, 0.0, 2.0)), None);
-        assert_eq!(east.meets(&wall(2.0, 1.0, 5.0, 1.0)), None, "along the wall");
-        assert_eq!(east.enters(Vector2::new(4.0, 1.0), 0.5), Some(2.5));
-        assert_eq!(east.enters(Vector2::new(4.0, 1.6), 0.5), None);
-        assert_eq!(east.enters(Vector2::new(-4.0, 1.0), 0.5), None);
-        assert_eq!(east.enters(Vector2::new(1.2, 1.0), 0.5), Some(0.0));
+        assert_eq!(east.intersect_wall(&wall(3.0, 0.0, 3.0, 2.0)), Some(2.0));
+        assert_eq!(east.intersect_wall(&wall(3.0, 2.0, 3.0, 3.0)), None);
+        assert_eq!(east.intersect_wall(&wall(0.0, 0.0, 0.0, 2.0)), None);
+        assert_eq!(east.intersect_wall(&wall(2.0, 1.0, 5.0, 1.0)), None, "along the wall");
+        assert_eq!(east.intersect_disc(Vector2::new(4.0, 1.0), 0.5), Some(2.5));
+        assert_eq!(east.intersect_disc(Vector2::new(4.0, 1.6), 0.5), None);
+        assert_eq!(east.intersect_disc(Vector2::new(-4.0, 1.0), 0.5), None);
+        assert_eq!(east.intersect_disc(Vector2::new(1.2, 1.0), 0.5), Some(0.0));
     }
 
     #[test]
     fn the_closest_point_of_a_wall_is_on_it() {
         let wall = wall(0.0, 0.0, 4.0, 0.0);
-        let closest = |x, y| wall.closest(Vector2::new(x, y));
+        let closest = |x, y| wall.closest_point(Vector2::new(x, y));
         assert_eq!(closest(1.0, 3.0), Vector2::new(1.0, 0.0));
         assert_eq!(closest(-1.0, 3.0), Vector2::new(0.0, 0.0));
         assert_eq!(closest(9.0, -1.0), Vector2::new(4.0, 0.0));

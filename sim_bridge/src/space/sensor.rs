@@ -1,6 +1,6 @@
 //! What sensors perceive: geometry alone.
 
-use super::{Bodies, Disc, Ray, Walls};
+use super::{BodyGrid, Disc, Ray, WallGrid};
 use nalgebra::{Isometry2, Vector2, Vector3};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -66,16 +66,22 @@ impl Sensor {
 
     /// The distance from the middle of `own`, which looks where `pose` does, to the first wall or body along the middle of
     /// what it perceives, in metres; none if that is free for as far as it reaches.
-    pub fn free_m(&self, pose: &Isometry2<f64>, own: usize, bodies: &Bodies, walls: &Walls) -> Option<f64> {
+    pub fn measure_range_m(
+        &self,
+        pose: &Isometry2<f64>,
+        own: usize,
+        bodies: &BodyGrid,
+        walls: &WallGrid,
+    ) -> Option<f64> {
         let (ray, reach_m, own_disc) = (self.axis(pose), self.reach_m(), bodies.disc(own));
         let mut first = walls.first_hit(&ray, reach_m);
         let half_way = ray.at(reach_m / 2.0);
         let around = Vector3::new(half_way.x, half_way.y, own_disc.at.z);
         // Beyond either end by a radius, and above or below by as much.
-        let around_m = (reach_m / 2.0 + bodies.largest_m()).hypot(bodies.largest_m());
-        bodies.near(&around, own_disc.level, around_m, |name, disc| {
+        let around_m = (reach_m / 2.0 + bodies.max_radius_m()).hypot(bodies.max_radius_m());
+        bodies.for_each_near(&around, own_disc.level, around_m, |name, disc| {
             let level_with = (disc.at.z - own_disc.at.z).abs() <= disc.radius_m;
-            let hit = ray.enters(disc.at.xy(), disc.radius_m).filter(|hit| *hit <= reach_m);
+            let hit = ray.intersect_disc(disc.at.xy(), disc.radius_m).filter(|hit| *hit <= reach_m);
             if name != own && level_with {
                 first = first.into_iter().chain(hit).min_by(f64::total_cmp);
             }
@@ -85,18 +91,18 @@ impl Sensor {
 
     /// Shows each body that a camera or feeler of `own` perceives: its name, how far it is from middle to middle (metres)
     /// and in which direction (radians to the left of ahead).
-    pub fn perceives(
+    pub fn for_each_detection(
         &self,
         pose: &Isometry2<f64>,
         own: usize,
-        bodies: &Bodies,
-        walls: &Walls,
+        bodies: &BodyGrid,
+        walls: &WallGrid,
         mut show: impl FnMut(usize, f64, f64),
     ) {
         let own_disc = *bodies.disc(own);
         let from = pose.translation.vector;
-        let reach_m = self.reach_m() + own_disc.radius_m + bodies.largest_m();
-        bodies.near(&own_disc.at, own_disc.level, reach_m, |name, disc| {
+        let reach_m = self.reach_m() + own_disc.radius_m + bodies.max_radius_m();
+        bodies.for_each_near(&own_disc.at, own_disc.level, reach_m, |name, disc| {
             if name == own {
                 return;
             }
@@ -127,7 +133,7 @@ fn direction(pose: &Isometry2<f64>, to: Vector2<f64>) -> f64 {
 }
 
 /// Whether any of a body's middle and its two edges can be seen.
-fn is_in_sight(from: Vector2<f64>, disc: &Disc, walls: &Walls) -> bool {
+fn is_in_sight(from: Vector2<f64>, disc: &Disc, walls: &WallGrid) -> bool {
     let middle = disc.at.xy();
     let Some((ray, _)) = Ray::towards(from, middle) else { return true };
     let edge = Vector2::new(-ray.direction.y, ray.direction.x) * disc.radius_m;

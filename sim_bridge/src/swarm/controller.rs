@@ -1,17 +1,17 @@
 //! The controller of a swarm, and the clock beside it.
 
 use super::formation::{Swarm, assign, circles, robot};
-use super::table::Row;
-use crate::world::{Happening, World};
+use super::table::SwarmResult;
+use crate::world::{World, WorldEvent};
 use consort_protocol::ids::RobotId;
 use consort_protocol::pose::Pose;
 use consort_protocol::units::WorldTime;
-use consort_skills::actions::{BodyEvent, BodyHost, Goal, GoalId, GoalStatus};
+use consort_skills::actions::{BackendEvent, Goal, GoalId, GoalStatus, RobotBackend};
 use std::collections::BTreeSet;
 use std::time::Duration;
 
 /// How long the controller waits for the next answer, in seconds.
-pub const ANSWER_S: f64 = 15.0;
+pub const RESULT_TIMEOUT_S: f64 = 15.0;
 
 /// A swarm that cannot be: none at all, or more drones than a map has places.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
@@ -23,7 +23,7 @@ pub struct SwarmError(pub(super) String);
 ///
 /// # Errors
 /// [`SwarmError`] if there can be no such swarm.
-pub fn fly(swarm: Swarm, mut clock: impl FnMut() -> Duration) -> Result<Row, SwarmError> {
+pub fn run_swarm(swarm: Swarm, mut clock: impl FnMut() -> Duration) -> Result<SwarmResult, SwarmError> {
     if swarm.drones == 0 {
         return Err(SwarmError("a swarm has 1 drone or more".to_owned()));
     }
@@ -73,7 +73,7 @@ impl Flight {
 
     /// Lets time pass until so many seconds have, or until it is over: whether it is.
     fn fly_until(&mut self, until_s: f64) -> bool {
-        let until_s = until_s.min(self.answered_s + ANSWER_S);
+        let until_s = until_s.min(self.answered_s + RESULT_TIMEOUT_S);
         while !self.waits_for.is_empty() {
             let due = self.world.next_due().map_or(f64::INFINITY, WorldTime::as_secs);
             let over = due > until_s;
@@ -84,16 +84,16 @@ impl Flight {
                 break;
             }
         }
-        for entry in self.world.drain_journal() {
-            if let Happening::Collided { robot, .. } = entry.what {
+        for entry in self.world.drain_event_log() {
+            if let WorldEvent::Collided { robot, .. } = entry.event {
                 self.crashed.insert(robot);
             }
         }
-        self.waits_for.is_empty() || self.now() >= self.answered_s + ANSWER_S
+        self.waits_for.is_empty() || self.now() >= self.answered_s + RESULT_TIMEOUT_S
     }
 
-    fn hear(&mut self, event: BodyEvent) {
-        if let BodyEvent::GoalEnded { robot, status, .. } = event
+    fn hear(&mut self, event: BackendEvent) {
+        if let BackendEvent::GoalEnded { robot, status, .. } = event
             && self.waits_for.remove(&robot)
         {
             self.arrived += usize::from(status == GoalStatus::Succeeded);
@@ -106,11 +106,11 @@ impl Flight {
     }
 
     /// What is to be told of it: from how long each whole second took outside, and the rest.
-    fn row(&self, seconds: &[f64], rest: f64) -> Row {
+    fn row(&self, seconds: &[f64], rest: f64) -> SwarmResult {
         let simulated_s = self.now();
         let sum = seconds.iter().sum::<f64>() + rest;
         let whole = || seconds.iter().copied();
-        Row {
+        SwarmResult {
             drones: self.targets.len(),
             simulated_s,
             min_s: whole().min_by(f64::total_cmp).unwrap_or(sum),
@@ -126,8 +126,8 @@ impl Flight {
 mod tests {
     use super::*;
 
-    fn flown(drones: usize, seed: u64) -> Row {
-        fly(Swarm { drones, seed }, || Duration::ZERO).unwrap()
+    fn flown(drones: usize, seed: u64) -> SwarmResult {
+        run_swarm(Swarm { drones, seed }, || Duration::ZERO).unwrap()
     }
 
     #[test]
@@ -163,7 +163,7 @@ mod tests {
 
     #[test]
     fn impossible_swarms_are_refused() {
-        let refused = |drones| fly(Swarm { drones, seed: 1 }, || Duration::ZERO).unwrap_err().to_string();
+        let refused = |drones| run_swarm(Swarm { drones, seed: 1 }, || Duration::ZERO).unwrap_err().to_string();
         assert_eq!(refused(0), "a swarm has 1 drone or more");
         assert!(refused(10_001).contains("10000"), "{}", refused(10_001));
     }
@@ -179,6 +179,6 @@ mod tests {
         let answered = flight.answered_s;
         assert!((1.0..10.0).contains(&answered), "{answered}");
         assert!(flight.fly_until(100.0));
-        assert!((flight.now() - answered - ANSWER_S).abs() < 1e-9);
+        assert!((flight.now() - answered - RESULT_TIMEOUT_S).abs() < 1e-9);
     }
 }

@@ -3,7 +3,7 @@
 use super::controller::SwarmError;
 use crate::kinematics::{AerialSettings, Kinematics};
 use crate::map::{LaneEntry, MapFile, PlaceEntry, PlaceKind};
-use crate::world::{Gusts, RobotBody, World, WorldLimits, WorldSetup};
+use crate::world::{RobotSetup, WindSettings, World, WorldLimits, WorldSetup};
 use consort_protocol::ids::{PlaceId, RobotId};
 use consort_protocol::units::{BatteryShare, MetresPerSecond, SharePerSecond};
 use rand::RngExt;
@@ -44,11 +44,11 @@ impl Swarm {
         for n in 0..self.drones {
             let (speed, discharge) = (MetresPerSecond::new(SPEED_MPS), SharePerSecond::new(0.0));
             let (speed, discharge) = (speed.expect("a speed"), discharge.expect("a rate"));
-            let drone = RobotBody::carrier(robot(n), pad(n), speed, BatteryShare::FULL, discharge);
-            setup.robots.push(RobotBody { has_drawer: false, radius_m: RADIUS_M, kinematics, ..drone });
+            let drone = RobotSetup::carrier(robot(n), pad(n), speed, BatteryShare::FULL, discharge);
+            setup.robots.push(RobotSetup { has_drawer: false, radius_m: RADIUS_M, kinematics, ..drone });
         }
         setup.systems = ["steering", "driving", "collisions", "gusts"].map(str::to_owned).to_vec();
-        setup.gusts = Some(Gusts::default());
+        setup.gusts = Some(WindSettings::default());
         setup.limits = WorldLimits { history_kept: 4 * self.drones.max(1_000), ..WorldLimits::default() };
         World::new(setup).map_err(|problems| SwarmError(problems.to_string()))
     }

@@ -11,6 +11,6 @@ mod controller;
 mod formation;
 mod table;
 
-pub use controller::{ANSWER_S, SwarmError, fly};
+pub use controller::{RESULT_TIMEOUT_S, SwarmError, run_swarm};
 pub use formation::{Swarm, circles};
-pub use table::{HEADING, Row};
+pub use table::{SwarmResult, TABLE_HEADER};

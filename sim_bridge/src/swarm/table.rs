@@ -5,7 +5,7 @@ use std::fmt;
 
 /// What is told of one swarm. Equal for equal seeds but for the three times outside.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
-pub struct Row {
+pub struct SwarmResult {
     /// How many drones.
     pub drones: usize,
     /// How long it took within the simulation until all had answered, in seconds.
@@ -23,11 +23,11 @@ pub struct Row {
 }
 
 /// What stands above the rows.
-pub const HEADING: &str = "Swarm size  Simulation time  Min. time 1s  Max. time 1s  Average    Arrived  Crashed";
+pub const TABLE_HEADER: &str = "Swarm size  Simulation time  Min. time 1s  Max. time 1s  Average    Arrived  Crashed";
 
-impl fmt::Display for Row {
+impl fmt::Display for SwarmResult {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Row { drones, simulated_s, min_s, max_s, average_s, arrived, crashed } = self;
+        let SwarmResult { drones, simulated_s, min_s, max_s, average_s, arrived, crashed } = self;
         write!(
             f,
             "{drones:<10}  {simulated_s:>13.2} s  {min_s:>10.6} s  {max_s:>10.6} s  {average_s:.6} s  {arrived:>6}  {crashed:>7}"

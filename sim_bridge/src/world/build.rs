@@ -1,12 +1,12 @@
 //! From a setup to a world.
 
-use super::components::Body;
-use super::floor::Floor;
-use super::goals::GoalBook;
-use super::samples::{Handovers, Holder, Load};
-use super::setup::{Durations, RobotBody, SetupError, SetupErrors, WorldLimits, WorldSetup};
-use super::whereabouts::{Spot, Whereabouts};
-use super::{World, fittings, systems};
+use super::components::SimRobot;
+use super::goals::GoalHistory;
+use super::location::{MapPosition, RobotLocation};
+use super::samples::{HandoverCount, HolderEntity, PayloadData};
+use super::setup::{Durations, RobotSetup, SetupError, SetupErrors, WorldLimits, WorldSetup};
+use super::sim_state::SimState;
+use super::{World, environment_setup, systems};
 use consort_protocol::ids::PlaceId;
 use std::collections::BTreeSet;
 use std::ops::RangeInclusive;
@@ -25,15 +25,15 @@ impl World {
         if !problems.is_empty() {
             return Err(SetupErrors(problems));
         }
-        let systems = setup.systems.iter().filter_map(|name| systems::of_name(name)).collect();
-        let mut floor = Floor::new(setup.map.clone(), setup.durations, setup.limits, setup.step_s);
-        floor.furnish(Handovers::default());
-        let mut world = World { floor, systems };
-        world.each_system(|system, floor| system.furnish(floor, &setup));
+        let systems = setup.systems.iter().filter_map(|name| systems::by_name(name)).collect();
+        let mut floor = SimState::new(setup.map.clone(), setup.durations, setup.limits, setup.step_s);
+        floor.insert_resource(HandoverCount::default());
+        let mut world = World { state: floor, systems };
+        world.for_each_system(|system, floor| system.init_world(floor, &setup));
         for object in &setup.objects {
-            let place = world.floor.map.index(&object.place).expect("checked: the place is on the map");
-            let load = Load { weight_kg: object.weight_kg, distance_m: object.distance_m };
-            world.floor.spawn_sample(object.name.clone(), Holder::Table(place), load);
+            let place = world.state.map.index(&object.place).expect("checked: the place is on the map");
+            let load = PayloadData { weight_kg: object.weight_kg, distance_m: object.distance_m };
+            world.state.spawn_sample(object.name.clone(), HolderEntity::Table(place), load);
         }
         for body in setup.robots {
             world.spawn_robot(body);
@@ -41,15 +41,18 @@ impl World {
         Ok(world)
     }
 
-    fn spawn_robot(&mut self, body: RobotBody) {
-        let floor = &mut self.floor;
+    fn spawn_robot(&mut self, body: RobotSetup) {
+        let floor = &mut self.state;
         let place = floor.map.index(&body.place).expect("checked: the place is on the map");
         let robot = floor.spawn();
-        floor.give(robot, Body(body.clone()));
-        floor.give(robot, Whereabouts::Standing { spot: Spot::Place(place), pose: floor.map.at(place).pose });
-        floor.give(robot, GoalBook::default());
+        floor.insert(robot, SimRobot(body.clone()));
+        floor.insert(
+            robot,
+            RobotLocation::Standing { position: MapPosition::Place(place), pose: floor.map.place_at(place).pose },
+        );
+        floor.insert(robot, GoalHistory::default());
         floor.robots.insert(body.id.clone(), robot);
-        self.each_system(|system, floor| system.equip(floor, robot, &body));
+        self.for_each_system(|system, floor| system.init_robot(floor, robot, &body));
     }
 }
 
@@ -64,7 +67,7 @@ fn check(setup: &WorldSetup) -> Vec<SetupError> {
     check_numbers(&setup.durations, &setup.limits, &mut problems);
     check_step(setup, &mut problems);
     check_systems(&setup.systems, &mut problems);
-    fittings::check(&setup.map, &setup.doors, &setup.obstacles, &mut problems);
+    environment_setup::check(&setup.map, &setup.doors, &setup.obstacles, &mut problems);
     let mut seen = BTreeSet::new();
     for body in &setup.robots {
         let who = format!("robot {}", body.id);
@@ -109,32 +112,32 @@ fn check_twice(who: String, seen: &mut BTreeSet<String>, problems: &mut Vec<Setu
 
 fn check_name(what: &'static str, name: &str, sound: bool, problems: &mut Vec<SetupError>) {
     if !sound {
-        problems.push(SetupError::Name { what, name: name.to_owned() });
+        problems.push(SetupError::InvalidName { what, name: name.to_owned() });
     }
 }
 
-fn check_body(body: &RobotBody, who: &str, problems: &mut Vec<SetupError>) {
+fn check_body(body: &RobotSetup, who: &str, problems: &mut Vec<SetupError>) {
     if !(0.0..=1.0).contains(&body.idle_factor) {
         let (field, allowed) = ("idle_factor", "a number from 0 to 1");
-        problems.push(SetupError::Number { who: who.to_owned(), field, value: body.idle_factor, allowed });
+        problems.push(SetupError::InvalidNumber { who: who.to_owned(), field, value: body.idle_factor, allowed });
     }
     for (field, value) in [("payload_max_kg", body.payload_max_kg), ("reach_m", body.reach_m)] {
-        fittings::at_least_zero(who, field, value, problems);
+        environment_setup::check_non_negative(who, field, value, problems);
     }
     if !SPEED_MPS.contains(&body.speed.get()) {
         let (field, allowed) = ("speed_mps", "a number from 0.001 to 100");
-        problems.push(SetupError::Number { who: who.to_owned(), field, value: body.speed.get(), allowed });
+        problems.push(SetupError::InvalidNumber { who: who.to_owned(), field, value: body.speed.get(), allowed });
     }
 }
 
-fn check_kinematics(setup: &WorldSetup, body: &RobotBody, who: &str, problems: &mut Vec<SetupError>) {
+fn check_kinematics(setup: &WorldSetup, body: &RobotSetup, who: &str, problems: &mut Vec<SetupError>) {
     if !RADIUS_M.contains(&body.radius_m) {
         let (field, allowed) = ("radius_m", "a number of metres from 0.01 to 10");
-        problems.push(SetupError::Number { who: who.to_owned(), field, value: body.radius_m, allowed });
+        problems.push(SetupError::InvalidNumber { who: who.to_owned(), field, value: body.radius_m, allowed });
     }
     let mut number = |field, value, range: RangeInclusive<f64>, allowed| {
         if !range.contains(&value) {
-            problems.push(SetupError::Number { who: who.to_owned(), field, value, allowed });
+            problems.push(SetupError::InvalidNumber { who: who.to_owned(), field, value, allowed });
         }
     };
     for sensor in &body.sensors {
@@ -147,14 +150,14 @@ fn check_kinematics(setup: &WorldSetup, body: &RobotBody, who: &str, problems: &
         problems.push(SetupError::Kinematics { who: who.to_owned(), problem });
     }
     if !["driving", "steering"].iter().all(|needed| setup.systems.iter().any(|name| name == needed)) {
-        problems.push(SetupError::NoSteering { who: who.to_owned(), systems: setup.systems.join(", ") });
+        problems.push(SetupError::MissingSystems { who: who.to_owned(), systems: setup.systems.join(", ") });
     }
 }
 
 fn check_step(setup: &WorldSetup, problems: &mut Vec<SetupError>) {
     let mut number = |who: &str, field, value, range: RangeInclusive<f64>, allowed| {
         if !range.contains(&value) {
-            problems.push(SetupError::Number { who: who.to_owned(), field, value, allowed });
+            problems.push(SetupError::InvalidNumber { who: who.to_owned(), field, value, allowed });
         }
     };
     number("world", "step_s", setup.step_s, 0.001..=10.0, "a number of seconds from 0.001 to 10");
@@ -181,17 +184,17 @@ fn check_numbers(durations: &Durations, limits: &WorldLimits, problems: &mut Vec
         ("closure_remembered_s", durations.closure_remembered_s),
     ] {
         if !DURATION_S.contains(&value) {
-            problems.push(SetupError::Number { who: "durations".to_owned(), field, value, allowed });
+            problems.push(SetupError::InvalidNumber { who: "durations".to_owned(), field, value, allowed });
         }
     }
     if durations.person_max_s < durations.person_min_s {
         let (value, allowed) = (durations.person_max_s, "no less than person_min_s");
-        problems.push(SetupError::Number { who: "durations".to_owned(), field: "person_max_s", value, allowed });
+        problems.push(SetupError::InvalidNumber { who: "durations".to_owned(), field: "person_max_s", value, allowed });
     }
     for (field, value) in [("drawer_slots", limits.drawer_slots), ("ended_kept", limits.ended_kept)] {
         if value == 0 {
             let allowed = "1 or more";
-            problems.push(SetupError::Number { who: "limits".to_owned(), field, value: 0.0, allowed });
+            problems.push(SetupError::InvalidNumber { who: "limits".to_owned(), field, value: 0.0, allowed });
         }
     }
 }
@@ -199,7 +202,7 @@ fn check_numbers(durations: &Durations, limits: &WorldLimits, problems: &mut Vec
 fn check_systems(chosen: &[String], problems: &mut Vec<SetupError>) {
     let mut seen = BTreeSet::new();
     for name in chosen {
-        if systems::of_name(name).is_none() {
+        if systems::by_name(name).is_none() {
             let hint = crate::suggest::did_you_mean(name, systems::system_names());
             let known = systems::system_names().collect::<Vec<_>>().join(", ");
             problems.push(SetupError::UnknownSystem { name: name.clone(), known, hint });

@@ -50,91 +50,91 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 
+mod backend;
 mod build;
 mod components;
-mod course;
-mod fittings;
-mod floor;
+mod drive_progress;
+mod environment_setup;
+mod event_log;
+mod event_queue;
 mod goals;
-mod host;
-mod journal;
-mod mood;
+mod location;
+mod motion_state;
 mod names;
-mod queue;
-mod reach;
+mod preconditions;
 mod report;
+mod routing;
 mod samples;
 mod sensing;
 mod setup;
 mod shared;
+mod sim_state;
 mod speed;
-mod stance;
+mod spontaneous_action;
 mod system;
 mod systems;
 #[cfg(test)]
 mod tests;
-mod ways;
-mod whereabouts;
 
-pub use fittings::{DoorSetup, Object, Obstacle};
-pub use journal::{Happening, JournalEntry};
-pub use mood::{Deed, Moment, Mood};
+pub use environment_setup::{DoorSetup, ObjectSetup, Obstacle};
+pub use event_log::{LoggedEvent, WorldEvent};
+pub(crate) use motion_state::{MotionState, MotionSummary};
 pub use names::{PersonName, SampleId};
-pub(crate) use reach::verb;
-pub use report::{BodyReport, DoorReport, PersonReport};
-pub use samples::{Keeper, SampleReport};
-pub use sensing::{Reading, Seen, Sighting};
+pub(crate) use preconditions::goal_name;
+pub use report::{DoorReport, PersonReport, RobotReport};
+pub use samples::{SampleHolder, SampleReport};
+pub use sensing::{DetectedObject, Detection, SensorReading};
 pub use setup::{
-    Durations, Gusts, Person, RobotBody, SetupError, SetupErrors, WorldLimits, WorldSetup, default_radius_m,
-    default_step_s,
+    Durations, PersonSetup, RobotSetup, SetupError, SetupErrors, WindSettings, WorldLimits, WorldSetup,
+    default_radius_m, default_step_s,
 };
 pub use shared::SharedWorld;
-pub(crate) use stance::{Motion, Stance};
+pub use spontaneous_action::{PersonAction, PersonTrigger, SpontaneousAction};
 pub use systems::power::{STOPPING_SHARE, default_idle_factor};
 pub use systems::system_names;
 
 use crate::map::Map;
-use floor::Floor;
+use sim_state::SimState;
 use system::System;
 
 /// A world. Made by [`World::new`], driven through [`BodyHost`](consort_skills::actions::BodyHost).
 pub struct World {
-    floor: Floor,
+    state: SimState,
     systems: Vec<&'static dyn System>,
 }
 
 /// One of a world's systems, by its place among them.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-struct Chosen(usize);
+struct SystemIndex(usize);
 
 impl World {
     /// The floor.
     pub fn map(&self) -> &Map {
-        &self.floor.map
+        &self.state.map
     }
 
-    fn chosen(&self) -> impl Iterator<Item = Chosen> + use<> {
-        (0..self.systems.len()).map(Chosen)
+    fn system_indices(&self) -> impl Iterator<Item = SystemIndex> + use<> {
+        (0..self.systems.len()).map(SystemIndex)
     }
 
     /// Has one of the systems do something.
-    fn work<T>(&mut self, chosen: Chosen, work: impl FnOnce(&dyn System, &mut Floor) -> T) -> T {
+    fn run_system<T>(&mut self, chosen: SystemIndex, work: impl FnOnce(&dyn System, &mut SimState) -> T) -> T {
         let system = self.systems[chosen.0];
-        self.floor.let_work(chosen.0, system, |floor| work(system, floor))
+        self.state.run_as_system(chosen.0, system, |floor| work(system, floor))
     }
 
     /// Has all systems do something, one after the other.
-    fn each_system(&mut self, mut work: impl FnMut(&dyn System, &mut Floor)) {
-        for chosen in self.chosen() {
-            self.work(chosen, &mut work);
+    fn for_each_system(&mut self, mut work: impl FnMut(&dyn System, &mut SimState)) {
+        for chosen in self.system_indices() {
+            self.run_system(chosen, &mut work);
         }
     }
 
     /// Has a system do something on behalf of the outside, if it is one of this world's.
-    fn have(&mut self, named: &dyn System, work: impl FnOnce(&mut Floor)) {
+    fn run_as(&mut self, named: &dyn System, work: impl FnOnce(&mut SimState)) {
         if let Some(place) = self.systems.iter().position(|system| system.name() == named.name()) {
-            self.work(Chosen(place), |_, floor| work(floor));
-            self.follow_up_later();
+            self.run_system(SystemIndex(place), |_, floor| work(floor));
+            self.process_commands_and_defer();
         }
     }
 }
@@ -142,11 +142,11 @@ impl World {
 impl std::fmt::Debug for World {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         f.debug_struct("World")
-            .field("map", &self.floor.map.name())
-            .field("now", &self.floor.now)
-            .field("robots", &self.floor.robots.len())
-            .field("people", &self.floor.people.len())
-            .field("due", &self.floor.queue.len())
+            .field("map", &self.state.map.name())
+            .field("now", &self.state.now)
+            .field("robots", &self.state.robots.len())
+            .field("people", &self.state.people.len())
+            .field("due", &self.state.queue.len())
             .finish_non_exhaustive()
     }
 }

@@ -1,15 +1,15 @@
 //! Bodies and people, for displays and checks.
 
-use super::components::{Beside, Body, DrawerOpen, Who};
+use super::components::{CoPresence, DrawerOpen, PersonInfo, SimRobot};
 use super::names::{PersonName, SampleId};
-use super::samples::Holder;
-use super::{RobotBody, World};
+use super::samples::HolderEntity;
+use super::{RobotSetup, World};
 use consort_protocol::ids::{PlaceId, RobotId, RoleId};
 use serde::{Deserialize, Serialize};
 
 /// What a robot's telemetry does not say of it.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-pub struct BodyReport {
+pub struct RobotReport {
     /// Whether its drawer stands open.
     pub drawer_open: bool,
     /// What lies in its drawer, first come first.
@@ -50,27 +50,27 @@ pub struct DoorReport {
 
 impl World {
     /// What a robot was set up with, its discharge rate among it; `None` for one that is not here.
-    pub fn setup_of(&self, robot: &RobotId) -> Option<RobotBody> {
-        self.floor.robots.get(robot).map(|robot| self.floor.get::<Body>(*robot).0.clone())
+    pub fn robot_setup(&self, robot: &RobotId) -> Option<RobotSetup> {
+        self.state.robots.get(robot).map(|robot| self.state.get::<SimRobot>(*robot).0.clone())
     }
 
     /// A robot's drawer, arm and company; `None` for one that is not here.
-    pub fn body(&self, robot: &RobotId) -> Option<BodyReport> {
-        let robot = *self.floor.robots.get(robot)?;
-        let (beside_person, authenticated, beside_robot) = match *self.floor.get::<Beside>(robot) {
-            Beside::Nobody => (None, false, None),
-            Beside::Person { person, .. } if !self.floor.is_present(&self.floor.get::<Who>(person).name) => {
+    pub fn robot_report(&self, robot: &RobotId) -> Option<RobotReport> {
+        let robot = *self.state.robots.get(robot)?;
+        let (beside_person, authenticated, beside_robot) = match *self.state.get::<CoPresence>(robot) {
+            CoPresence::None => (None, false, None),
+            CoPresence::Person { person, .. } if !self.state.is_present(&self.state.get::<PersonInfo>(person).name) => {
                 (None, false, None)
             }
-            Beside::Person { person, authenticated } => {
-                (Some(self.floor.get::<Who>(person).name.clone()), authenticated, None)
+            CoPresence::Person { person, authenticated } => {
+                (Some(self.state.get::<PersonInfo>(person).name.clone()), authenticated, None)
             }
-            Beside::Robot { robot: other, .. } => (None, false, Some(self.floor.name(other))),
+            CoPresence::Robot { robot: other, .. } => (None, false, Some(self.state.robot_id(other))),
         };
-        Some(BodyReport {
-            drawer_open: self.floor.get::<DrawerOpen>(robot).0,
-            in_drawer: self.floor.held_labels(Holder::Drawer(robot)),
-            in_arm: self.floor.held_labels(Holder::Arm(robot)).into_iter().next(),
+        Some(RobotReport {
+            drawer_open: self.state.get::<DrawerOpen>(robot).0,
+            in_drawer: self.state.held_labels(HolderEntity::Drawer(robot)),
+            in_arm: self.state.held_labels(HolderEntity::Arm(robot)).into_iter().next(),
             beside_person,
             authenticated,
             beside_robot,
@@ -80,21 +80,21 @@ impl World {
     /// All people, in the order of their names.
     pub fn people(&self) -> Vec<PersonReport> {
         let report = |person: &hecs::Entity| {
-            let who = self.floor.get::<Who>(*person);
+            let who = self.state.get::<PersonInfo>(*person);
             PersonReport {
                 name: who.name.clone(),
                 role: who.role.clone(),
-                place: self.floor.map.at(who.place).id.clone(),
-                away: !self.floor.is_present(&who.name),
-                samples: self.floor.held_labels(Holder::Hands(*person)),
+                place: self.state.map.place_at(who.place).id.clone(),
+                away: !self.state.is_present(&who.name),
+                samples: self.state.held_labels(HolderEntity::Hands(*person)),
             }
         };
-        self.floor.people.values().map(report).collect()
+        self.state.people.values().map(report).collect()
     }
 
     /// All automatic doors, in the order of their names.
     pub fn doors(&self) -> Vec<DoorReport> {
-        let states = self.floor.door_states().into_iter();
+        let states = self.state.door_states().into_iter();
         states.map(|(name, state)| DoorReport { name, state: state.to_owned() }).collect()
     }
 }

@@ -1,11 +1,11 @@
 //! What robots perceive. A sensor costs nothing until it is read: what it reads is computed from where everybody is then.
 
 use super::World;
-use super::components::{Body, Who};
+use super::components::{PersonInfo, SimRobot};
+use super::location::RobotLocation;
 use super::names::PersonName;
 use super::systems::steering::Steered;
-use super::whereabouts::Whereabouts;
-use crate::space::{Bodies, Disc, Sensor};
+use crate::space::{BodyGrid, Disc, Sensor};
 use consort_protocol::ids::RobotId;
 use consort_protocol::pose::Pose;
 use hecs::Entity;
@@ -16,20 +16,20 @@ use std::collections::BTreeMap;
 /// What a sensor reads, in the order of a robot's sensors.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
-pub enum Reading {
+pub enum SensorReading {
     /// Metres from the robot's middle to the first wall or body along the ray; none if there is none within reach.
     Range(Option<f64>),
     /// Who is in the camera's picture, the nearest first.
-    Camera(Vec<Sighting>),
+    Camera(Vec<Detection>),
     /// Who is near, the nearest first.
-    Proximity(Vec<Sighting>),
+    Proximity(Vec<Detection>),
 }
 
 /// Somebody perceived.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct Sighting {
+pub struct Detection {
     /// Who.
-    pub who: Seen,
+    pub object: DetectedObject,
     /// How far, from middle to middle.
     pub distance_m: f64,
     /// In which direction, to the left of ahead.
@@ -39,7 +39,7 @@ pub struct Sighting {
 /// Who can be perceived.
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
-pub enum Seen {
+pub enum DetectedObject {
     /// A robot.
     Robot(RobotId),
     /// A person.
@@ -54,66 +54,67 @@ const CELL_M: f64 = 2.0;
 impl World {
     /// What a robot's sensors read now, in the order of its setup; none for a robot that is not here. For many robots
     /// [`readings`](World::readings) is quicker.
-    pub fn sense(&self, robot: &RobotId) -> Option<Vec<Reading>> {
-        let own = self.floor.robots.keys().position(|name| name == robot)?;
-        Some(Scene::of(self).read(self, own, self.floor.robots[robot]))
+    pub fn read_sensors(&self, robot: &RobotId) -> Option<Vec<SensorReading>> {
+        let own = self.state.robots.keys().position(|name| name == robot)?;
+        Some(Scene::of(self).read(self, own, self.state.robots[robot]))
     }
 
     /// What the sensors of all robots that have any read now. The work grows with the number of robots and of what they
     /// perceive, not with all pairs of them.
-    pub fn readings(&self) -> BTreeMap<RobotId, Vec<Reading>> {
+    pub fn read_all_sensors(&self) -> BTreeMap<RobotId, Vec<SensorReading>> {
         let scene = Scene::of(self);
-        let robots = self.floor.robots.iter().enumerate();
-        let perceive = robots.filter(|(_, (_, robot))| !self.floor.get::<Body>(**robot).0.sensors.is_empty());
+        let robots = self.state.robots.iter().enumerate();
+        let perceive = robots.filter(|(_, (_, robot))| !self.state.get::<SimRobot>(**robot).0.sensors.is_empty());
         perceive.map(|(own, (name, robot))| (name.clone(), scene.read(self, own, *robot))).collect()
     }
 }
 
 /// Where everybody is at one instant: robots in the order of their names, then people.
 struct Scene {
-    bodies: Bodies,
-    who: Vec<Seen>,
+    bodies: BodyGrid,
+    who: Vec<DetectedObject>,
 }
 
 impl Scene {
     fn of(world: &World) -> Scene {
-        let (floor, mut who, mut discs) = (&world.floor, Vec::new(), Vec::new());
+        let (floor, mut who, mut discs) = (&world.state, Vec::new(), Vec::new());
         for (name, robot) in &floor.robots {
-            let (pose, level) = (floor.get::<Whereabouts>(*robot).pose(floor.now), floor.level_of(floor.spot(*robot)));
+            let (pose, level) =
+                (floor.get::<RobotLocation>(*robot).pose(floor.now), floor.level_of(floor.map_position(*robot)));
             let steered = floor.find::<Steered>(*robot);
-            let at = steered.map_or(Vector3::new(pose.x, pose.y, 0.0), |steered| steered.mover.position());
-            discs.push(Disc { at, radius_m: floor.get::<Body>(*robot).0.radius_m, level });
-            who.push(Seen::Robot(name.clone()));
+            let at = steered.map_or(Vector3::new(pose.x, pose.y, 0.0), |steered| steered.model.position());
+            discs.push(Disc { at, radius_m: floor.get::<SimRobot>(*robot).0.radius_m, level });
+            who.push(DetectedObject::Robot(name.clone()));
         }
         for (name, person) in &floor.people {
-            let place = floor.map.at(floor.get::<Who>(*person).place);
+            let place = floor.map.place_at(floor.get::<PersonInfo>(*person).place);
             let at = Vector3::new(place.pose.x, place.pose.y, 0.0);
             discs.push(Disc { at, radius_m: PERSON_RADIUS_M, level: place.level.0 });
-            who.push(Seen::Person(name.clone()));
+            who.push(DetectedObject::Person(name.clone()));
         }
-        let mut bodies = Bodies::default();
-        bodies.lay_out(discs, CELL_M);
+        let mut bodies = BodyGrid::default();
+        bodies.rebuild(discs, CELL_M);
         Scene { bodies, who }
     }
 
     /// What a robot reads that is `own` among the bodies.
-    fn read(&self, world: &World, own: usize, robot: Entity) -> Vec<Reading> {
-        let floor = &world.floor;
-        let Pose { x, y, yaw } = floor.get::<Whereabouts>(robot).pose(floor.now);
+    fn read(&self, world: &World, own: usize, robot: Entity) -> Vec<SensorReading> {
+        let floor = &world.state;
+        let Pose { x, y, yaw } = floor.get::<RobotLocation>(robot).pose(floor.now);
         let (pose, walls) = (Isometry2::new(Vector2::new(x, y), yaw), &floor.walls[self.bodies.disc(own).level]);
         let sightings = |sensor: &Sensor| {
             let mut seen = Vec::new();
-            sensor.perceives(&pose, own, &self.bodies, walls, |name, distance_m, bearing_rad| {
-                seen.push(Sighting { who: self.who[name].clone(), distance_m, bearing_rad });
+            sensor.for_each_detection(&pose, own, &self.bodies, walls, |name, distance_m, bearing_rad| {
+                seen.push(Detection { object: self.who[name].clone(), distance_m, bearing_rad });
             });
-            seen.sort_by(|a, b| a.distance_m.total_cmp(&b.distance_m).then_with(|| a.who.cmp(&b.who)));
+            seen.sort_by(|a, b| a.distance_m.total_cmp(&b.distance_m).then_with(|| a.object.cmp(&b.object)));
             seen
         };
         let read = |sensor: &Sensor| match sensor {
-            Sensor::Range { .. } => Reading::Range(sensor.free_m(&pose, own, &self.bodies, walls)),
-            Sensor::Camera { .. } => Reading::Camera(sightings(sensor)),
-            Sensor::Proximity { .. } => Reading::Proximity(sightings(sensor)),
+            Sensor::Range { .. } => SensorReading::Range(sensor.measure_range_m(&pose, own, &self.bodies, walls)),
+            Sensor::Camera { .. } => SensorReading::Camera(sightings(sensor)),
+            Sensor::Proximity { .. } => SensorReading::Proximity(sightings(sensor)),
         };
-        floor.get::<Body>(robot).0.sensors.iter().map(read).collect()
+        floor.get::<SimRobot>(robot).0.sensors.iter().map(read).collect()
     }
 }

@@ -1,8 +1,8 @@
 //! How a world is set up.
 
-use super::fittings::{DoorSetup, Object, Obstacle};
-use super::mood::Mood;
+use super::environment_setup::{DoorSetup, ObjectSetup, Obstacle};
 use super::names::{PersonName, SampleId};
+use super::spontaneous_action::SpontaneousAction;
 use super::systems;
 use super::systems::power::default_idle_factor;
 use crate::kinematics::{Kinematics, KinematicsError};
@@ -19,11 +19,11 @@ pub struct WorldSetup {
     /// The floor.
     pub map: Map,
     /// The robots on it.
-    pub robots: Vec<RobotBody>,
+    pub robots: Vec<RobotSetup>,
     /// The people on it.
-    pub people: Vec<Person>,
+    pub people: Vec<PersonSetup>,
     /// Things that lie on tables at first.
-    pub objects: Vec<Object>,
+    pub objects: Vec<ObjectSetup>,
     /// Doors of the map that are not as usual.
     pub doors: Vec<DoorSetup>,
     /// What stands in the way, and when.
@@ -40,7 +40,7 @@ pub struct WorldSetup {
     /// [`default_step_s`].
     pub step_s: f64,
     /// Gusts that push at what hovers; none in a hall.
-    pub gusts: Option<Gusts>,
+    pub gusts: Option<WindSettings>,
 }
 
 /// Between two steps of a world: 0.05 s. Longer steps are quicker to compute, and collisions are seen later.
@@ -51,7 +51,7 @@ pub const fn default_step_s() -> f64 {
 /// Gusts: at equal intervals each hovering body may be pushed.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
-pub struct Gusts {
+pub struct WindSettings {
     /// From one to the next, in seconds.
     pub every_s: f64,
     /// How likely it is that a body is pushed, from 0 to 1.
@@ -60,7 +60,7 @@ pub struct Gusts {
     pub strength_mps: f64,
 }
 
-impl Default for Gusts {
+impl Default for WindSettings {
     /// Those of the published swarm: every second one in five is pushed by up to 0.5 m/s.
     fn default() -> Self {
         Self { every_s: 1.0, chance: 0.2, strength_mps: 0.5 }
@@ -80,14 +80,14 @@ impl WorldSetup {
 
     /// The same with one more robot.
     #[must_use]
-    pub fn robot(mut self, robot: RobotBody) -> Self {
+    pub fn robot(mut self, robot: RobotSetup) -> Self {
         self.robots.push(robot);
         self
     }
 
     /// The same with one more person.
     #[must_use]
-    pub fn person(mut self, person: Person) -> Self {
+    pub fn person(mut self, person: PersonSetup) -> Self {
         self.people.push(person);
         self
     }
@@ -96,7 +96,7 @@ impl WorldSetup {
 /// A robot's body.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
-pub struct RobotBody {
+pub struct RobotSetup {
     /// Its name.
     pub id: RobotId,
     /// Where it stands at first.
@@ -164,7 +164,7 @@ fn yes() -> bool {
     true
 }
 
-impl RobotBody {
+impl RobotSetup {
     /// A mobile robot with a drawer.
     pub fn carrier(
         id: RobotId,
@@ -212,7 +212,7 @@ impl RobotBody {
 /// A person, who waits at her place for a robot.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
-pub struct Person {
+pub struct PersonSetup {
     /// Her name.
     pub name: PersonName,
     /// The role she plays in missions.
@@ -224,7 +224,7 @@ pub struct Person {
     pub samples: Vec<SampleId>,
     /// What may come over her. By default nothing: she waits, and does what she is asked.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
-    pub mood: Vec<Mood>,
+    pub mood: Vec<SpontaneousAction>,
 }
 
 /// How long things take, in seconds of world time. The defaults are those of the published estimates: 2 s for each
@@ -319,7 +319,7 @@ pub enum SetupError {
     },
     /// A person, object or sample whose name is not one.
     #[error("{what} {name:?}: a name has 1 to 64 characters, none of them a control character")]
-    Name {
+    InvalidName {
         /// `person`, `object` or `sample`.
         what: &'static str,
         /// The name as given.
@@ -327,7 +327,7 @@ pub enum SetupError {
     },
     /// A number that makes no sense.
     #[error("{who}: {field} is {value}, allowed is {allowed}")]
-    Number {
+    InvalidNumber {
         /// `robot r1`, `durations`, `limits`.
         who: String,
         /// The field.
@@ -347,7 +347,7 @@ pub enum SetupError {
     },
     /// A robot with kinematics in a world that does not know what to do with them.
     #[error("{who} has kinematics, so the systems must name driving and steering; they are: {systems}")]
-    NoSteering {
+    MissingSystems {
         /// `robot r1`.
         who: String,
         /// The world's systems.
@@ -365,7 +365,7 @@ pub enum SetupError {
     },
     /// Something that cannot come over a person at that moment.
     #[error("{who}: it may come over her at {allowed}")]
-    Untimely {
+    InvalidTrigger {
         /// `person Nia: mood`.
         who: String,
         /// When it may, in words.
@@ -383,7 +383,7 @@ pub enum SetupError {
     },
     /// Something in a way that is none.
     #[error("{who}: map {map} has no lane between {:?} and {:?}", a.as_str(), b.as_str())]
-    UnknownWay {
+    UnknownLane {
         /// `obstacle trolley`.
         who: String,
         /// One end.

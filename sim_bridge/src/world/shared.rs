@@ -4,7 +4,9 @@ use super::World;
 use crate::record::{RecordError, Recorder};
 use consort_protocol::ids::RobotId;
 use consort_protocol::units::WorldTime;
-use consort_skills::actions::{ActionError, BodyEvent, BodyHost, Goal, GoalId, GoalStatus, PersonAsk, Telemetry};
+use consort_skills::actions::{
+    ActionError, BackendEvent, Goal, GoalId, GoalStatus, PersonRequest, RobotBackend, Telemetry,
+};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 /// A handle on a world; all clones are one world. It hosts bodies as the world itself does.
@@ -53,7 +55,7 @@ impl SharedWorld {
     }
 }
 
-impl BodyHost for SharedWorld {
+impl RobotBackend for SharedWorld {
     fn robots(&self) -> Vec<RobotId> {
         self.lock().world.robots()
     }
@@ -66,12 +68,12 @@ impl BodyHost for SharedWorld {
         self.lock().world.cancel(robot, id);
     }
 
-    fn ask_person(&mut self, id: GoalId, ask: PersonAsk) {
-        self.lock().world.ask_person(id, ask);
+    fn request_person(&mut self, id: GoalId, ask: PersonRequest) {
+        self.lock().world.request_person(id, ask);
     }
 
-    fn dismiss_person(&mut self, id: GoalId) {
-        self.lock().world.dismiss_person(id);
+    fn cancel_person_request(&mut self, id: GoalId) {
+        self.lock().world.cancel_person_request(id);
     }
 
     fn now(&self) -> WorldTime {
@@ -82,7 +84,7 @@ impl BodyHost for SharedWorld {
         self.lock().world.next_due()
     }
 
-    fn advance(&mut self, to: WorldTime) -> Vec<BodyEvent> {
+    fn advance(&mut self, to: WorldTime) -> Vec<BackendEvent> {
         let mut shared = self.lock();
         let Shared { world, recorder } = &mut *shared;
         match recorder {
@@ -99,16 +101,16 @@ impl BodyHost for SharedWorld {
         self.lock().world.goal(robot, id)
     }
 
-    fn asks(&self) -> Vec<GoalId> {
-        self.lock().world.asks()
+    fn open_person_requests(&self) -> Vec<GoalId> {
+        self.lock().world.open_person_requests()
     }
 
-    fn answer(&self, id: GoalId) -> Option<Result<(), ActionError>> {
-        self.lock().world.answer(id)
+    fn person_result(&self, id: GoalId) -> Option<Result<(), ActionError>> {
+        self.lock().world.person_result(id)
     }
 
-    fn was_dismissed(&self, id: GoalId) -> bool {
-        self.lock().world.was_dismissed(id)
+    fn was_person_request_canceled(&self, id: GoalId) -> bool {
+        self.lock().world.was_person_request_canceled(id)
     }
 
     fn status(&self, robot: &RobotId, id: GoalId) -> Option<GoalStatus> {

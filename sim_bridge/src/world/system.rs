@@ -16,24 +16,24 @@
 //!
 //! [`systems::ALL`]: super::systems::ALL
 
-use super::floor::Floor;
-use super::journal::Happening;
-use super::setup::{RobotBody, WorldSetup};
-use consort_skills::actions::{ActionError, Feedback, Goal, GoalId, PersonAsk};
+use super::event_log::WorldEvent;
+use super::setup::{RobotSetup, WorldSetup};
+use super::sim_state::SimState;
+use consort_skills::actions::{ActionError, Feedback, Goal, GoalId, PersonRequest};
 use hecs::{Component, Entity};
 use std::any::TypeId;
 
 /// A type of component.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) struct Kind {
+pub(crate) struct ComponentType {
     id: TypeId,
     name: &'static str,
 }
 
-impl Kind {
+impl ComponentType {
     /// The type of `T`.
-    pub(crate) fn of<T: Component>() -> Kind {
-        Kind { id: TypeId::of::<T>(), name: std::any::type_name::<T>() }
+    pub(crate) fn of<T: Component>() -> ComponentType {
+        ComponentType { id: TypeId::of::<T>(), name: std::any::type_name::<T>() }
     }
 
     /// Whether it is the type of this number.
@@ -49,18 +49,18 @@ impl Kind {
 
 /// The types named, as [`Kind`]s.
 macro_rules! kinds {
-    ($($component:ty),* $(,)?) => { vec![$($crate::world::system::Kind::of::<$component>()),*] };
+    ($($component:ty),* $(,)?) => { vec![$($crate::world::system::ComponentType::of::<$component>()),*] };
 }
 pub(crate) use kinds;
 
 /// When a goal ends whose end is not known beforehand.
-pub(crate) const LATER: f64 = f64::INFINITY;
+pub(crate) const END_UNKNOWN: f64 = f64::INFINITY;
 
 /// What a system arranged for an instant to come, for itself.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) struct Wake {
+pub(crate) struct SystemTimer {
     /// The entity it is about.
-    pub(crate) about: Entity,
+    pub(crate) entity: Entity,
     /// Whatever the system tells its wakes apart by.
     pub(crate) number: u64,
 }
@@ -71,28 +71,28 @@ pub(crate) trait System: Sync {
     fn name(&self) -> &'static str;
 
     /// The components it looks at, beside those that it writes.
-    fn reads(&self) -> Vec<Kind>;
+    fn reads(&self) -> Vec<ComponentType>;
 
     /// The components it changes.
-    fn writes(&self) -> Vec<Kind>;
+    fn writes(&self) -> Vec<ComponentType>;
 
     /// Gives the floor itself what the system needs.
-    fn furnish(&self, _floor: &mut Floor, _setup: &WorldSetup) {}
+    fn init_world(&self, _floor: &mut SimState, _setup: &WorldSetup) {}
 
     /// Gives a new robot what the system needs.
-    fn equip(&self, _floor: &mut Floor, _robot: Entity, _body: &RobotBody) {}
+    fn init_robot(&self, _floor: &mut SimState, _robot: Entity, _body: &RobotSetup) {}
 
     /// Whether a robot may begin a goal as far as this system is concerned, whoever carries it out.
     ///
     /// # Errors
     /// Why it may not.
-    fn permit(&self, _floor: &Floor, _robot: Entity, _goal: &Goal) -> Result<(), ActionError> {
+    fn check_goal_allowed(&self, _floor: &SimState, _robot: Entity, _goal: &Goal) -> Result<(), ActionError> {
         Ok(())
     }
 
     /// Begins a goal: when it will end, or why it cannot begin; `None` if this system does not carry out such goals. A goal
     /// whose end is not known beforehand ends at [`LATER`], that is, when the system says [`Floor::achieve`].
-    fn begin(&self, _floor: &mut Floor, _robot: Entity, _goal: &Goal) -> Option<Result<f64, ActionError>> {
+    fn begin_goal(&self, _floor: &mut SimState, _robot: Entity, _goal: &Goal) -> Option<Result<f64, ActionError>> {
         None
     }
 
@@ -100,35 +100,35 @@ pub(crate) trait System: Sync {
     ///
     /// # Errors
     /// Why it cannot: nothing has changed then.
-    fn finish(&self, _floor: &mut Floor, _robot: Entity, _goal: &Goal) -> Result<(), ActionError> {
+    fn finish_goal(&self, _floor: &mut SimState, _robot: Entity, _goal: &Goal) -> Result<(), ActionError> {
         Ok(())
     }
 
     /// The goal under way is broken off: leaves everything as it is now.
-    fn halt(&self, _floor: &mut Floor, _robot: Entity, _goal: &Goal) {}
+    fn halt_goal(&self, _floor: &mut SimState, _robot: Entity, _goal: &Goal) {}
 
     /// How far a goal under way has come: `usual` is what is known of any goal.
-    fn feedback(&self, _floor: &Floor, _robot: Entity, _goal: &Goal, usual: Feedback) -> Feedback {
+    fn feedback(&self, _floor: &SimState, _robot: Entity, _goal: &Goal, usual: Feedback) -> Feedback {
         usual
     }
 
     /// Takes an ask of a person; false if this system knows nothing of people.
-    fn ask(&self, _floor: &mut Floor, _id: GoalId, _ask: &PersonAsk) -> bool {
+    fn request_person(&self, _floor: &mut SimState, _id: GoalId, _ask: &PersonRequest) -> bool {
         false
     }
 
     /// Withdraws an ask.
-    fn dismiss(&self, _floor: &mut Floor, _id: GoalId) {}
+    fn cancel_person_request(&self, _floor: &mut SimState, _id: GoalId) {}
 
     /// An instant of the grid: brings up to now what cannot be computed ahead. Whether it has anything more to step; while
     /// no system has, the world has no grid, and nothing to do. [`Floor::step_on`] begins it.
-    fn step(&self, _floor: &mut Floor) -> bool {
+    fn step(&self, _floor: &mut SimState) -> bool {
         false
     }
 
     /// An instant that it arranged with [`Floor::arrange`].
-    fn wake(&self, _floor: &mut Floor, _wake: Wake) {}
+    fn on_timer(&self, _floor: &mut SimState, _wake: SystemTimer) {}
 
     /// Something happened.
-    fn observe(&self, _floor: &mut Floor, _what: &Happening) {}
+    fn on_event(&self, _floor: &mut SimState, _what: &WorldEvent) {}
 }

@@ -9,8 +9,8 @@ use serde_json::Value;
 use std::collections::BTreeSet;
 use std::path::Path;
 
-fn onto(mcap: &Scratch) -> Outputs {
-    Outputs { mcap: Some(mcap.0.clone()), svg: None }
+fn onto(mcap: &TempFile) -> RecordingOutputs {
+    RecordingOutputs { mcap: Some(mcap.0.clone()), svg: None }
 }
 
 struct Message {
@@ -40,10 +40,10 @@ fn messages(bytes: &[u8]) -> Vec<Message> {
 
 #[test]
 fn a_recording_has_foxgloves_topics_and_schemas_and_its_time_only_grows() {
-    let file = Scratch::named("topics.mcap");
+    let file = TempFile::named("topics.mcap");
     let mut world = hall();
     record(&world, &onto(&file));
-    minute(&mut world);
+    run_one_minute(&mut world);
     let said = world.end_recording();
     assert!(said[0].as_ref().unwrap().ends_with("messages, 60 s of world time"), "{said:?}");
     let bytes = fs::read(&file.0).unwrap();
@@ -72,13 +72,13 @@ fn a_recording_has_foxgloves_topics_and_schemas_and_its_time_only_grows() {
 
 #[test]
 fn every_message_is_as_its_schema_says() {
-    let file = Scratch::named("schemas.mcap");
+    let file = TempFile::named("schemas.mcap");
     let mut world = hall();
     record(&world, &onto(&file));
     let trolley = Obstacle::between("trolley", place("B"), place("C"));
-    world.with(|world| world.close_way(&trolley)).unwrap();
-    minute(&mut world);
-    world.with(|world| world.open_way("trolley"));
+    world.with(|world| world.add_obstacle(&trolley)).unwrap();
+    run_one_minute(&mut world);
+    world.with(|world| world.remove_obstacle("trolley"));
     world.end_recording();
     let messages = messages(&fs::read(&file.0).unwrap());
     assert!(messages.iter().any(|m| m.topic == "/obstacles" && m.data["entities"][0]["id"] == "trolley"));
@@ -113,10 +113,10 @@ fn conforms(value: &Value, schema: &Value, at: &str) {
 
 #[test]
 fn recorded_poses_are_those_of_the_same_world_unrecorded() {
-    let file = Scratch::named("poses.mcap");
+    let file = TempFile::named("poses.mcap");
     let mut world = hall();
     record(&world, &onto(&file));
-    minute(&mut world);
+    run_one_minute(&mut world);
     world.end_recording();
     let mut other = hall();
     there_and_back(&mut other);
@@ -136,10 +136,10 @@ fn recorded_poses_are_those_of_the_same_world_unrecorded() {
 
 #[test]
 fn nothing_is_written_while_nothing_happens() {
-    let file = Scratch::named("rest.mcap");
+    let file = TempFile::named("rest.mcap");
     let mut world = hall();
     record(&world, &onto(&file));
-    minute(&mut world);
+    run_one_minute(&mut world);
     for step in 1..=100 {
         world.advance(at(60.0 + 36.0 * f64::from(step)));
     }
@@ -152,7 +152,7 @@ fn nothing_is_written_while_nothing_happens() {
 
 #[test]
 fn of_a_world_that_was_killed_all_but_the_last_seconds_can_be_read() {
-    let file = Scratch::named("killed.mcap");
+    let file = TempFile::named("killed.mcap");
     let mut world = hall();
     record(&world, &onto(&file));
     there_and_back(&mut world);
@@ -173,10 +173,10 @@ fn of_a_world_that_was_killed_all_but_the_last_seconds_can_be_read() {
 #[test]
 fn the_same_run_gives_the_same_bytes() {
     let bytes = ["first.mcap", "second.mcap"].map(|name| {
-        let file = Scratch::named(name);
+        let file = TempFile::named(name);
         let mut world = hall();
         record(&world, &onto(&file));
-        minute(&mut world);
+        run_one_minute(&mut world);
         world.end_recording();
         fs::read(&file.0).unwrap()
     });
@@ -185,7 +185,7 @@ fn the_same_run_gives_the_same_bytes() {
 
 #[test]
 fn a_file_that_cannot_be_had_is_named_and_one_that_fails_later_leaves_the_world_alone() {
-    let nowhere = Outputs { mcap: Some("/no/such/folder/run.mcap".into()), svg: None };
+    let nowhere = RecordingOutputs { mcap: Some("/no/such/folder/run.mcap".into()), svg: None };
     let problem = Recorder::open(&nowhere).err().unwrap().to_string();
     assert!(problem.starts_with("/no/such/folder/run.mcap: the recording cannot be written: "), "{problem}");
     let full = Path::new("/dev/full");
@@ -193,8 +193,8 @@ fn a_file_that_cannot_be_had_is_named_and_one_that_fails_later_leaves_the_world_
         return;
     }
     let mut world = hall();
-    record(&world, &Outputs { mcap: Some(full.to_owned()), svg: None });
-    minute(&mut world);
+    record(&world, &RecordingOutputs { mcap: Some(full.to_owned()), svg: None });
+    run_one_minute(&mut world);
     assert_eq!(world.telemetry(&robot("ada")).unwrap().place, place("B"), "it drove on");
     let said = world.end_recording();
     assert!(matches!(&said[..], [Err(problem)] if problem.file == full), "{said:?}");

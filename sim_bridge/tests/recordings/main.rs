@@ -1,14 +1,14 @@
 //! Recordings of worlds, read back.
 
+mod driven_paths;
 mod foxglove;
-mod paths;
 
 use consort_protocol::ids::{PlaceId, RobotId};
 use consort_protocol::units::{BatteryShare, MetresPerSecond, SharePerSecond, WorldTime};
 use consort_sim::map;
-use consort_sim::record::{Outputs, Recorder};
-use consort_sim::world::{Person, RobotBody, SharedWorld, World, WorldSetup};
-use consort_skills::actions::{BodyHost, Goal, GoalId, Waypoint};
+use consort_sim::record::{Recorder, RecordingOutputs};
+use consort_sim::world::{PersonSetup, RobotSetup, SharedWorld, World, WorldSetup};
+use consort_skills::actions::{Goal, GoalId, RobotBackend, Waypoint};
 use std::fs;
 use std::path::PathBuf;
 
@@ -29,21 +29,21 @@ pub(crate) fn robot(name: &str) -> RobotId {
     RobotId::new(name).unwrap()
 }
 
-pub(crate) fn carrier(name: &str, at: &str) -> RobotBody {
+pub(crate) fn carrier(name: &str, at: &str) -> RobotSetup {
     let (speed, discharge) = (MetresPerSecond::new(0.5).unwrap(), SharePerSecond::new(0.001).unwrap());
-    RobotBody::carrier(robot(name), place(at), speed, BatteryShare::FULL, discharge)
+    RobotSetup::carrier(robot(name), place(at), speed, BatteryShare::FULL, discharge)
 }
 
 /// A file of its own for each test, that is gone when the test is over.
-pub(crate) struct Scratch(pub(crate) PathBuf);
+pub(crate) struct TempFile(pub(crate) PathBuf);
 
-impl Scratch {
-    pub(crate) fn named(name: &str) -> Scratch {
-        Scratch(std::env::temp_dir().join(format!("consort-record-{}-{name}", std::process::id())))
+impl TempFile {
+    pub(crate) fn named(name: &str) -> TempFile {
+        TempFile(std::env::temp_dir().join(format!("consort-record-{}-{name}", std::process::id())))
     }
 }
 
-impl Drop for Scratch {
+impl Drop for TempFile {
     fn drop(&mut self) {
         let _ = fs::remove_file(&self.0);
     }
@@ -52,7 +52,7 @@ impl Drop for Scratch {
 /// Ada is to drive from A by B to C and back to B, and Bob stands at C.
 pub(crate) fn hall() -> SharedWorld {
     let setup = WorldSetup::new(map::read(HALL, "hall.yaml").unwrap(), 1);
-    let nia = Person {
+    let nia = PersonSetup {
         name: "Nia".into(),
         role: "nurse".parse().unwrap(),
         place: place("B"),
@@ -71,12 +71,12 @@ pub(crate) fn there_and_back(world: &mut SharedWorld) {
     world.start(&robot("ada"), GoalId(1), Goal::FollowWaypoints { waypoints: waypoints.into() });
 }
 
-pub(crate) fn record(world: &SharedWorld, outputs: &Outputs) {
+pub(crate) fn record(world: &SharedWorld, outputs: &RecordingOutputs) {
     world.record(Recorder::open(outputs).unwrap().unwrap());
 }
 
 /// A minute of the hall, let pass in steps that have nothing to do with what happens.
-pub(crate) fn minute(world: &mut SharedWorld) {
+pub(crate) fn run_one_minute(world: &mut SharedWorld) {
     there_and_back(world);
     for step in 1..=120 {
         world.advance(at(f64::from(step) * 0.5 + 0.037));
@@ -85,21 +85,21 @@ pub(crate) fn minute(world: &mut SharedWorld) {
 
 #[test]
 fn who_asks_for_no_files_gets_no_recorder() {
-    assert!(Recorder::open(&Outputs::default()).unwrap().is_none());
+    assert!(Recorder::open(&RecordingOutputs::default()).unwrap().is_none());
 }
 
 #[test]
 fn a_world_that_is_recorded_takes_the_same_course() {
-    let (mcap, svg) = (Scratch::named("course.mcap"), Scratch::named("course.svg"));
+    let (mcap, svg) = (TempFile::named("course.mcap"), TempFile::named("course.svg"));
     let course = |recorded: bool| {
         let mut world = hall();
         if recorded {
-            record(&world, &Outputs { mcap: Some(mcap.0.clone()), svg: Some(svg.0.clone()) });
+            record(&world, &RecordingOutputs { mcap: Some(mcap.0.clone()), svg: Some(svg.0.clone()) });
         }
         assert_eq!(world.is_recorded(), recorded);
         there_and_back(&mut world);
         let told: Vec<_> = (1..=60).flat_map(|second| world.advance(at(f64::from(second)))).collect();
-        (told, world.with(World::drain_journal), world.report(), world.end_recording().len())
+        (told, world.with(World::drain_event_log), world.report(), world.end_recording().len())
     };
     let (plain, recorded) = (course(false), course(true));
     assert_eq!((plain.0, plain.1, plain.2), (recorded.0, recorded.1, recorded.2));

@@ -4,7 +4,7 @@
 //! keys of the tree around it. Scopes are resolved when a tree is checked, so a port holds the entry's number, and two
 //! remapped keys are one entry.
 
-use super::ports::Constraint;
+use super::ports::PortConstraint;
 use super::value::{PortType, PortValue, Value, ValueError};
 
 /// Position of an entry on its blackboard.
@@ -21,7 +21,7 @@ pub struct Blackboard {
 struct Entry {
     key: String,
     port_type: PortType,
-    constraints: Vec<Constraint>,
+    constraints: Vec<PortConstraint>,
     value: Option<Value>,
 }
 
@@ -60,10 +60,15 @@ impl Blackboard {
     }
 
     /// Narrows an entry to what one more port takes; `Err` with the type it already has if they do not go together.
-    pub(crate) fn narrow(&mut self, id: EntryId, port_type: PortType, constraint: &Constraint) -> Result<(), PortType> {
+    pub(crate) fn restrict(
+        &mut self,
+        id: EntryId,
+        port_type: PortType,
+        constraint: &PortConstraint,
+    ) -> Result<(), PortType> {
         let entry = &mut self.entries[id.0];
         entry.port_type = entry.port_type.join(port_type).ok_or(entry.port_type)?;
-        if *constraint != Constraint::None && !entry.constraints.contains(constraint) {
+        if *constraint != PortConstraint::None && !entry.constraints.contains(constraint) {
             entry.constraints.push(constraint.clone());
         }
         Ok(())
@@ -97,7 +102,7 @@ impl Blackboard {
     }
 
     /// Converts a value written before the entry's type was known.
-    pub(crate) fn settle(&mut self, id: EntryId) -> Result<(), BlackboardError> {
+    pub(crate) fn convert_to_entry_type(&mut self, id: EntryId) -> Result<(), BlackboardError> {
         match self.entries[id.0].value.clone() {
             Some(value) => self.write(id, value),
             None => Ok(()),

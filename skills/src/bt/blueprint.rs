@@ -2,14 +2,14 @@
 
 use super::blackboard::{Blackboard, EntryId};
 use super::builtin::Builtin;
-use super::error::{Problem, TreeError};
+use super::error::{TreeError, TreeErrorKind};
 use super::expand::Expansion;
-use super::leaf::Bound;
-use super::node::Slot;
+use super::leaf::LeafNode;
+use super::node::ChildNode;
 use super::ports::Ports;
 use super::registry::{MakeLeaf, Registry};
 use super::spec::TreeSpec;
-use super::tick::Notes;
+use super::tick::TreeState;
 use super::tree::Tree;
 use super::value::PortType;
 use std::collections::BTreeMap;
@@ -23,15 +23,15 @@ pub const MAX_NODES: usize = 10_000;
 
 /// A checked tree, from which any number of trees can be started.
 pub struct Blueprint<C = ()> {
-    root: Plan<C>,
+    root: CheckedNode<C>,
     blackboard: Blackboard,
     keys: BTreeMap<String, EntryId>,
-    inputs: Vec<Input>,
+    inputs: Vec<TreeInput>,
 }
 
 /// A key of the main tree that is read and that no node writes: whoever starts the tree sets it.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Input {
+pub struct TreeInput {
     /// The key.
     pub key: String,
     /// What it takes.
@@ -41,25 +41,25 @@ pub struct Input {
 }
 
 /// A node, checked.
-pub(crate) struct Plan<C> {
+pub(crate) struct CheckedNode<C> {
     pub(crate) name: String,
-    pub(crate) what: What<C>,
+    pub(crate) implementation: NodeImpl<C>,
     pub(crate) ports: Ports,
-    pub(crate) children: Vec<Plan<C>>,
+    pub(crate) children: Vec<CheckedNode<C>>,
 }
 
-pub(crate) enum What<C> {
+pub(crate) enum NodeImpl<C> {
     Builtin(Builtin),
     Leaf(MakeLeaf<C>),
 }
 
 impl<C> Blueprint<C> {
     /// Checks a description: [`Registry::check`].
-    pub(crate) fn of(spec: &TreeSpec, registry: &Registry<C>) -> Result<Blueprint<C>, TreeError> {
+    pub(crate) fn check(spec: &TreeSpec, registry: &Registry<C>) -> Result<Blueprint<C>, TreeError> {
         let Some(root) = spec.trees.get(&spec.main) else {
-            let known = super::ports::listed(spec.trees.keys().map(String::as_str));
-            let problem = Box::new(Problem::UnknownTree { tree: spec.main.clone(), known });
-            return Err(TreeError { source: spec.source.clone(), line: None, node: None, problem });
+            let known = super::ports::join_names(spec.trees.keys().map(String::as_str));
+            let problem = Box::new(TreeErrorKind::UnknownTree { tree: spec.main.clone(), known });
+            return Err(TreeError { source: spec.source.clone(), line: None, node: None, kind: problem });
         };
         let mut expansion = Expansion::new(spec, registry);
         let root = expansion.main(root)?;
@@ -68,29 +68,29 @@ impl<C> Blueprint<C> {
     }
 
     /// What must or may be set before the first tick, in the order of the keys.
-    pub fn inputs(&self) -> &[Input] {
+    pub fn inputs(&self) -> &[TreeInput] {
         &self.inputs
     }
 
     /// Puts a tree to work, with leaves made from `context`.
-    pub fn start(&self, context: &C) -> Tree {
+    pub fn instantiate(&self, context: &C) -> Tree {
         Tree {
             root: self.root.slot(context),
             blackboard: self.blackboard.clone(),
             keys: self.keys.clone(),
-            notes: Notes::default(),
+            state: TreeState::default(),
         }
     }
 }
 
-impl<C> Plan<C> {
-    fn slot(&self, context: &C) -> Slot {
+impl<C> CheckedNode<C> {
+    fn slot(&self, context: &C) -> ChildNode {
         let ports = self.ports.clone();
-        Slot::new(match &self.what {
-            What::Leaf(make) => Box::new(Bound { name: self.name.clone(), leaf: make(context), ports }),
-            What::Builtin(builtin) => {
+        ChildNode::new(match &self.implementation {
+            NodeImpl::Leaf(make) => Box::new(LeafNode { name: self.name.clone(), leaf: make(context), ports }),
+            NodeImpl::Builtin(builtin) => {
                 let children = self.children.iter().map(|child| child.slot(context)).collect();
-                builtin.node(&self.name, ports, children)
+                builtin.instantiate(&self.name, ports, children)
             }
         })
     }

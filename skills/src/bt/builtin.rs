@@ -1,11 +1,11 @@
 //! The nodes that every tree may use, by the names of BehaviorTree.CPP 4.
 
-use super::control::{Ordered, Parallel, Reactive};
-use super::decorator::{Again, ForEach, Mapped, Timeout};
-use super::leaf::{Always, Bound, Sleep};
-use super::node::{Node, Slot};
-use super::ports::{Manifest, NodeKind, PortSpec, Ports};
-use super::status::Status;
+use super::control::{MemoryControl, Parallel, ReactiveControl};
+use super::decorator::{ForEach, LoopNode, MapResult, Timeout};
+use super::leaf::{ConstantNode, LeafNode, SleepLeaf};
+use super::node::{ChildNode, Node};
+use super::ports::{NodeKind, NodeManifest, PortSpec, Ports};
+use super::status::NodeStatus;
 use super::value::PortType;
 
 /// A node that comes with the engine.
@@ -52,15 +52,17 @@ impl Builtin {
         Builtin::Sleep,
     ];
 
-    pub(crate) fn manifest(self) -> Manifest {
-        let count = |name, least| PortSpec::input(name, PortType::Integer).within(least, MAX_COUNT);
-        let msec = || PortSpec::input("msec", PortType::Integer).within(0.0, MAX_MSEC);
+    pub(crate) fn manifest(self) -> NodeManifest {
+        let count = |name, least| PortSpec::input(name, PortType::Integer).in_range(least, MAX_COUNT);
+        let msec = || PortSpec::input("msec", PortType::Integer).in_range(0.0, MAX_MSEC);
         let (id, kind, ports) = match self {
             Builtin::Sequence => ("Sequence", NodeKind::Control, vec![]),
             Builtin::Fallback => ("Fallback", NodeKind::Control, vec![]),
             Builtin::Parallel => {
-                let ports =
-                    vec![count("success_count", -MAX_COUNT).or("-1"), count("failure_count", -MAX_COUNT).or("1")];
+                let ports = vec![
+                    count("success_count", -MAX_COUNT).with_default("-1"),
+                    count("failure_count", -MAX_COUNT).with_default("1"),
+                ];
                 ("Parallel", NodeKind::Control, ports)
             }
             Builtin::ReactiveSequence => ("ReactiveSequence", NodeKind::Control, vec![]),
@@ -76,39 +78,39 @@ impl Builtin {
             Builtin::LoopString => {
                 let if_empty = PortSpec::input("if_empty", PortType::Text).one_of(&["SUCCESS", "FAILURE"]);
                 let value = PortSpec::output("value", PortType::Any);
-                let ports = vec![PortSpec::input("queue", PortType::List), value, if_empty.or("SUCCESS")];
+                let ports = vec![PortSpec::input("queue", PortType::List), value, if_empty.with_default("SUCCESS")];
                 ("LoopString", NodeKind::Decorator, ports)
             }
             Builtin::AlwaysSuccess => ("AlwaysSuccess", NodeKind::Action, vec![]),
             Builtin::AlwaysFailure => ("AlwaysFailure", NodeKind::Action, vec![]),
             Builtin::Sleep => ("Sleep", NodeKind::Action, vec![msec()]),
         };
-        Manifest::new(id, kind, ports)
+        NodeManifest::new(id, kind, ports)
     }
 
-    pub(crate) fn named(id: &str) -> Option<Builtin> {
+    pub(crate) fn by_id(id: &str) -> Option<Builtin> {
         Builtin::ALL.into_iter().find(|builtin| builtin.manifest().id == id)
     }
 
     /// Puts a node to work. The number of children has been checked.
-    pub(crate) fn node(self, name: &str, ports: Ports, mut children: Vec<Slot>) -> Box<dyn Node> {
+    pub(crate) fn instantiate(self, name: &str, ports: Ports, mut children: Vec<ChildNode>) -> Box<dyn Node> {
         let mut only = || children.pop().expect("a decorator was checked to have one child");
         match self {
-            Builtin::Sequence => Box::new(Ordered::sequence(children)),
-            Builtin::Fallback => Box::new(Ordered::fallback(children)),
+            Builtin::Sequence => Box::new(MemoryControl::sequence(children)),
+            Builtin::Fallback => Box::new(MemoryControl::fallback(children)),
             Builtin::Parallel => Box::new(Parallel::new(ports, children)),
-            Builtin::ReactiveSequence => Box::new(Reactive::sequence(children)),
-            Builtin::ReactiveFallback => Box::new(Reactive::fallback(children)),
-            Builtin::Inverter => Box::new(Mapped::inverter(only())),
-            Builtin::ForceSuccess => Box::new(Mapped::force(only(), Status::Success)),
-            Builtin::ForceFailure => Box::new(Mapped::force(only(), Status::Failure)),
-            Builtin::RetryUntilSuccessful => Box::new(Again::retry(ports, only())),
-            Builtin::Repeat => Box::new(Again::repeat(ports, only())),
+            Builtin::ReactiveSequence => Box::new(ReactiveControl::sequence(children)),
+            Builtin::ReactiveFallback => Box::new(ReactiveControl::fallback(children)),
+            Builtin::Inverter => Box::new(MapResult::inverter(only())),
+            Builtin::ForceSuccess => Box::new(MapResult::force(only(), NodeStatus::Success)),
+            Builtin::ForceFailure => Box::new(MapResult::force(only(), NodeStatus::Failure)),
+            Builtin::RetryUntilSuccessful => Box::new(LoopNode::retry(ports, only())),
+            Builtin::Repeat => Box::new(LoopNode::repeat(ports, only())),
             Builtin::Timeout => Box::new(Timeout::new(ports, only())),
             Builtin::LoopString => Box::new(ForEach::new(ports, only())),
-            Builtin::AlwaysSuccess => Box::new(Always(Status::Success)),
-            Builtin::AlwaysFailure => Box::new(Always(Status::Failure)),
-            Builtin::Sleep => Box::new(Bound { name: name.to_owned(), leaf: Box::new(Sleep::default()), ports }),
+            Builtin::AlwaysSuccess => Box::new(ConstantNode(NodeStatus::Success)),
+            Builtin::AlwaysFailure => Box::new(ConstantNode(NodeStatus::Failure)),
+            Builtin::Sleep => Box::new(LeafNode { name: name.to_owned(), leaf: Box::new(SleepLeaf::default()), ports }),
         }
     }
 }

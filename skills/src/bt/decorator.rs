@@ -1,40 +1,40 @@
 //! Decorators: one child, and a change to what it answers or how often it is asked.
 
-use super::node::{Node, Slot};
+use super::node::{ChildNode, Node};
 use super::ports::{PortError, Ports};
-use super::status::Status;
+use super::status::NodeStatus;
 use super::tick::{Cause, Tick};
 use super::value::Value;
 use consort_protocol::units::{Seconds, WorldTime};
 use std::collections::VecDeque;
 
 /// `Inverter`, `ForceSuccess`, `ForceFailure`: the child's final answer, mapped.
-pub(crate) struct Mapped {
-    child: Slot,
-    map: fn(Status) -> Status,
+pub(crate) struct MapResult {
+    child: ChildNode,
+    map: fn(NodeStatus) -> NodeStatus,
 }
 
-impl Mapped {
-    pub(crate) fn inverter(child: Slot) -> Mapped {
+impl MapResult {
+    pub(crate) fn inverter(child: ChildNode) -> MapResult {
         let map = |status| match status {
-            Status::Success => Status::Failure,
-            Status::Failure => Status::Success,
-            Status::Running => Status::Running,
+            NodeStatus::Success => NodeStatus::Failure,
+            NodeStatus::Failure => NodeStatus::Success,
+            NodeStatus::Running => NodeStatus::Running,
         };
-        Mapped { child, map }
+        MapResult { child, map }
     }
 
-    pub(crate) fn force(child: Slot, to: Status) -> Mapped {
+    pub(crate) fn force(child: ChildNode, to: NodeStatus) -> MapResult {
         let map = match to {
-            Status::Success => |status: Status| if status.is_final() { Status::Success } else { status },
-            _ => |status: Status| if status.is_final() { Status::Failure } else { status },
+            NodeStatus::Success => |status: NodeStatus| if status.is_final() { NodeStatus::Success } else { status },
+            _ => |status: NodeStatus| if status.is_final() { NodeStatus::Failure } else { status },
         };
-        Mapped { child, map }
+        MapResult { child, map }
     }
 }
 
-impl Node for Mapped {
-    fn tick(&mut self, tick: &mut Tick<'_>) -> Status {
+impl Node for MapResult {
+    fn tick(&mut self, tick: &mut Tick<'_>) -> NodeStatus {
         (self.map)(self.child.tick(tick))
     }
 
@@ -45,49 +45,49 @@ impl Node for Mapped {
 
 /// `RetryUntilSuccessful` and `Repeat`: the child again and again while it answers `again`, up to a number of times of
 /// which -1 is without end. All turns may fall into one tick; one without end takes one turn a tick.
-pub(crate) struct Again {
-    child: Slot,
+pub(crate) struct LoopNode {
+    child: ChildNode,
     ports: Ports,
     count: &'static str,
-    again: Status,
+    again: NodeStatus,
     turns: i64,
 }
 
-impl Again {
+impl LoopNode {
     /// Until the child succeeds; fails when `num_attempts` have failed.
-    pub(crate) fn retry(ports: Ports, child: Slot) -> Again {
-        Again { child, ports, count: "num_attempts", again: Status::Failure, turns: 0 }
+    pub(crate) fn retry(ports: Ports, child: ChildNode) -> LoopNode {
+        LoopNode { child, ports, count: "num_attempts", again: NodeStatus::Failure, turns: 0 }
     }
 
     /// Succeeds when the child did `num_cycles` times; fails when it fails.
-    pub(crate) fn repeat(ports: Ports, child: Slot) -> Again {
-        Again { child, ports, count: "num_cycles", again: Status::Success, turns: 0 }
+    pub(crate) fn repeat(ports: Ports, child: ChildNode) -> LoopNode {
+        LoopNode { child, ports, count: "num_cycles", again: NodeStatus::Success, turns: 0 }
     }
 
-    fn end(&mut self, status: Status) -> Status {
+    fn end(&mut self, status: NodeStatus) -> NodeStatus {
         self.turns = 0;
         status
     }
 }
 
-impl Node for Again {
-    fn tick(&mut self, tick: &mut Tick<'_>) -> Status {
+impl Node for LoopNode {
+    fn tick(&mut self, tick: &mut Tick<'_>) -> NodeStatus {
         let limit: i64 = match self.ports.read(tick.blackboard, self.count) {
             Ok(limit) => limit,
             Err(error) => return self.refuse(tick, error),
         };
         while limit < 0 || self.turns < limit {
-            if !self.child.is_running() && !tick.take_turn() {
-                return Status::Running;
+            if !self.child.is_running() && !tick.take_iteration() {
+                return NodeStatus::Running;
             }
             match self.child.tick(tick) {
-                Status::Running => return Status::Running,
+                NodeStatus::Running => return NodeStatus::Running,
                 status if status == self.again => self.turns = self.turns.saturating_add(1),
                 status => return self.end(status),
             }
             if limit < 0 {
                 tick.wake_at(tick.now);
-                return Status::Running;
+                return NodeStatus::Running;
             }
         }
         self.end(self.again)
@@ -99,25 +99,28 @@ impl Node for Again {
     }
 }
 
-impl Again {
-    fn refuse(&mut self, tick: &mut Tick<'_>, error: PortError) -> Status {
+impl LoopNode {
+    fn refuse(&mut self, tick: &mut Tick<'_>, error: PortError) -> NodeStatus {
         self.child.halt(tick);
-        tick.fail(if self.again == Status::Failure { "RetryUntilSuccessful" } else { "Repeat" }, Cause::from(error));
-        self.end(Status::Failure)
+        tick.set_cause(
+            if self.again == NodeStatus::Failure { "RetryUntilSuccessful" } else { "Repeat" },
+            Cause::from(error),
+        );
+        self.end(NodeStatus::Failure)
     }
 }
 
 /// `Timeout`: fails, and halts its child, when the child is still running `msec` milliseconds of world time after it
 /// began; 0 is no limit.
 pub(crate) struct Timeout {
-    child: Slot,
+    child: ChildNode,
     ports: Ports,
     deadline: Option<WorldTime>,
     began: bool,
 }
 
 impl Timeout {
-    pub(crate) fn new(ports: Ports, child: Slot) -> Timeout {
+    pub(crate) fn new(ports: Ports, child: ChildNode) -> Timeout {
         Timeout { child, ports, deadline: None, began: false }
     }
 
@@ -131,25 +134,25 @@ impl Timeout {
 }
 
 impl Node for Timeout {
-    fn tick(&mut self, tick: &mut Tick<'_>) -> Status {
+    fn tick(&mut self, tick: &mut Tick<'_>) -> NodeStatus {
         if !self.began
             && let Err(error) = self.begin(tick)
         {
-            tick.fail("Timeout", Cause::from(error));
-            return Status::Failure;
+            tick.set_cause("Timeout", Cause::from(error));
+            return NodeStatus::Failure;
         }
         if let Some(deadline) = self.deadline
             && tick.now >= deadline
         {
             self.halt(tick);
             let at = deadline.as_secs();
-            tick.fail("Timeout", Cause::new(format!("not done by {at} s of world time, when its limit ended")));
-            return Status::Failure;
+            tick.set_cause("Timeout", Cause::new(format!("not done by {at} s of world time, when its limit ended")));
+            return NodeStatus::Failure;
         }
         let status = self.child.tick(tick);
         match (status, self.deadline) {
-            (Status::Running, Some(deadline)) => tick.wake_at(deadline),
-            (Status::Running, None) => {}
+            (NodeStatus::Running, Some(deadline)) => tick.wake_at(deadline),
+            (NodeStatus::Running, None) => {}
             _ => self.began = false,
         }
         status
@@ -165,13 +168,13 @@ impl Node for Timeout {
 /// child fails; answers `if_empty` when there is nothing in the list. Named as in BehaviorTree.CPP so that editors know
 /// it, it takes elements of any type. Unlike there, the list is read once, at the start, and is left as it is.
 pub(crate) struct ForEach {
-    child: Slot,
+    child: ChildNode,
     ports: Ports,
     left: Option<VecDeque<Value>>,
 }
 
 impl ForEach {
-    pub(crate) fn new(ports: Ports, child: Slot) -> ForEach {
+    pub(crate) fn new(ports: Ports, child: ChildNode) -> ForEach {
         ForEach { child, ports, left: None }
     }
 
@@ -181,17 +184,17 @@ impl ForEach {
         self.ports.write(tick.blackboard, "value", value).map(Some)
     }
 
-    fn begin(&mut self, tick: &Tick<'_>) -> Result<Option<Status>, PortError> {
+    fn begin(&mut self, tick: &Tick<'_>) -> Result<Option<NodeStatus>, PortError> {
         let queue: Vec<Value> = self.ports.read(tick.blackboard, "queue")?;
         if queue.is_empty() {
             let answer: String = self.ports.read(tick.blackboard, "if_empty")?;
-            return Ok(Some(if answer == "SUCCESS" { Status::Success } else { Status::Failure }));
+            return Ok(Some(if answer == "SUCCESS" { NodeStatus::Success } else { NodeStatus::Failure }));
         }
         self.left = Some(queue.into());
         Ok(None)
     }
 
-    fn step(&mut self, tick: &mut Tick<'_>) -> Result<Status, PortError> {
+    fn step(&mut self, tick: &mut Tick<'_>) -> Result<NodeStatus, PortError> {
         if self.left.is_none()
             && let Some(answer) = self.begin(tick)?
         {
@@ -199,15 +202,15 @@ impl ForEach {
         }
         loop {
             if !self.child.is_running() {
-                if !tick.take_turn() {
-                    return Ok(Status::Running);
+                if !tick.take_iteration() {
+                    return Ok(NodeStatus::Running);
                 }
                 if self.next(tick)?.is_none() {
-                    return Ok(Status::Success);
+                    return Ok(NodeStatus::Success);
                 }
             }
             match self.child.tick(tick) {
-                Status::Success => {}
+                NodeStatus::Success => {}
                 status => return Ok(status),
             }
         }
@@ -215,10 +218,10 @@ impl ForEach {
 }
 
 impl Node for ForEach {
-    fn tick(&mut self, tick: &mut Tick<'_>) -> Status {
+    fn tick(&mut self, tick: &mut Tick<'_>) -> NodeStatus {
         let status = self.step(tick).unwrap_or_else(|error| {
-            tick.fail("LoopString", Cause::from(error));
-            Status::Failure
+            tick.set_cause("LoopString", Cause::from(error));
+            NodeStatus::Failure
         });
         if status.is_final() {
             self.left = None;

@@ -14,7 +14,7 @@ pub struct TreeError {
     /// The tree and the node, where it is about one.
     pub node: Option<String>,
     /// What is wrong, and what is allowed.
-    pub problem: Box<Problem>,
+    pub kind: Box<TreeErrorKind>,
 }
 
 impl fmt::Display for TreeError {
@@ -26,7 +26,7 @@ impl fmt::Display for TreeError {
         if let Some(node) = &self.node {
             write!(f, ": {node}")?;
         }
-        write!(f, ": {}", self.problem)
+        write!(f, ": {}", self.kind)
     }
 }
 
@@ -34,7 +34,7 @@ impl std::error::Error for TreeError {}
 
 /// The kinds of mistake in a description.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-pub enum Problem {
+pub enum TreeErrorKind {
     /// The text is not XML, or not a tree file.
     #[error("{0}")]
     Syntax(String),

@@ -1,10 +1,10 @@
 //! Checking a description node by node, and putting sub-trees in their places.
 
 use super::blackboard::{Blackboard, EntryId};
-use super::blueprint::{Input, MAX_DEPTH, MAX_NODES, Plan, What};
+use super::blueprint::{CheckedNode, MAX_DEPTH, MAX_NODES, NodeImpl, TreeInput};
 use super::builtin::Builtin;
-use super::error::{Problem, TreeError};
-use super::ports::{Binding, Direction, Manifest, NodeKind, PortSpec, Ports, Presence, listed};
+use super::error::{TreeError, TreeErrorKind};
+use super::ports::{NodeKind, NodeManifest, PortBinding, PortDirection, PortPresence, PortSpec, Ports, join_names};
 use super::registry::Registry;
 use super::spec::{NodeSpec, TreeSpec};
 use super::value::Value;
@@ -41,7 +41,7 @@ struct Scope {
 }
 
 /// What [`Expansion::finish`] leaves: the blackboard, the main tree's keys and its inputs.
-pub(crate) type Layout = (Blackboard, BTreeMap<String, EntryId>, Vec<Input>);
+pub(crate) type Layout = (Blackboard, BTreeMap<String, EntryId>, Vec<TreeInput>);
 
 impl<'a, C> Expansion<'a, C> {
     pub(crate) fn new(spec: &'a TreeSpec, registry: &'a Registry<C>) -> Self {
@@ -50,18 +50,18 @@ impl<'a, C> Expansion<'a, C> {
         Expansion { spec, registry, blackboard, uses: Vec::new(), scopes: vec![main], nodes: 0 }
     }
 
-    pub(crate) fn main(&mut self, root: &NodeSpec) -> Result<Plan<C>, TreeError> {
+    pub(crate) fn main(&mut self, root: &NodeSpec) -> Result<CheckedNode<C>, TreeError> {
         self.node(root, 1)
     }
 
     /// Settles what only the whole tree shows.
     pub(crate) fn finish(mut self) -> Result<Layout, TreeError> {
         for index in 0..self.uses.len() {
-            self.blackboard.settle(EntryId(index)).map_err(|error| TreeError {
+            self.blackboard.convert_to_entry_type(EntryId(index)).map_err(|error| TreeError {
                 source: self.spec.source.clone(),
                 line: None,
                 node: None,
-                problem: Box::new(Problem::KeyValue(error)),
+                kind: Box::new(TreeErrorKind::KeyValue(error)),
             })?;
         }
         let keys = self.scopes.swap_remove(0).keys;
@@ -76,29 +76,29 @@ impl<'a, C> Expansion<'a, C> {
         }
         let inputs = keys.iter().filter(|(_, id)| self.uses[id.0].read && !self.uses[id.0].filled).map(|(key, id)| {
             let required = self.uses[id.0].needed.is_some();
-            Input { key: key.clone(), port_type: self.blackboard.port_type(*id), required }
+            TreeInput { key: key.clone(), port_type: self.blackboard.port_type(*id), required }
         });
         let inputs = inputs.collect();
         Ok((self.blackboard, keys, inputs))
     }
 
-    fn node(&mut self, node: &NodeSpec, depth: usize) -> Result<Plan<C>, TreeError> {
+    fn node(&mut self, node: &NodeSpec, depth: usize) -> Result<CheckedNode<C>, TreeError> {
         self.nodes += 1;
         if depth > MAX_DEPTH {
-            return Err(self.error(node, Problem::TooDeep { limit: MAX_DEPTH }));
+            return Err(self.error(node, TreeErrorKind::TooDeep { limit: MAX_DEPTH }));
         }
         if self.nodes > MAX_NODES {
-            return Err(self.error(node, Problem::TooLarge { limit: MAX_NODES }));
+            return Err(self.error(node, TreeErrorKind::TooLarge { limit: MAX_NODES }));
         }
         if node.kind == Some(NodeKind::SubTree) {
             return self.subtree(node, depth);
         }
-        let builtin = Builtin::named(&node.id);
+        let builtin = Builtin::by_id(&node.id);
         let (manifest, what) = match (builtin, self.registry.leaf(&node.id)) {
-            (Some(builtin), _) => (builtin.manifest(), What::Builtin(builtin)),
-            (None, Some(leaf)) => (leaf.manifest.clone(), What::Leaf(leaf.make.clone())),
+            (Some(builtin), _) => (builtin.manifest(), NodeImpl::Builtin(builtin)),
+            (None, Some(leaf)) => (leaf.manifest.clone(), NodeImpl::Leaf(leaf.make.clone())),
             (None, None) => {
-                let problem = Problem::UnknownNode { id: node.id.clone(), known: self.registry.known() };
+                let problem = TreeErrorKind::UnknownNode { id: node.id.clone(), known: self.registry.node_names() };
                 return Err(self.error(node, problem));
             }
         };
@@ -106,7 +106,7 @@ impl<'a, C> Expansion<'a, C> {
             && kind != manifest.kind
         {
             let (written, is) = (kind.tag(), manifest.kind.tag());
-            return Err(self.error(node, Problem::WrongKind { id: node.id.clone(), written, is }));
+            return Err(self.error(node, TreeErrorKind::WrongKind { id: node.id.clone(), written, is }));
         }
         let ports = self.ports(node, &manifest)?;
         self.count_children(node, manifest.kind)?;
@@ -114,17 +114,17 @@ impl<'a, C> Expansion<'a, C> {
             self.check_counts(node, &ports)?;
         }
         let children = node.children.iter().map(|child| self.node(child, depth + 1)).collect::<Result<_, _>>()?;
-        Ok(Plan { name: node.label().to_owned(), what, ports, children })
+        Ok(CheckedNode { name: node.label().to_owned(), implementation: what, ports, children })
     }
 
-    fn subtree(&mut self, node: &NodeSpec, depth: usize) -> Result<Plan<C>, TreeError> {
+    fn subtree(&mut self, node: &NodeSpec, depth: usize) -> Result<CheckedNode<C>, TreeError> {
         let Some(root) = self.spec.trees.get(&node.id) else {
-            let known = listed(self.spec.trees.keys().map(String::as_str));
-            return Err(self.error(node, Problem::UnknownTree { tree: node.id.clone(), known }));
+            let known = join_names(self.spec.trees.keys().map(String::as_str));
+            return Err(self.error(node, TreeErrorKind::UnknownTree { tree: node.id.clone(), known }));
         };
         let path: Vec<&str> = self.scopes.iter().map(|scope| scope.tree.as_str()).chain([node.id.as_str()]).collect();
         if path[..path.len() - 1].contains(&node.id.as_str()) {
-            return Err(self.error(node, Problem::Recursion { path: path.join(" → ") }));
+            return Err(self.error(node, TreeErrorKind::Recursion { path: path.join(" → ") }));
         }
         self.count_children(node, NodeKind::SubTree)?;
         let mut scope = Scope::new(&node.id, node.autoremap);
@@ -135,7 +135,7 @@ impl<'a, C> Expansion<'a, C> {
                     let id = self.add_entry(format!("{}/{port}", node.id));
                     self.uses[id.0].filled = true;
                     let written = self.blackboard.write(id, Value::Text(text.clone()));
-                    written.map_err(|error| self.error(node, Problem::KeyValue(error)))?;
+                    written.map_err(|error| self.error(node, TreeErrorKind::KeyValue(error)))?;
                     id
                 }
             };
@@ -148,8 +148,8 @@ impl<'a, C> Expansion<'a, C> {
         match node.ports.keys().find(|port| !scope.used.contains(*port)) {
             None => Ok(plan),
             Some(port) => {
-                let allowed = listed(scope.used.iter().map(String::as_str));
-                Err(self.error(node, Problem::UnknownPort { port: port.clone(), allowed }))
+                let allowed = join_names(scope.used.iter().map(String::as_str));
+                Err(self.error(node, TreeErrorKind::UnknownPort { port: port.clone(), allowed }))
             }
         }
     }
@@ -162,46 +162,45 @@ impl<'a, C> Expansion<'a, C> {
             NodeKind::Control if found == 0 => "1 or more",
             _ => return Ok(()),
         };
-        Err(self.error(node, Problem::Children { found, allowed: allowed.to_owned() }))
+        Err(self.error(node, TreeErrorKind::Children { found, allowed: allowed.to_owned() }))
     }
 
     /// A `Parallel` cannot wait for more children than it has.
     fn check_counts(&self, node: &NodeSpec, ports: &Ports) -> Result<(), TreeError> {
         let found = node.children.len();
         for port in ["success_count", "failure_count"] {
-            if let Some(Binding::Literal(Value::Integer(count))) = ports.bound.get(port)
+            if let Some(PortBinding::Literal(Value::Integer(count))) = ports.bound.get(port)
                 && count.unsigned_abs() > found as u64
             {
                 let allowed = format!("{} or more, as `{port}` is {count}", count.unsigned_abs());
-                return Err(self.error(node, Problem::Children { found, allowed }));
+                return Err(self.error(node, TreeErrorKind::Children { found, allowed }));
             }
         }
         Ok(())
     }
 
-    fn ports(&mut self, node: &NodeSpec, manifest: &Manifest) -> Result<Ports, TreeError> {
+    fn ports(&mut self, node: &NodeSpec, manifest: &NodeManifest) -> Result<Ports, TreeError> {
         if let Some(port) = node.ports.keys().find(|port| manifest.port(port).is_none()) {
-            let problem = Problem::UnknownPort { port: port.clone(), allowed: manifest.port_names() };
+            let problem = TreeErrorKind::UnknownPort { port: port.clone(), allowed: manifest.port_names() };
             return Err(self.error(node, problem));
         }
         let mut ports = Ports::default();
         for port in &manifest.ports {
             let text = match (node.ports.get(&port.name), &port.presence) {
-                (Some(text), _) | (None, Presence::Default(text)) => text,
-                (None, Presence::Optional) => continue,
-                (None, Presence::Required) => {
-                    let problem = Problem::MissingPort { port: port.name.clone(), wanted: port.port_type };
+                (Some(text), _) | (None, PortPresence::Default(text)) => text,
+                (None, PortPresence::Optional) => continue,
+                (None, PortPresence::Required) => {
+                    let problem = TreeErrorKind::MissingPort { port: port.name.clone(), wanted: port.port_type };
                     return Err(self.error(node, problem));
                 }
             };
             let binding = match (key_of(&port.name, text), port.direction) {
-                (Some(key), _) => Binding::Entry(self.bind(node, port, key)?),
-                (None, Direction::Input) => Binding::Literal(
-                    port.parse(text)
-                        .map_err(|source| self.error(node, Problem::PortValue { port: port.name.clone(), source }))?,
-                ),
-                (None, Direction::Output) => {
-                    let problem = Problem::FixedOutput { port: port.name.clone(), value: text.clone() };
+                (Some(key), _) => PortBinding::Entry(self.bind(node, port, key)?),
+                (None, PortDirection::Input) => PortBinding::Literal(port.parse(text).map_err(|source| {
+                    self.error(node, TreeErrorKind::PortValue { port: port.name.clone(), source })
+                })?),
+                (None, PortDirection::Output) => {
+                    let problem = TreeErrorKind::FixedOutput { port: port.name.clone(), value: text.clone() };
                     return Err(self.error(node, problem));
                 }
             };
@@ -213,17 +212,17 @@ impl<'a, C> Expansion<'a, C> {
     /// Binds a port to a key of the tree at hand.
     fn bind(&mut self, node: &NodeSpec, port: &PortSpec, key: &str) -> Result<EntryId, TreeError> {
         let id = self.entry(self.scopes.len() - 1, key);
-        if let Err(is) = self.blackboard.narrow(id, port.port_type, &port.constraint) {
+        if let Err(is) = self.blackboard.restrict(id, port.port_type, &port.constraint) {
             let (port, wanted) = (port.name.clone(), port.port_type);
             let key = self.blackboard.key(id).to_owned();
-            return Err(self.error(node, Problem::KeyType { port, wanted, key, is }));
+            return Err(self.error(node, TreeErrorKind::KeyType { port, wanted, key, is }));
         }
-        let needed = || self.error(node, Problem::NeverWritten { port: port.name.clone(), key: key.to_owned() });
-        let needed = (port.direction == Direction::Input && port.presence != Presence::Optional).then(needed);
+        let needed = || self.error(node, TreeErrorKind::NeverWritten { port: port.name.clone(), key: key.to_owned() });
+        let needed = (port.direction == PortDirection::Input && port.presence != PortPresence::Optional).then(needed);
         let entry = &mut self.uses[id.0];
         match port.direction {
-            Direction::Input => entry.read = true,
-            Direction::Output => entry.filled = true,
+            PortDirection::Input => entry.read = true,
+            PortDirection::Output => entry.filled = true,
         }
         if entry.needed.is_none() {
             entry.needed = needed;
@@ -251,13 +250,13 @@ impl<'a, C> Expansion<'a, C> {
         self.blackboard.add(key)
     }
 
-    fn error(&self, node: &NodeSpec, problem: Problem) -> TreeError {
+    fn error(&self, node: &NodeSpec, problem: TreeErrorKind) -> TreeError {
         let tree = self.scopes.last().map_or("", |scope| &scope.tree);
         let what = match &node.name {
             Some(name) => format!("{tree}/{} ({name})", node.id),
             None => format!("{tree}/{}", node.id),
         };
-        TreeError { source: self.spec.source.clone(), line: node.line, node: Some(what), problem: Box::new(problem) }
+        TreeError { source: self.spec.source.clone(), line: node.line, node: Some(what), kind: Box::new(problem) }
     }
 }
 

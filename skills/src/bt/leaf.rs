@@ -2,7 +2,7 @@
 
 use super::node::Node;
 use super::ports::Ports;
-use super::status::Status;
+use super::status::NodeStatus;
 use super::tick::{Cause, LeafContext, Tick};
 use consort_protocol::units::{Seconds, WorldTime};
 
@@ -12,42 +12,42 @@ pub trait Leaf: Send {
     ///
     /// # Errors
     /// `Err` is a failure too, with its cause.
-    fn tick(&mut self, context: &mut LeafContext<'_, '_>) -> Result<Status, Cause>;
+    fn tick(&mut self, context: &mut LeafContext<'_, '_>) -> Result<NodeStatus, Cause>;
 
     /// Stops what is under way. Called only while the leaf is running.
     fn halt(&mut self, context: &mut LeafContext<'_, '_>);
 }
 
 /// A leaf made of a function that answers at once, and so has nothing to halt.
-pub struct Instant<F>(pub F);
+pub struct SyncLeaf<F>(pub F);
 
-impl<F> Leaf for Instant<F>
+impl<F> Leaf for SyncLeaf<F>
 where
     F: FnMut(&mut LeafContext<'_, '_>) -> Result<bool, Cause> + Send,
 {
-    fn tick(&mut self, context: &mut LeafContext<'_, '_>) -> Result<Status, Cause> {
-        Ok(if (self.0)(context)? { Status::Success } else { Status::Failure })
+    fn tick(&mut self, context: &mut LeafContext<'_, '_>) -> Result<NodeStatus, Cause> {
+        Ok(if (self.0)(context)? { NodeStatus::Success } else { NodeStatus::Failure })
     }
 
     fn halt(&mut self, _: &mut LeafContext<'_, '_>) {}
 }
 
 /// A leaf in its tree, with the ports it is bound to there.
-pub(crate) struct Bound {
+pub(crate) struct LeafNode {
     pub(crate) name: String,
     pub(crate) leaf: Box<dyn Leaf>,
     pub(crate) ports: Ports,
 }
 
-impl Node for Bound {
-    fn tick(&mut self, tick: &mut Tick<'_>) -> Status {
+impl Node for LeafNode {
+    fn tick(&mut self, tick: &mut Tick<'_>) -> NodeStatus {
         let answer = self.leaf.tick(&mut LeafContext { tick, ports: &self.ports });
         match answer {
-            Ok(Status::Failure) => tick.fail(&self.name, Cause::new("it failed")),
+            Ok(NodeStatus::Failure) => tick.set_cause(&self.name, Cause::new("it failed")),
             Ok(status) => return status,
-            Err(cause) => tick.fail(&self.name, cause),
+            Err(cause) => tick.set_cause(&self.name, cause),
         }
-        Status::Failure
+        NodeStatus::Failure
     }
 
     fn halt(&mut self, tick: &mut Tick<'_>) {
@@ -56,10 +56,10 @@ impl Node for Bound {
 }
 
 /// `AlwaysSuccess` and `AlwaysFailure`. The latter names no cause of its own: what failed before it still counts.
-pub(crate) struct Always(pub(crate) Status);
+pub(crate) struct ConstantNode(pub(crate) NodeStatus);
 
-impl Node for Always {
-    fn tick(&mut self, _: &mut Tick<'_>) -> Status {
+impl Node for ConstantNode {
+    fn tick(&mut self, _: &mut Tick<'_>) -> NodeStatus {
         self.0
     }
 
@@ -68,12 +68,12 @@ impl Node for Always {
 
 /// `Sleep`: runs for `msec` milliseconds of world time.
 #[derive(Default)]
-pub(crate) struct Sleep {
+pub(crate) struct SleepLeaf {
     until: Option<WorldTime>,
 }
 
-impl Leaf for Sleep {
-    fn tick(&mut self, context: &mut LeafContext<'_, '_>) -> Result<Status, Cause> {
+impl Leaf for SleepLeaf {
+    fn tick(&mut self, context: &mut LeafContext<'_, '_>) -> Result<NodeStatus, Cause> {
         let until = match self.until {
             Some(until) => until,
             None => {
@@ -84,10 +84,10 @@ impl Leaf for Sleep {
         };
         if context.now() >= until {
             self.until = None;
-            return Ok(Status::Success);
+            return Ok(NodeStatus::Success);
         }
         context.wake_at(until);
-        Ok(Status::Running)
+        Ok(NodeStatus::Running)
     }
 
     fn halt(&mut self, _: &mut LeafContext<'_, '_>) {

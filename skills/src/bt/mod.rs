@@ -46,17 +46,17 @@ pub mod xml;
 mod tests;
 
 pub use blackboard::{Blackboard, BlackboardError};
-pub use blueprint::{Blueprint, Input, MAX_DEPTH, MAX_NODES};
-pub use error::{Problem, TreeError};
-pub use leaf::{Instant, Leaf};
-pub(crate) use ports::listed;
-pub use ports::{Constraint, Direction, Manifest, NodeKind, PortError, PortSpec, Ports, Presence};
+pub use blueprint::{Blueprint, MAX_DEPTH, MAX_NODES, TreeInput};
+pub use error::{TreeError, TreeErrorKind};
+pub use leaf::{Leaf, SyncLeaf};
+pub(crate) use ports::join_names;
+pub use ports::{NodeKind, NodeManifest, PortConstraint, PortDirection, PortError, PortPresence, PortSpec, Ports};
 pub use registry::{Registry, RegistryError};
 pub use spec::{
     NodeSpec, TreeSpec, fallback, inverter, parallel, reactive_fallback, reactive_sequence, repeat, retry, sequence,
     timeout,
 };
-pub use status::Status;
-pub use tick::{Cause, LeafContext, MAX_TURNS, Tick};
+pub use status::NodeStatus;
+pub use tick::{Cause, LeafContext, MAX_LOOP_ITERATIONS_PER_TICK, Tick};
 pub use tree::Tree;
 pub use value::{PortType, PortValue, Value, ValueError};

@@ -6,7 +6,7 @@ use std::collections::BTreeMap;
 
 /// Which way values pass through a port.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Direction {
+pub enum PortDirection {
     /// Read by the node.
     Input,
     /// Written by the node.
@@ -15,7 +15,7 @@ pub enum Direction {
 
 /// Whether a port must be bound.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub enum Presence {
+pub enum PortPresence {
     /// A tree that leaves it out is refused.
     Required,
     /// It may be left out, or bound to a key that nobody has written.
@@ -26,7 +26,7 @@ pub enum Presence {
 
 /// What a port allows beyond its type.
 #[derive(Debug, Clone, PartialEq)]
-pub enum Constraint {
+pub enum PortConstraint {
     /// Nothing.
     None,
     /// One of these texts.
@@ -35,14 +35,14 @@ pub enum Constraint {
     Range(f64, f64),
 }
 
-impl Constraint {
+impl PortConstraint {
     pub(crate) fn check(&self, value: &Value) -> Result<(), ValueError> {
         let refuse = |allowed| Err(ValueError::NotAllowed { value: value.to_string(), allowed });
         match self {
-            Constraint::None => Ok(()),
-            Constraint::OneOf(texts) if texts.contains(&value.to_string()) => Ok(()),
-            Constraint::OneOf(texts) => refuse(format!("allowed are {}", texts.join(", "))),
-            Constraint::Range(low, high) => match value {
+            PortConstraint::None => Ok(()),
+            PortConstraint::OneOf(texts) if texts.contains(&value.to_string()) => Ok(()),
+            PortConstraint::OneOf(texts) => refuse(format!("allowed are {}", texts.join(", "))),
+            PortConstraint::Range(low, high) => match value {
                 Value::Integer(n) if (*low..=*high).contains(&(*n as f64)) => Ok(()),
                 Value::Number(n) if (*low..=*high).contains(n) => Ok(()),
                 _ => refuse(format!("allowed is {low} to {high}")),
@@ -57,45 +57,45 @@ pub struct PortSpec {
     /// Its name, which is the attribute in XML.
     pub name: String,
     /// Which way values pass.
-    pub direction: Direction,
+    pub direction: PortDirection,
     /// What passes.
     pub port_type: PortType,
     /// Whether it must be bound.
-    pub presence: Presence,
+    pub presence: PortPresence,
     /// What is allowed beyond the type.
-    pub constraint: Constraint,
+    pub constraint: PortConstraint,
 }
 
 impl PortSpec {
     /// A port that the node reads and that must be bound.
     pub fn input(name: &str, port_type: PortType) -> PortSpec {
-        let (direction, presence) = (Direction::Input, Presence::Required);
-        PortSpec { name: name.to_owned(), direction, port_type, presence, constraint: Constraint::None }
+        let (direction, presence) = (PortDirection::Input, PortPresence::Required);
+        PortSpec { name: name.to_owned(), direction, port_type, presence, constraint: PortConstraint::None }
     }
 
     /// A port that the node writes and that must be bound to a key.
     pub fn output(name: &str, port_type: PortType) -> PortSpec {
-        PortSpec { direction: Direction::Output, ..PortSpec::input(name, port_type) }
+        PortSpec { direction: PortDirection::Output, ..PortSpec::input(name, port_type) }
     }
 
     /// The same port, which may be left out.
     pub fn optional(self) -> PortSpec {
-        PortSpec { presence: Presence::Optional, ..self }
+        PortSpec { presence: PortPresence::Optional, ..self }
     }
 
     /// The same port with a value for when it is left out.
-    pub fn or(self, default: &str) -> PortSpec {
-        PortSpec { presence: Presence::Default(default.to_owned()), ..self }
+    pub fn with_default(self, default: &str) -> PortSpec {
+        PortSpec { presence: PortPresence::Default(default.to_owned()), ..self }
     }
 
     /// The same port, for these texts alone.
     pub fn one_of(self, texts: &[&str]) -> PortSpec {
-        PortSpec { constraint: Constraint::OneOf(texts.iter().map(|&t| t.to_owned()).collect()), ..self }
+        PortSpec { constraint: PortConstraint::OneOf(texts.iter().map(|&t| t.to_owned()).collect()), ..self }
     }
 
     /// The same port, for numbers in this range alone, ends included.
-    pub fn within(self, low: f64, high: f64) -> PortSpec {
-        PortSpec { constraint: Constraint::Range(low, high), ..self }
+    pub fn in_range(self, low: f64, high: f64) -> PortSpec {
+        PortSpec { constraint: PortConstraint::Range(low, high), ..self }
     }
 
     /// Takes the text of a literal binding.
@@ -136,7 +136,7 @@ impl NodeKind {
 
 /// What a kind of node is called, is and passes.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Manifest {
+pub struct NodeManifest {
     /// Its name in trees (`NavigateToPose`).
     pub id: String,
     /// What it does with children.
@@ -145,10 +145,10 @@ pub struct Manifest {
     pub ports: Vec<PortSpec>,
 }
 
-impl Manifest {
+impl NodeManifest {
     /// The manifest of a node.
-    pub fn new(id: &str, kind: NodeKind, ports: impl IntoIterator<Item = PortSpec>) -> Manifest {
-        Manifest { id: id.to_owned(), kind, ports: ports.into_iter().collect() }
+    pub fn new(id: &str, kind: NodeKind, ports: impl IntoIterator<Item = PortSpec>) -> NodeManifest {
+        NodeManifest { id: id.to_owned(), kind, ports: ports.into_iter().collect() }
     }
 
     pub(crate) fn port(&self, name: &str) -> Option<&PortSpec> {
@@ -156,12 +156,12 @@ impl Manifest {
     }
 
     pub(crate) fn port_names(&self) -> String {
-        listed(self.ports.iter().map(|port| port.name.as_str()))
+        join_names(self.ports.iter().map(|port| port.name.as_str()))
     }
 }
 
 /// Names in words, for messages.
-pub(crate) fn listed<'a>(names: impl IntoIterator<Item = &'a str>) -> String {
+pub(crate) fn join_names<'a>(names: impl IntoIterator<Item = &'a str>) -> String {
     let names: Vec<&str> = names.into_iter().collect();
     if names.is_empty() { "none".to_owned() } else { names.join(", ") }
 }
@@ -169,11 +169,11 @@ pub(crate) fn listed<'a>(names: impl IntoIterator<Item = &'a str>) -> String {
 /// The ports of one node as bound in its tree.
 #[derive(Debug, Clone, Default)]
 pub struct Ports {
-    pub(crate) bound: BTreeMap<String, Binding>,
+    pub(crate) bound: BTreeMap<String, PortBinding>,
 }
 
 #[derive(Debug, Clone)]
-pub(crate) enum Binding {
+pub(crate) enum PortBinding {
     Literal(Value),
     Entry(EntryId),
 }
@@ -221,7 +221,7 @@ impl Ports {
             return Ok(value);
         }
         Err(match self.bound.get(port) {
-            Some(Binding::Entry(id)) => PortError::Blackboard {
+            Some(PortBinding::Entry(id)) => PortError::Blackboard {
                 port: port.to_owned(),
                 source: BlackboardError::Empty { key: blackboard.key(*id).to_owned() },
             },
@@ -236,11 +236,11 @@ impl Ports {
     pub fn read_optional<T: PortValue>(&self, blackboard: &Blackboard, port: &str) -> Result<Option<T>, PortError> {
         match self.bound.get(port) {
             None => Ok(None),
-            Some(Binding::Literal(value)) => {
+            Some(PortBinding::Literal(value)) => {
                 let converted = value.clone().convert(T::TYPE);
                 converted.map(T::from_value).map_err(|source| PortError::Value { port: port.to_owned(), source })
             }
-            Some(Binding::Entry(id)) => {
+            Some(PortBinding::Entry(id)) => {
                 blackboard.read(*id).map_err(|source| PortError::Blackboard { port: port.to_owned(), source })
             }
         }
@@ -253,8 +253,8 @@ impl Ports {
     pub fn write(&self, blackboard: &mut Blackboard, port: &str, value: Value) -> Result<(), PortError> {
         match self.bound.get(port) {
             None => Ok(()),
-            Some(Binding::Literal(_)) => Err(PortError::Fixed { port: port.to_owned() }),
-            Some(Binding::Entry(id)) => {
+            Some(PortBinding::Literal(_)) => Err(PortError::Fixed { port: port.to_owned() }),
+            Some(PortBinding::Entry(id)) => {
                 blackboard.write(*id, value).map_err(|source| PortError::Blackboard { port: port.to_owned(), source })
             }
         }

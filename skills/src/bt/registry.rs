@@ -3,8 +3,8 @@
 use super::blueprint::Blueprint;
 use super::builtin::Builtin;
 use super::error::TreeError;
-use super::leaf::{Instant, Leaf};
-use super::ports::{Manifest, NodeKind, PortSpec, listed};
+use super::leaf::{Leaf, SyncLeaf};
+use super::ports::{NodeKind, NodeManifest, PortSpec, join_names};
 use super::spec::TreeSpec;
 use super::tick::{Cause, LeafContext};
 use std::collections::BTreeMap;
@@ -18,7 +18,7 @@ pub struct Registry<C = ()> {
 }
 
 pub(crate) struct Registered<C> {
-    pub(crate) manifest: Manifest,
+    pub(crate) manifest: NodeManifest,
     pub(crate) make: MakeLeaf<C>,
 }
 
@@ -27,7 +27,7 @@ pub(crate) struct Registered<C> {
 pub enum RegistryError {
     /// Two kinds of node cannot share a name.
     #[error("a node `{id}` is there already")]
-    Taken {
+    DuplicateName {
         /// The name.
         id: String,
     },
@@ -59,12 +59,12 @@ impl<C> Registry<C> {
     /// [`RegistryError`] where the name is taken or the manifest is not a leaf's.
     pub fn register(
         &mut self,
-        manifest: Manifest,
+        manifest: NodeManifest,
         make: impl Fn(&C) -> Box<dyn Leaf> + Send + Sync + 'static,
     ) -> Result<(), RegistryError> {
         let id = manifest.id.clone();
-        if self.leaves.contains_key(&id) || Builtin::named(&id).is_some() {
-            return Err(RegistryError::Taken { id });
+        if self.leaves.contains_key(&id) || Builtin::by_id(&id).is_some() {
+            return Err(RegistryError::DuplicateName { id });
         }
         if !matches!(manifest.kind, NodeKind::Action | NodeKind::Condition) {
             return Err(RegistryError::NotALeaf { id, kind: manifest.kind.tag() });
@@ -77,14 +77,14 @@ impl<C> Registry<C> {
     ///
     /// # Errors
     /// [`RegistryError`] where the name is taken.
-    pub fn condition(
+    pub fn register_condition(
         &mut self,
         id: &str,
         ports: impl IntoIterator<Item = PortSpec>,
         check: impl Fn(&mut LeafContext<'_, '_>) -> Result<bool, Cause> + Send + Sync + Clone + 'static,
     ) -> Result<(), RegistryError> {
-        let manifest = Manifest::new(id, NodeKind::Condition, ports);
-        self.register(manifest, move |_| Box::new(Instant(check.clone())))
+        let manifest = NodeManifest::new(id, NodeKind::Condition, ports);
+        self.register(manifest, move |_| Box::new(SyncLeaf(check.clone())))
     }
 
     /// Checks a description against the nodes there are.
@@ -92,11 +92,11 @@ impl<C> Registry<C> {
     /// # Errors
     /// [`TreeError`] names the first mistake, its place and what is allowed.
     pub fn check(&self, spec: &TreeSpec) -> Result<Blueprint<C>, TreeError> {
-        Blueprint::of(spec, self)
+        Blueprint::check(spec, self)
     }
 
     /// What the leaves are called and pass, the engine's own nodes aside.
-    pub fn manifests(&self) -> impl Iterator<Item = &Manifest> {
+    pub fn manifests(&self) -> impl Iterator<Item = &NodeManifest> {
         self.leaves.values().map(|leaf| &leaf.manifest)
     }
 
@@ -105,8 +105,8 @@ impl<C> Registry<C> {
     }
 
     /// Every name there is, in words.
-    pub(crate) fn known(&self) -> String {
+    pub(crate) fn node_names(&self) -> String {
         let builtin: Vec<String> = Builtin::ALL.iter().map(|builtin| builtin.manifest().id).collect();
-        listed(builtin.iter().map(String::as_str).chain(self.leaves.keys().map(String::as_str)))
+        join_names(builtin.iter().map(String::as_str).chain(self.leaves.keys().map(String::as_str)))
     }
 }

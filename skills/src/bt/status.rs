@@ -2,7 +2,7 @@
 
 /// The answer of a ticked node.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Status {
+pub enum NodeStatus {
     /// Not done yet: tick again.
     Running,
     /// Done, as intended.
@@ -11,9 +11,9 @@ pub enum Status {
     Failure,
 }
 
-impl Status {
+impl NodeStatus {
     /// Whether the node has ended and will start afresh at its next tick.
     pub fn is_final(self) -> bool {
-        self != Status::Running
+        self != NodeStatus::Running
     }
 }

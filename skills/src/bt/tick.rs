@@ -10,20 +10,20 @@ use std::fmt;
 
 /// How often loops (repeat, retry, for-each) may turn within one tick before they leave the rest to the next. A guess:
 /// far above what a sound tree needs, and small enough that a tick stays below a few milliseconds.
-pub const MAX_TURNS: u32 = 1000;
+pub const MAX_LOOP_ITERATIONS_PER_TICK: u32 = 1000;
 
 /// One tick under way.
 pub struct Tick<'a> {
     pub(crate) actions: &'a mut (dyn RobotActions + 'a),
     pub(crate) now: WorldTime,
     pub(crate) blackboard: &'a mut Blackboard,
-    pub(crate) notes: &'a mut Notes,
-    pub(crate) turns_left: u32,
+    pub(crate) state: &'a mut TreeState,
+    pub(crate) iterations_left: u32,
 }
 
 /// What a tree keeps from tick to tick beside its nodes.
 #[derive(Debug, Default)]
-pub(crate) struct Notes {
+pub(crate) struct TreeState {
     /// Why the last leaf that failed did.
     pub(crate) cause: Option<Cause>,
     /// When the tree wants to be ticked even if nothing happens.
@@ -49,22 +49,22 @@ impl Tick<'_> {
 
     /// Asks to be ticked at `time` at the latest.
     pub(crate) fn wake_at(&mut self, time: WorldTime) {
-        let earliest = self.notes.wake_at.map_or(time, |set| if time < set { time } else { set });
-        self.notes.wake_at = Some(earliest);
+        let earliest = self.state.wake_at.map_or(time, |set| if time < set { time } else { set });
+        self.state.wake_at = Some(earliest);
     }
 
     /// Takes one turn of a loop; `false` when the tick has had enough, and the loop has to go on at the next.
-    pub(crate) fn take_turn(&mut self) -> bool {
-        if self.turns_left == 0 {
+    pub(crate) fn take_iteration(&mut self) -> bool {
+        if self.iterations_left == 0 {
             self.wake_at(self.now);
             return false;
         }
-        self.turns_left -= 1;
+        self.iterations_left -= 1;
         true
     }
 
-    pub(crate) fn fail(&mut self, node: &str, cause: Cause) {
-        self.notes.cause = Some(Cause { text: format!("{node}: {}", cause.text), error: cause.error });
+    pub(crate) fn set_cause(&mut self, node: &str, cause: Cause) {
+        self.state.cause = Some(Cause { text: format!("{node}: {}", cause.text), error: cause.error });
     }
 }
 
@@ -117,12 +117,12 @@ impl LeafContext<'_, '_> {
     /// Cancels a goal, and remembers it until the body has let go of it.
     pub fn cancel(&mut self, goal: GoalId) {
         self.tick.actions.cancel(goal);
-        self.tick.notes.canceling.insert(goal);
+        self.tick.state.canceling.insert(goal);
     }
 
     /// Whether the body has let go of every goal that this tree canceled: before that it would refuse another as busy.
-    pub fn is_settled(&mut self) -> bool {
-        let Tick { actions, notes, .. } = &mut *self.tick;
+    pub fn cancels_complete(&mut self) -> bool {
+        let Tick { actions, state: notes, .. } = &mut *self.tick;
         notes.canceling.retain(|goal| actions.status(*goal).is_some_and(|status| !status.is_final()));
         notes.canceling.is_empty()
     }

@@ -1,10 +1,10 @@
 //! A tree at work.
 
 use super::blackboard::{Blackboard, BlackboardError, EntryId};
-use super::node::Slot;
-use super::ports::listed;
-use super::status::Status;
-use super::tick::{Cause, MAX_TURNS, Notes, Tick};
+use super::node::ChildNode;
+use super::ports::join_names;
+use super::status::NodeStatus;
+use super::tick::{Cause, MAX_LOOP_ITERATIONS_PER_TICK, Tick, TreeState};
 use super::value::{PortValue, Value};
 use crate::actions::RobotActions;
 use consort_protocol::units::WorldTime;
@@ -12,29 +12,29 @@ use std::collections::BTreeMap;
 
 /// A tree at work, with its blackboard.
 pub struct Tree {
-    pub(crate) root: Slot,
+    pub(crate) root: ChildNode,
     pub(crate) blackboard: Blackboard,
     /// Keys of the main tree.
     pub(crate) keys: BTreeMap<String, EntryId>,
-    pub(crate) notes: Notes,
+    pub(crate) state: TreeState,
 }
 
 impl Tree {
     /// Ticks the tree once, at world time `now`.
-    pub fn tick(&mut self, actions: &mut dyn RobotActions, now: WorldTime) -> Status {
+    pub fn tick(&mut self, actions: &mut dyn RobotActions, now: WorldTime) -> NodeStatus {
         if !self.root.is_running() {
-            self.notes.cause = None;
+            self.state.cause = None;
         }
-        self.notes.wake_at = None;
-        let Tree { root, blackboard, notes, .. } = self;
-        root.tick(&mut Tick { actions, now, blackboard, notes, turns_left: MAX_TURNS })
+        self.state.wake_at = None;
+        let Tree { root, blackboard, state: notes, .. } = self;
+        root.tick(&mut Tick { actions, now, blackboard, state: notes, iterations_left: MAX_LOOP_ITERATIONS_PER_TICK })
     }
 
     /// Halts whatever is running; the next tick starts afresh. The blackboard stays as it is.
     pub fn halt(&mut self, actions: &mut dyn RobotActions, now: WorldTime) {
-        self.notes.wake_at = None;
-        let Tree { root, blackboard, notes, .. } = self;
-        root.halt(&mut Tick { actions, now, blackboard, notes, turns_left: MAX_TURNS });
+        self.state.wake_at = None;
+        let Tree { root, blackboard, state: notes, .. } = self;
+        root.halt(&mut Tick { actions, now, blackboard, state: notes, iterations_left: MAX_LOOP_ITERATIONS_PER_TICK });
     }
 
     /// Whether a tick would go on rather than start afresh.
@@ -44,12 +44,12 @@ impl Tree {
 
     /// Why the leaf that failed last did, in the present run or the one that ended last.
     pub fn cause(&self) -> Option<&Cause> {
-        self.notes.cause.as_ref()
+        self.state.cause.as_ref()
     }
 
     /// When the tree asks to be ticked even if nothing happens to the body before; set by the latest tick.
     pub fn wake_at(&self) -> Option<WorldTime> {
-        self.notes.wake_at
+        self.state.wake_at
     }
 
     /// Writes a key of the main tree; text is taken as the key's type.
@@ -70,14 +70,14 @@ impl Tree {
     }
 
     /// Whether the body has let go of every goal that this tree canceled.
-    pub fn is_settled(&self, actions: &dyn RobotActions) -> bool {
+    pub fn cancels_complete(&self, actions: &dyn RobotActions) -> bool {
         let held = |goal| actions.status(goal).is_some_and(|status| !status.is_final());
-        !self.notes.canceling.iter().any(|goal| held(*goal))
+        !self.state.canceling.iter().any(|goal| held(*goal))
     }
 
     fn entry(&self, key: &str) -> Result<EntryId, BlackboardError> {
         let unknown = || {
-            let known = listed(self.keys.keys().map(String::as_str));
+            let known = join_names(self.keys.keys().map(String::as_str));
             BlackboardError::UnknownKey { key: key.to_owned(), known }
         };
         self.keys.get(key).copied().ok_or_else(unknown)

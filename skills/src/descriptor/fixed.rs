@@ -1,6 +1,6 @@
 //! Tasks whose time does not depend on where the robot is.
 
-use super::{Context, Estimate, EstimateError, SkillDescriptor, parsed};
+use super::{Estimate, EstimateContext, EstimateError, SkillDescriptor, parsed};
 use crate::environment::Environment;
 use consort_protocol::ids::TaskType;
 use consort_protocol::mission::TaskSpec;
@@ -8,63 +8,63 @@ use consort_protocol::units::Seconds;
 
 /// Seconds for any step that is not a drive, messages included: the figure of the published evaluation (replication
 /// package of the JSS 2022 article; thesis 4).
-pub const STEP_TIME_S: f64 = 2.0;
+pub const STEP_DURATION_S: f64 = 2.0;
 
 /// A task that always takes the same time, where the robot stands.
 #[derive(Debug, Clone)]
-pub struct FixedTime {
+pub struct FixedDuration {
     task_type: TaskType,
     time: Seconds,
 }
 
-impl FixedTime {
+impl FixedDuration {
     /// Every task of this type takes this long.
-    pub fn new(task_type: TaskType, time: Seconds) -> FixedTime {
-        FixedTime { task_type, time }
+    pub fn new(task_type: TaskType, time: Seconds) -> FixedDuration {
+        FixedDuration { task_type, time }
     }
 }
 
-impl SkillDescriptor for FixedTime {
+impl SkillDescriptor for FixedDuration {
     fn task_type(&self) -> &TaskType {
         &self.task_type
     }
 
-    fn needs(&self) -> Vec<&'static str> {
+    fn required_descriptors(&self) -> Vec<&'static str> {
         Vec::new()
     }
 
-    fn estimate(&self, _: &TaskSpec, context: &Context, _: &Environment) -> Result<Estimate, EstimateError> {
-        Ok(Estimate::lasting(self.time, context, context.place.clone()))
+    fn estimate(&self, _: &TaskSpec, context: &EstimateContext, _: &Environment) -> Result<Estimate, EstimateError> {
+        Ok(Estimate::of_duration(self.time, context, context.place.clone()))
     }
 }
 
 /// A task that takes as long as its parameter `seconds` says, where the robot stands.
 #[derive(Debug, Clone)]
-pub struct StatedTime {
+pub struct RequestedDuration {
     task_type: TaskType,
 }
 
-impl StatedTime {
+impl RequestedDuration {
     /// Tasks of this type say how long they take.
-    pub fn new(task_type: TaskType) -> StatedTime {
-        StatedTime { task_type }
+    pub fn new(task_type: TaskType) -> RequestedDuration {
+        RequestedDuration { task_type }
     }
 }
 
-impl SkillDescriptor for StatedTime {
+impl SkillDescriptor for RequestedDuration {
     fn task_type(&self) -> &TaskType {
         &self.task_type
     }
 
-    fn needs(&self) -> Vec<&'static str> {
+    fn required_descriptors(&self) -> Vec<&'static str> {
         Vec::new()
     }
 
-    fn estimate(&self, task: &TaskSpec, context: &Context, _: &Environment) -> Result<Estimate, EstimateError> {
+    fn estimate(&self, task: &TaskSpec, context: &EstimateContext, _: &Environment) -> Result<Estimate, EstimateError> {
         let time = parsed(task, "seconds", |text| {
             let number = text.parse::<f64>().map_err(|error| error.to_string())?;
             Seconds::new(number).map_err(|error| error.to_string())
         })?;
-        Ok(Estimate::lasting(time, context, context.place.clone()))
+        Ok(Estimate::of_duration(time, context, context.place.clone()))
     }
 }

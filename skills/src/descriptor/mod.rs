@@ -33,10 +33,10 @@ mod navigation;
 mod path;
 mod registry;
 
-pub use fixed::{FixedTime, STEP_TIME_S, StatedTime};
-pub use navigation::Navigation;
-pub use path::Path;
-pub use registry::{Budget, DescriptorRegistry, Estimator, MissingNeed, PriceError, ResolveError};
+pub use fixed::{FixedDuration, RequestedDuration, STEP_DURATION_S};
+pub use navigation::NavigationDescriptor;
+pub use path::PathDescriptor;
+pub use registry::{DescriptorRegistry, Estimator, MissingRequirement, PlanBudget, PriceError, ResolveError};
 
 use crate::environment::{Environment, MissingDescriptor, RouteError};
 use consort_protocol::ids::{PlaceId, TaskType};
@@ -46,7 +46,7 @@ use consort_protocol::units::{MetresPerSecond, Seconds, SharePerSecond};
 
 /// The robot that estimates, as it is when the task begins.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Context {
+pub struct EstimateContext {
     /// Where it is, or the place it passed last.
     pub place: PlaceId,
     /// Where exactly, for one that may be between two places; `None` at the place.
@@ -74,7 +74,7 @@ pub struct Estimate {
 
 impl Estimate {
     /// A task that takes this long at the robot's usual discharge, and ends at `place`.
-    pub fn lasting(time: Seconds, context: &Context, place: PlaceId) -> Estimate {
+    pub fn of_duration(time: Seconds, context: &EstimateContext, place: PlaceId) -> Estimate {
         Estimate { time, energy: context.discharge.over(time), energy_sd: 0.0, ends_at: place }
     }
 }
@@ -126,7 +126,7 @@ pub trait SkillDescriptor: Send + Sync {
     /// The kinds of environment descriptor it needs: [`EnvironmentDescriptor::KIND`].
     ///
     /// [`EnvironmentDescriptor::KIND`]: crate::environment::EnvironmentDescriptor::KIND
-    fn needs(&self) -> Vec<&'static str>;
+    fn required_descriptors(&self) -> Vec<&'static str>;
 
     /// What `task` would cost the robot of `context`.
     ///
@@ -135,7 +135,7 @@ pub trait SkillDescriptor: Send + Sync {
     fn estimate(
         &self,
         task: &TaskSpec,
-        context: &Context,
+        context: &EstimateContext,
         environment: &Environment,
     ) -> Result<Estimate, EstimateError>;
 }

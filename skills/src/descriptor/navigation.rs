@@ -1,41 +1,41 @@
 //! Drives: the length of the shortest route over the average speed, with what else costs time on the way as far as the
 //! environment tells of it.
 
-use super::{Context, Estimate, EstimateError, SkillDescriptor, parsed};
+use super::{Estimate, EstimateContext, EstimateError, SkillDescriptor, parsed};
 use crate::environment::{Environment, EnvironmentDescriptor, Passages, Routes};
 use consort_protocol::ids::{PlaceId, TaskType};
 use consort_protocol::mission::TaskSpec;
 
 /// A drive to the place in parameter `to`.
 #[derive(Debug, Clone)]
-pub struct Navigation {
+pub struct NavigationDescriptor {
     task_type: TaskType,
 }
 
-impl Navigation {
+impl NavigationDescriptor {
     /// Tasks of this type are drives.
-    pub fn new(task_type: TaskType) -> Navigation {
-        Navigation { task_type }
+    pub fn new(task_type: TaskType) -> NavigationDescriptor {
+        NavigationDescriptor { task_type }
     }
 }
 
-impl SkillDescriptor for Navigation {
+impl SkillDescriptor for NavigationDescriptor {
     fn task_type(&self) -> &TaskType {
         &self.task_type
     }
 
-    fn needs(&self) -> Vec<&'static str> {
+    fn required_descriptors(&self) -> Vec<&'static str> {
         vec![Routes::KIND]
     }
 
     fn estimate(
         &self,
         task: &TaskSpec,
-        context: &Context,
+        context: &EstimateContext,
         environment: &Environment,
     ) -> Result<Estimate, EstimateError> {
         let to = parsed(task, "to", str::parse::<PlaceId>)?;
-        let routes = environment.get::<Routes>()?.without(&context.closed);
+        let routes = environment.get::<Routes>()?.without_closed(&context.closed);
         // Most maps have no doors, lifts or limits; then one look at a table of lengths tells all.
         let time = match (environment.find::<Passages>().filter(|passages| !passages.is_empty()), context.pose) {
             (None, Some(pose)) => routes.distance_left(&context.place, pose, &to)?.at(context.speed),
@@ -45,6 +45,6 @@ impl SkillDescriptor for Navigation {
                 routes.time_left(&context.place, pose, &to, context.speed, passages)?
             }
         };
-        Ok(Estimate::lasting(time, context, to))
+        Ok(Estimate::of_duration(time, context, to))
     }
 }

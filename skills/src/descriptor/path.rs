@@ -1,6 +1,6 @@
 //! Paths over points: their length over the average speed.
 
-use super::{Context, Estimate, EstimateError, SkillDescriptor, parsed};
+use super::{Estimate, EstimateContext, EstimateError, SkillDescriptor, parsed};
 use crate::environment::{Environment, EnvironmentDescriptor, Routes};
 use crate::skill::waypoints;
 use consort_protocol::ids::TaskType;
@@ -10,30 +10,30 @@ use consort_protocol::units::Metres;
 
 /// A drive over the points in parameter `waypoints`, in straight lines from where the robot is.
 #[derive(Debug, Clone)]
-pub struct Path {
+pub struct PathDescriptor {
     task_type: TaskType,
 }
 
-impl Path {
+impl PathDescriptor {
     /// Tasks of this type are such drives.
-    pub fn new(task_type: TaskType) -> Path {
-        Path { task_type }
+    pub fn new(task_type: TaskType) -> PathDescriptor {
+        PathDescriptor { task_type }
     }
 }
 
-impl SkillDescriptor for Path {
+impl SkillDescriptor for PathDescriptor {
     fn task_type(&self) -> &TaskType {
         &self.task_type
     }
 
-    fn needs(&self) -> Vec<&'static str> {
+    fn required_descriptors(&self) -> Vec<&'static str> {
         vec![Routes::KIND]
     }
 
     fn estimate(
         &self,
         task: &TaskSpec,
-        context: &Context,
+        context: &EstimateContext,
         environment: &Environment,
     ) -> Result<Estimate, EstimateError> {
         let points = parsed(task, "waypoints", |text| waypoints(text.split(';')))?;
@@ -43,6 +43,6 @@ impl SkillDescriptor for Path {
         let poses: Vec<Pose> = poses.collect();
         let length = poses.windows(2).fold(Metres::ZERO, |length, leg| length + leg[0].distance(leg[1]));
         // It is off the lanes then, with the way back to where it left them.
-        Ok(Estimate::lasting(length.at(context.speed), context, context.place.clone()))
+        Ok(Estimate::of_duration(length.at(context.speed), context, context.place.clone()))
     }
 }

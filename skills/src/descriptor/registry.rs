@@ -1,6 +1,9 @@
 //! The descriptors that a robot has, and pricing a whole local plan with them.
 
-use super::{Context, EstimateError, FixedTime, Navigation, Path, STEP_TIME_S, SkillDescriptor, StatedTime};
+use super::{
+    EstimateContext, EstimateError, FixedDuration, NavigationDescriptor, PathDescriptor, RequestedDuration,
+    STEP_DURATION_S, SkillDescriptor,
+};
 use crate::environment::Environment;
 use consort_protocol::auction::BidPart;
 use consort_protocol::ids::{TaskId, TaskType};
@@ -27,7 +30,7 @@ pub struct Estimator {
 
 /// What a whole plan takes.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Budget {
+pub struct PlanBudget {
     /// The price of every step, messages included, in the order of the plan.
     pub parts: Vec<BidPart>,
     /// The charge to have for all of it, as a share of a full battery: what the steps use by estimate, and as many standard
@@ -37,25 +40,25 @@ pub struct Budget {
 
 /// What one skill's descriptor lacks.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct MissingNeed {
+pub struct MissingRequirement {
     /// The skill.
     pub skill: TaskType,
     /// The kind of environment descriptor.
-    pub needs: &'static str,
+    pub requires: &'static str,
 }
 
 /// The environment lacks what descriptors need. The node cannot start like this.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct ResolveError {
     /// Every lack, in the order of the skills' names.
-    pub missing: Vec<MissingNeed>,
+    pub missing: Vec<MissingRequirement>,
     /// What the environment has, in words.
     pub known: String,
 }
 
 impl std::fmt::Display for ResolveError {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        let lacks = self.missing.iter().map(|lack| format!("{} needs `{}`", lack.skill, lack.needs));
+        let lacks = self.missing.iter().map(|lack| format!("{} needs `{}`", lack.skill, lack.requires));
         let lacks: Vec<String> = lacks.collect();
         write!(f, "the environment lacks descriptors: {}; it has {}", lacks.join(", "), self.known)
     }
@@ -105,12 +108,12 @@ impl DescriptorRegistry {
 
     /// The descriptors of the skills that come with the library, and of the two messages.
     pub fn standard() -> DescriptorRegistry {
-        let time = Seconds::new(STEP_TIME_S).expect("two seconds are a duration");
+        let time = Seconds::new(STEP_DURATION_S).expect("two seconds are a duration");
         let registry = DescriptorRegistry::new()
-            .with(Navigation::new(own("navigation")))
-            .with(Path::new(own("follow_path")))
-            .with(StatedTime::new(own("wait")));
-        FIXED.into_iter().fold(registry, |registry, name| registry.with(FixedTime::new(own(name), time)))
+            .with(NavigationDescriptor::new(own("navigation")))
+            .with(PathDescriptor::new(own("follow_path")))
+            .with(RequestedDuration::new(own("wait")));
+        FIXED.into_iter().fold(registry, |registry, name| registry.with(FixedDuration::new(own(name), time)))
     }
 
     /// The same descriptors with one more, in place of any for the same task type.
@@ -122,7 +125,7 @@ impl DescriptorRegistry {
     /// The same descriptors, with so many standard deviations of a plan's energy kept in reserve. The steps of a plan are
     /// taken to be off independently of one another, so that a long plan needs less of a reserve than its steps one by one.
     /// 1.28 is the 90 % quantile of what a plan takes, where that is about normal. Default 0: the mean.
-    pub fn cautious(self, margin_sds: f64) -> DescriptorRegistry {
+    pub fn with_energy_margin(self, margin_sds: f64) -> DescriptorRegistry {
         DescriptorRegistry { margin_sds, ..self }
     }
 
@@ -132,15 +135,15 @@ impl DescriptorRegistry {
     /// [`ResolveError`] names every skill and every kind of environment descriptor that it lacks.
     pub fn resolve(self, environment: Environment) -> Result<Estimator, ResolveError> {
         let lacks = self.descriptors.iter().flat_map(|(skill, descriptor)| {
-            let lacking = descriptor.needs().into_iter().filter(|kind| !environment.has(kind));
-            lacking.map(|needs| MissingNeed { skill: skill.clone(), needs }).collect::<Vec<_>>()
+            let lacking = descriptor.required_descriptors().into_iter().filter(|kind| !environment.contains(kind));
+            lacking.map(|needs| MissingRequirement { skill: skill.clone(), requires: needs }).collect::<Vec<_>>()
         });
-        let missing: Vec<MissingNeed> = lacks.collect();
+        let missing: Vec<MissingRequirement> = lacks.collect();
         if missing.is_empty() {
             let DescriptorRegistry { descriptors, margin_sds } = self;
             Ok(Estimator { descriptors, margin_sds, environment, send: own(SEND), wait: own(WAIT) })
         } else {
-            Err(ResolveError { missing, known: crate::bt::listed(environment.kinds()) })
+            Err(ResolveError { missing, known: crate::bt::join_names(environment.kinds()) })
         }
     }
 }
@@ -150,7 +153,7 @@ impl Estimator {
     ///
     /// # Errors
     /// [`PriceError`] names the first step that cannot be done, and why.
-    pub fn price(&self, plan: &LocalPlan, context: &Context) -> Result<Vec<BidPart>, PriceError> {
+    pub fn price(&self, plan: &LocalPlan, context: &EstimateContext) -> Result<Vec<BidPart>, PriceError> {
         Ok(self.budget(plan, context)?.parts)
     }
 
@@ -158,7 +161,7 @@ impl Estimator {
     ///
     /// # Errors
     /// [`PriceError`] names the first step that cannot be done, and why.
-    pub fn budget(&self, plan: &LocalPlan, context: &Context) -> Result<Budget, PriceError> {
+    pub fn budget(&self, plan: &LocalPlan, context: &EstimateContext) -> Result<PlanBudget, PriceError> {
         let mut context = context.clone();
         let mut parts = Vec::with_capacity(plan.steps.len());
         let mut variance = 0.0;
@@ -178,7 +181,7 @@ impl Estimator {
             context.place = estimate.ends_at;
         }
         let mean: f64 = parts.iter().map(|part| part.energy).sum();
-        Ok(Budget { parts, energy: mean + self.margin_sds * variance.sqrt() })
+        Ok(PlanBudget { parts, energy: mean + self.margin_sds * variance.sqrt() })
     }
 
     /// How many standard deviations of a plan's energy are kept in reserve.
@@ -190,12 +193,12 @@ impl Estimator {
     ///
     /// # Errors
     /// [`EstimateError`] when it cannot be done or told, or has no descriptor.
-    pub fn estimate(&self, task: &TaskSpec, context: &Context) -> Result<super::Estimate, EstimateError> {
+    pub fn estimate(&self, task: &TaskSpec, context: &EstimateContext) -> Result<super::Estimate, EstimateError> {
         match self.descriptors.get(&task.task_type) {
             Some(descriptor) => descriptor.estimate(task, context, &self.environment),
             None => Err(EstimateError::NoDescriptor {
                 task_type: task.task_type.clone(),
-                known: crate::bt::listed(self.skills().map(TaskType::as_str)),
+                known: crate::bt::join_names(self.skills().map(TaskType::as_str)),
             }),
         }
     }
@@ -214,7 +217,7 @@ impl Estimator {
         &self,
         skill: &TaskType,
         signal: &'s Signal,
-        context: &Context,
+        context: &EstimateContext,
     ) -> (&'s TaskId, Result<super::Estimate, EstimateError>, TaskType, String) {
         let spec = TaskSpec::of(skill.clone(), vec![signal.from.clone()]);
         (&signal.task, self.estimate(&spec, context), skill.clone(), signal.to_string())

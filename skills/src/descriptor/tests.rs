@@ -46,8 +46,8 @@ fn estimator() -> Estimator {
     DescriptorRegistry::standard().resolve(environment()).unwrap()
 }
 
-fn robot(at: &str) -> Context {
-    Context {
+fn robot(at: &str) -> EstimateContext {
+    EstimateContext {
         pose: None,
         place: place(at),
         speed: MetresPerSecond::new(0.5).unwrap(),
@@ -95,10 +95,10 @@ fn an_unreachable_destination_is_no_bid_rather_than_a_bid_of_nothing() {
 #[test]
 fn a_way_known_to_be_closed_is_priced_round_or_not_at_all() {
     let to_c = plan(vec![doing("to_c", task("navigation", &[("to", "C")]))]);
-    let closed = Context { closed: vec![(place("B"), place("A"))], ..robot("A") };
+    let closed = EstimateContext { closed: vec![(place("B"), place("A"))], ..robot("A") };
     let error = estimator().price(&to_c, &closed).unwrap_err();
     assert_eq!(error.to_string(), "step 0 (to_c): no route from A to C: the ways between them are closed");
-    let elsewhere = Context { closed: vec![(place("A"), place("D")), (place("A"), place("X"))], ..robot("A") };
+    let elsewhere = EstimateContext { closed: vec![(place("A"), place("D")), (place("A"), place("X"))], ..robot("A") };
     assert_eq!(estimator().price(&to_c, &elsewhere), estimator().price(&to_c, &robot("A")), "no such way");
 }
 
@@ -115,7 +115,7 @@ fn what_a_task_does_not_say_is_named() {
 #[test]
 fn an_environment_without_routes_names_the_skills_that_need_them() {
     let error = DescriptorRegistry::standard()
-        .with(Navigation::new(TaskType::new("carry").unwrap()))
+        .with(NavigationDescriptor::new(TaskType::new("carry").unwrap()))
         .resolve(Environment::new())
         .err()
         .unwrap();
@@ -127,21 +127,21 @@ fn an_environment_without_routes_names_the_skills_that_need_them() {
 }
 
 /// Knows that it is off by half of what it says.
-struct Rough(Navigation);
+struct Rough(NavigationDescriptor);
 
 impl SkillDescriptor for Rough {
     fn task_type(&self) -> &TaskType {
         self.0.task_type()
     }
 
-    fn needs(&self) -> Vec<&'static str> {
-        self.0.needs()
+    fn required_descriptors(&self) -> Vec<&'static str> {
+        self.0.required_descriptors()
     }
 
     fn estimate(
         &self,
         task: &TaskSpec,
-        context: &Context,
+        context: &EstimateContext,
         environment: &Environment,
     ) -> Result<Estimate, EstimateError> {
         let plain = self.0.estimate(task, context, environment)?;
@@ -157,8 +157,9 @@ fn a_cautious_robot_keeps_a_reserve_for_the_plan_as_a_whole() {
         doing("to_a", task("navigation", &[("to", "A")])),
     ]);
     let budget = |margin_sds: f64| {
-        let rough = DescriptorRegistry::standard().with(Rough(Navigation::new(TaskType::new("navigation").unwrap())));
-        let estimator = rough.cautious(margin_sds).resolve(environment()).unwrap();
+        let rough =
+            DescriptorRegistry::standard().with(Rough(NavigationDescriptor::new(TaskType::new("navigation").unwrap())));
+        let estimator = rough.with_energy_margin(margin_sds).resolve(environment()).unwrap();
         let budget = estimator.budget(&there_and_back, &robot("A")).unwrap();
         assert_eq!(budget.parts, estimator.price(&there_and_back, &robot("A")).unwrap());
         budget.energy

@@ -67,7 +67,7 @@ impl Environment {
     }
 
     /// Whether there is a descriptor of a kind.
-    pub fn has(&self, kind: &str) -> bool {
+    pub fn contains(&self, kind: &str) -> bool {
         self.descriptors.contains_key(kind)
     }
 
@@ -77,7 +77,7 @@ impl Environment {
     }
 
     fn missing(&self, kind: &'static str) -> MissingDescriptor {
-        MissingDescriptor { kind, known: crate::bt::listed(self.kinds()) }
+        MissingDescriptor { kind, known: crate::bt::join_names(self.kinds()) }
     }
 }
 

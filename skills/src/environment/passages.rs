@@ -18,14 +18,14 @@ pub struct Passages {
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Passage {
     /// It is driven.
-    Driven {
+    Drive {
         /// The fastest that is allowed there.
         speed_limit: Option<MetresPerSecond>,
         /// How long a robot stands on the way, as it is to be expected.
         stands: Seconds,
     },
     /// It is ridden, by lift: how long that takes with the wait for it, as it is to be expected.
-    Ridden(Seconds),
+    Lift(Seconds),
 }
 
 impl EnvironmentDescriptor for Passages {
@@ -49,11 +49,11 @@ impl Passages {
     pub fn time(&self, from: &PlaceId, to: &PlaceId, length: Metres, speed: MetresPerSecond) -> Seconds {
         match self.ways.get(from).and_then(|ways| ways.get(to)) {
             None => length.at(speed),
-            Some(Passage::Driven { speed_limit, stands }) => {
+            Some(Passage::Drive { speed_limit, stands }) => {
                 let slower = speed_limit.filter(|limit| limit.get() < speed.get());
                 length.at(slower.unwrap_or(speed)) + *stands
             }
-            Some(Passage::Ridden(time)) => *time,
+            Some(Passage::Lift(time)) => *time,
         }
     }
 }
@@ -67,11 +67,11 @@ mod tests {
         let place = |name| PlaceId::new(name).unwrap();
         let speed = |speed| MetresPerSecond::new(speed).unwrap();
         let seconds = |seconds| Seconds::new(seconds).unwrap();
-        let limit = |limit| Passage::Driven { speed_limit: Some(speed(limit)), stands: seconds(3.0) };
+        let limit = |limit| Passage::Drive { speed_limit: Some(speed(limit)), stands: seconds(3.0) };
         let passages = Passages::default()
             .with(place("A"), place("B"), limit(0.25))
             .with(place("B"), place("C"), limit(2.0))
-            .with(place("C"), place("D"), Passage::Ridden(seconds(12.0)));
+            .with(place("C"), place("D"), Passage::Lift(seconds(12.0)));
         let ways = ["A", "B", "C", "D", "A"].map(place);
         let times =
             ways.windows(2).map(|way| passages.time(&way[0], &way[1], Metres::new(5.0).unwrap(), speed(0.5)).get());

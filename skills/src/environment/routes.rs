@@ -44,7 +44,7 @@ pub struct Route {
 pub enum RouteError {
     /// The place is not on the map.
     #[error("no route from {from} to {to}: {place} is not on the map")]
-    Unknown {
+    UnknownPlace {
         /// From where.
         from: PlaceId,
         /// To where.
@@ -95,7 +95,7 @@ impl Routes {
 
     /// The same routes without the ways between these places, whichever way they lead. Those that are not on the map make
     /// no difference.
-    pub fn without(&self, closed: &[(PlaceId, PlaceId)]) -> Cow<'_, Routes> {
+    pub fn without_closed(&self, closed: &[(PlaceId, PlaceId)]) -> Cow<'_, Routes> {
         let ends = closed.iter().filter_map(|(a, b)| Some((*self.index.get(a)?, *self.index.get(b)?)));
         let edges = ends.flat_map(|(a, b)| [self.graph.find_edge(a, b), self.graph.find_edge(b, a)]);
         let edges: BTreeSet<_> = edges.flatten().collect();
@@ -235,7 +235,7 @@ impl Routes {
     }
 
     fn node(&self, place: &PlaceId, from: &PlaceId, to: &PlaceId) -> Result<NodeIndex, RouteError> {
-        let unknown = || RouteError::Unknown { from: from.clone(), to: to.clone(), place: place.clone() };
+        let unknown = || RouteError::UnknownPlace { from: from.clone(), to: to.clone(), place: place.clone() };
         self.index.get(place).copied().ok_or_else(unknown)
     }
 

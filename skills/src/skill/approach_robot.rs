@@ -1,12 +1,15 @@
 //! `approach_robot`: within reach of the robot that holds the role in parameter `robot_role`. Tried three times, a
 //! second apart.
 
-use super::{GoalLeaf, Shipped, TaskContext};
+use super::{GoalLeaf, StandardSkill, TaskContext};
 use crate::actions::Goal;
 use crate::bt::{PortSpec, PortType, Registry, RegistryError};
 
-pub(super) const SKILL: Shipped =
-    Shipped { task_type: "approach_robot", xml: include_str!("../../trees/approach_robot.xml"), leaves };
+pub(super) const SKILL: StandardSkill = StandardSkill {
+    task_type: "approach_robot",
+    xml: include_str!("../../trees/approach_robot.xml"),
+    register_leaves: leaves,
+};
 
 fn leaves(registry: &mut Registry<TaskContext>) -> Result<(), RegistryError> {
     let ports = [PortSpec::input("robot", PortType::Robot)];

@@ -1,14 +1,14 @@
 //! `dock` and `undock`: the charger at the robot's place, which must be the one in parameter `charger` if there is one.
 
-use super::{GoalLeaf, Shipped, TaskContext};
+use super::{GoalLeaf, StandardSkill, TaskContext};
 use crate::actions::Goal;
 use crate::bt::{PortSpec, PortType, Registry, RegistryError};
 
-pub(super) const DOCK: Shipped =
-    Shipped { task_type: "dock", xml: include_str!("../../trees/dock.xml"), leaves: dock_leaves };
+pub(super) const DOCK: StandardSkill =
+    StandardSkill { task_type: "dock", xml: include_str!("../../trees/dock.xml"), register_leaves: dock_leaves };
 
-pub(super) const UNDOCK: Shipped =
-    Shipped { task_type: "undock", xml: include_str!("../../trees/undock.xml"), leaves: undock_leaves };
+pub(super) const UNDOCK: StandardSkill =
+    StandardSkill { task_type: "undock", xml: include_str!("../../trees/undock.xml"), register_leaves: undock_leaves };
 
 fn dock_leaves(registry: &mut Registry<TaskContext>) -> Result<(), RegistryError> {
     let ports = [PortSpec::input("charger", PortType::Place).optional()];

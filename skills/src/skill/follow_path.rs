@@ -4,23 +4,26 @@
 //! The points are `x,y` in metres, with `;` between: `6.0,2.5; 7.5,3.0`. The body faces where the path goes on. One that was
 //! halted on the way begins with the first point again.
 
-use super::{GoalLeaf, Shipped, TaskContext};
+use super::{GoalLeaf, StandardSkill, TaskContext};
 use crate::actions::{Goal, Waypoint};
 use crate::bt::{
-    Cause, Instant, LeafContext, Manifest, NodeKind, PortSpec, PortType, PortValue, Registry, RegistryError, Value,
+    Cause, LeafContext, NodeKind, NodeManifest, PortSpec, PortType, PortValue, Registry, RegistryError, SyncLeaf, Value,
 };
 use consort_protocol::pose::Pose;
 
-pub(super) const SKILL: Shipped =
-    Shipped { task_type: "follow_path", xml: include_str!("../../trees/follow_path.xml"), leaves };
+pub(super) const SKILL: StandardSkill = StandardSkill {
+    task_type: "follow_path",
+    xml: include_str!("../../trees/follow_path.xml"),
+    register_leaves: leaves,
+};
 
 fn leaves(registry: &mut Registry<TaskContext>) -> Result<(), RegistryError> {
     // Points into poses: nothing the body is asked for, so it answers at once.
     let ports = [PortSpec::input("points", PortType::List), PortSpec::output("poses", PortType::List)];
-    registry.register(Manifest::new("HeadAlong", NodeKind::Action, ports), |_: &TaskContext| {
-        Box::new(Instant(|leaf: &mut LeafContext<'_, '_>| {
+    registry.register(NodeManifest::new("HeadAlong", NodeKind::Action, ports), |_: &TaskContext| {
+        Box::new(SyncLeaf(|leaf: &mut LeafContext<'_, '_>| {
             let texts: Vec<String> = leaf.read::<Vec<Value>>("points")?.iter().map(Value::to_string).collect();
-            let points = points(texts.iter().map(String::as_str)).map_err(Cause::new)?;
+            let points = parse_points(texts.iter().map(String::as_str)).map_err(Cause::new)?;
             let here = leaf.actions().telemetry().map(|telemetry| telemetry.pose);
             leaf.write("poses", heading_along(&points, here).into_iter().map(Value::Pose).collect::<Vec<_>>())?;
             Ok(true)
@@ -42,7 +45,7 @@ fn leaves(registry: &mut Registry<TaskContext>) -> Result<(), RegistryError> {
 ///
 /// # Errors
 /// What is wrong, and what is allowed.
-pub(crate) fn points<'t>(texts: impl Iterator<Item = &'t str>) -> Result<Vec<(f64, f64)>, String> {
+pub(crate) fn parse_points<'t>(texts: impl Iterator<Item = &'t str>) -> Result<Vec<(f64, f64)>, String> {
     let point = |text: &str| {
         let (x, y) = text.split_once(',')?;
         let number = |text: &str| text.trim().parse().ok().filter(|number: &f64| number.is_finite());

@@ -1,7 +1,7 @@
 //! The leaf that sends a goal, watches it, and cancels it when it is halted.
 
 use crate::actions::{Goal, GoalId, GoalStatus};
-use crate::bt::{Cause, Leaf, LeafContext, Manifest, NodeKind, PortSpec, Registry, RegistryError, Status};
+use crate::bt::{Cause, Leaf, LeafContext, NodeKind, NodeManifest, NodeStatus, PortSpec, Registry, RegistryError};
 use std::sync::Arc;
 
 type MakeGoal = dyn Fn(&mut LeafContext<'_, '_>) -> Result<Goal, Cause> + Send + Sync;
@@ -28,7 +28,7 @@ impl GoalLeaf {
     where
         C: Clone + Send + Sync + 'static,
     {
-        registry.register(Manifest::new(id, NodeKind::Action, ports), move |context: &C| {
+        registry.register(NodeManifest::new(id, NodeKind::Action, ports), move |context: &C| {
             let (make, context) = (make.clone(), context.clone());
             Box::new(GoalLeaf::new(move |leaf| make(&context, leaf)))
         })
@@ -41,29 +41,29 @@ impl GoalLeaf {
         GoalLeaf { make: Arc::new(make), goal: None }
     }
 
-    fn begin(&mut self, context: &mut LeafContext<'_, '_>) -> Result<Status, Cause> {
-        if !context.is_settled() {
-            return Ok(Status::Running);
+    fn begin(&mut self, context: &mut LeafContext<'_, '_>) -> Result<NodeStatus, Cause> {
+        if !context.cancels_complete() {
+            return Ok(NodeStatus::Running);
         }
         let goal = (self.make)(context)?;
-        if !goal.is_repeatable() && context.actions().has_done(&goal) {
-            return Ok(Status::Success);
+        if !goal.is_repeatable() && context.actions().take_completed(&goal) {
+            return Ok(NodeStatus::Success);
         }
         let id = context.actions().send_goal(goal);
         self.goal = Some(id);
         match context.actions().status(id) {
-            None => Ok(Status::Running),
+            None => Ok(NodeStatus::Running),
             Some(status) => self.follow(status),
         }
     }
 
-    fn follow(&mut self, status: GoalStatus) -> Result<Status, Cause> {
+    fn follow(&mut self, status: GoalStatus) -> Result<NodeStatus, Cause> {
         if status.is_final() {
             self.goal = None;
         }
         match status {
-            GoalStatus::Sent | GoalStatus::Executing(_) => Ok(Status::Running),
-            GoalStatus::Succeeded => Ok(Status::Success),
+            GoalStatus::Sent | GoalStatus::Executing(_) => Ok(NodeStatus::Running),
+            GoalStatus::Succeeded => Ok(NodeStatus::Success),
             GoalStatus::Canceled => Err(Cause::new("it was canceled from outside")),
             GoalStatus::Aborted(error) => Err(Cause::from(error)),
         }
@@ -71,7 +71,7 @@ impl GoalLeaf {
 }
 
 impl Leaf for GoalLeaf {
-    fn tick(&mut self, context: &mut LeafContext<'_, '_>) -> Result<Status, Cause> {
+    fn tick(&mut self, context: &mut LeafContext<'_, '_>) -> Result<NodeStatus, Cause> {
         let Some(goal) = self.goal else { return self.begin(context) };
         match context.actions().status(goal) {
             Some(status) => self.follow(status),

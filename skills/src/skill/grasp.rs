@@ -1,10 +1,11 @@
 //! `grasp`: the thing in parameter `object`, from the table of the robot's place.
 
-use super::{GoalLeaf, Shipped, TaskContext};
+use super::{GoalLeaf, StandardSkill, TaskContext};
 use crate::actions::Goal;
 use crate::bt::{PortSpec, PortType, Registry, RegistryError};
 
-pub(super) const SKILL: Shipped = Shipped { task_type: "grasp", xml: include_str!("../../trees/grasp.xml"), leaves };
+pub(super) const SKILL: StandardSkill =
+    StandardSkill { task_type: "grasp", xml: include_str!("../../trees/grasp.xml"), register_leaves: leaves };
 
 fn leaves(registry: &mut Registry<TaskContext>) -> Result<(), RegistryError> {
     let ports = [PortSpec::input("object", PortType::Text)];

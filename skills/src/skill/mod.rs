@@ -14,14 +14,14 @@ mod goal_leaf;
 mod grasp;
 mod navigation;
 mod operate_drawer;
-mod patient_leaf;
+mod person_goal_leaf;
 mod pick_up;
 mod roles;
 mod wait;
 
-pub(crate) use follow_path::points as waypoints;
+pub(crate) use follow_path::parse_points as waypoints;
 pub use goal_leaf::GoalLeaf;
-use patient_leaf::PatientLeaf;
+use person_goal_leaf::PersonGoalLeaf;
 
 use crate::bt::{Registry, RegistryError};
 use crate::environment::Environment;
@@ -40,14 +40,14 @@ pub struct TaskContext {
 }
 
 /// A skill that comes with the library.
-pub(crate) struct Shipped {
+pub(crate) struct StandardSkill {
     pub(crate) task_type: &'static str,
     pub(crate) xml: &'static str,
     /// Adds the leaves that it brings; others may use them too.
-    pub(crate) leaves: fn(&mut Registry<TaskContext>) -> Result<(), RegistryError>,
+    pub(crate) register_leaves: fn(&mut Registry<TaskContext>) -> Result<(), RegistryError>,
 }
 
-pub(crate) const SHIPPED: [Shipped; 12] = [
+pub(crate) const STANDARD_SKILLS: [StandardSkill; 12] = [
     wait::SKILL,
     navigation::SKILL,
     approach_person::SKILL,
@@ -63,6 +63,6 @@ pub(crate) const SHIPPED: [Shipped; 12] = [
 ];
 
 /// Leaves that several skills share.
-pub(crate) fn shared_leaves(registry: &mut Registry<TaskContext>) -> Result<(), RegistryError> {
-    roles::leaves(registry)
+pub(crate) fn register_shared_leaves(registry: &mut Registry<TaskContext>) -> Result<(), RegistryError> {
+    roles::register_leaves(registry)
 }

@@ -4,25 +4,25 @@
 //! is blocked the route is planned anew round all that the body knows to be closed; if there is no other way the drive fails
 //! with the body's own words.
 
-use super::{Shipped, TaskContext};
+use super::{StandardSkill, TaskContext};
 use crate::actions::{ActionError, ErrorCode, Goal, GoalId, GoalStatus};
 use crate::bt::{
-    Cause, Leaf, LeafContext, Manifest, NodeKind, PortSpec, PortType, Registry, RegistryError, Status, Value,
+    Cause, Leaf, LeafContext, NodeKind, NodeManifest, NodeStatus, PortSpec, PortType, Registry, RegistryError, Value,
 };
 use crate::environment::{Environment, Routes};
 use consort_protocol::ids::PlaceId;
 use std::collections::VecDeque;
 
-pub(super) const SKILL: Shipped =
-    Shipped { task_type: "navigation", xml: include_str!("../../trees/navigation.xml"), leaves };
+pub(super) const SKILL: StandardSkill =
+    StandardSkill { task_type: "navigation", xml: include_str!("../../trees/navigation.xml"), register_leaves: leaves };
 
 fn leaves(registry: &mut Registry<TaskContext>) -> Result<(), RegistryError> {
     let ports = [PortSpec::input("to", PortType::Place), PortSpec::output("legs", PortType::List)];
-    registry.register(Manifest::new("PlanRoute", NodeKind::Action, ports), |context: &TaskContext| {
+    registry.register(NodeManifest::new("PlanRoute", NodeKind::Action, ports), |context: &TaskContext| {
         Box::new(PlanRoute { environment: context.environment.clone() })
     })?;
     let ports = [PortSpec::input("place", PortType::Place), PortSpec::input("to", PortType::Place).optional()];
-    registry.register(Manifest::new("NavigateToPose", NodeKind::Action, ports), |context: &TaskContext| {
+    registry.register(NodeManifest::new("NavigateToPose", NodeKind::Action, ports), |context: &TaskContext| {
         Box::new(NavigateToPose { environment: context.environment.clone(), drive: None, detour: VecDeque::new() })
     })
 }
@@ -38,7 +38,7 @@ fn legs(
     to: &PlaceId,
 ) -> Result<Option<Vec<PlaceId>>, Cause> {
     let Some(telemetry) = context.actions().telemetry() else { return Ok(None) };
-    let legs = routes(environment)?.without(&telemetry.closed).legs(&telemetry.place, telemetry.pose, to);
+    let legs = routes(environment)?.without_closed(&telemetry.closed).legs(&telemetry.place, telemetry.pose, to);
     legs.map(Some).map_err(|error| Cause::new(error.to_string()))
 }
 
@@ -49,14 +49,14 @@ struct PlanRoute {
 }
 
 impl Leaf for PlanRoute {
-    fn tick(&mut self, context: &mut LeafContext<'_, '_>) -> Result<Status, Cause> {
-        if !context.is_settled() {
-            return Ok(Status::Running);
+    fn tick(&mut self, context: &mut LeafContext<'_, '_>) -> Result<NodeStatus, Cause> {
+        if !context.cancels_complete() {
+            return Ok(NodeStatus::Running);
         }
         let to: PlaceId = context.read("to")?;
-        let Some(legs) = legs(&self.environment, context, &to)? else { return Ok(Status::Running) };
+        let Some(legs) = legs(&self.environment, context, &to)? else { return Ok(NodeStatus::Running) };
         context.write("legs", legs.into_iter().map(Value::Place).collect::<Vec<_>>())?;
-        Ok(Status::Success)
+        Ok(NodeStatus::Success)
     }
 
     fn halt(&mut self, _: &mut LeafContext<'_, '_>) {}
@@ -81,7 +81,7 @@ struct Drive {
 }
 
 impl NavigateToPose {
-    fn set_off(&mut self, context: &mut LeafContext<'_, '_>, place: PlaceId) -> Result<Status, Cause> {
+    fn set_off(&mut self, context: &mut LeafContext<'_, '_>, place: PlaceId) -> Result<NodeStatus, Cause> {
         let pose = routes(&self.environment)?.pose(&place);
         let pose = pose.ok_or_else(|| Cause::new(format!("{place} is not on the map")))?;
         let known = closed(context);
@@ -90,19 +90,19 @@ impl NavigateToPose {
         self.follow(context)
     }
 
-    fn follow(&mut self, context: &mut LeafContext<'_, '_>) -> Result<Status, Cause> {
-        let Some(mut drive) = self.drive.take() else { return Ok(Status::Running) };
+    fn follow(&mut self, context: &mut LeafContext<'_, '_>) -> Result<NodeStatus, Cause> {
+        let Some(mut drive) = self.drive.take() else { return Ok(NodeStatus::Running) };
         if let Some(error) = drive.blocked {
             return self.look_for_another_way(context, &drive.known, error);
         }
         match context.actions().status(drive.goal) {
             Some(GoalStatus::Sent | GoalStatus::Executing(_)) => {
                 self.drive = Some(drive);
-                Ok(Status::Running)
+                Ok(NodeStatus::Running)
             }
             Some(GoalStatus::Succeeded) => match self.detour.pop_front() {
                 Some(next) => self.set_off(context, next),
-                None => Ok(Status::Success),
+                None => Ok(NodeStatus::Success),
             },
             Some(GoalStatus::Aborted(error)) if error.code == ErrorCode::Blocked => {
                 if closed(context).iter().any(|way| !drive.known.contains(way)) {
@@ -111,7 +111,7 @@ impl NavigateToPose {
                 // What it met may stand in the next report alone.
                 drive.blocked = Some(error);
                 self.drive = Some(drive);
-                Ok(Status::Running)
+                Ok(NodeStatus::Running)
             }
             Some(GoalStatus::Aborted(error)) => self.fail(Cause::from(error)),
             Some(GoalStatus::Canceled) => self.fail(Cause::new("it was canceled from outside")),
@@ -124,7 +124,7 @@ impl NavigateToPose {
         context: &mut LeafContext<'_, '_>,
         known: &[(PlaceId, PlaceId)],
         error: ActionError,
-    ) -> Result<Status, Cause> {
+    ) -> Result<NodeStatus, Cause> {
         let learned = closed(context).iter().any(|way| !known.contains(way));
         let to: Option<PlaceId> = context.read_optional("to")?;
         let Some(to) = to.filter(|_| learned) else { return self.fail(Cause::from(error)) };
@@ -134,29 +134,29 @@ impl NavigateToPose {
         }
         match self.detour.pop_front() {
             Some(next) => self.set_off(context, next),
-            None => Ok(Status::Success),
+            None => Ok(NodeStatus::Success),
         }
     }
 
-    fn fail(&mut self, cause: Cause) -> Result<Status, Cause> {
+    fn fail(&mut self, cause: Cause) -> Result<NodeStatus, Cause> {
         self.detour.clear();
         Err(cause)
     }
 }
 
 impl Leaf for NavigateToPose {
-    fn tick(&mut self, context: &mut LeafContext<'_, '_>) -> Result<Status, Cause> {
+    fn tick(&mut self, context: &mut LeafContext<'_, '_>) -> Result<NodeStatus, Cause> {
         if self.drive.is_some() {
             return self.follow(context);
         }
-        if !context.is_settled() {
-            return Ok(Status::Running);
+        if !context.cancels_complete() {
+            return Ok(NodeStatus::Running);
         }
         let place: PlaceId = context.read("place")?;
         if let Some(to) = context.read_optional::<PlaceId>("to")?
             && legs(&self.environment, context, &to).is_ok_and(|legs| legs.is_some_and(|legs| legs.is_empty()))
         {
-            return Ok(Status::Success); // it went round, and is there
+            return Ok(NodeStatus::Success); // it went round, and is there
         }
         self.set_off(context, place)
     }

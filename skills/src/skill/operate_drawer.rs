@@ -1,11 +1,14 @@
 //! `operate_drawer`: the robot's own drawer, opened or closed by parameter `action`.
 
-use super::{GoalLeaf, Shipped, TaskContext};
+use super::{GoalLeaf, StandardSkill, TaskContext};
 use crate::actions::Goal;
 use crate::bt::{PortSpec, PortType, Registry, RegistryError};
 
-pub(super) const SKILL: Shipped =
-    Shipped { task_type: "operate_drawer", xml: include_str!("../../trees/operate_drawer.xml"), leaves };
+pub(super) const SKILL: StandardSkill = StandardSkill {
+    task_type: "operate_drawer",
+    xml: include_str!("../../trees/operate_drawer.xml"),
+    register_leaves: leaves,
+};
 
 fn leaves(registry: &mut Registry<TaskContext>) -> Result<(), RegistryError> {
     let ports = [PortSpec::input("action", PortType::Text).one_of(&["open", "close"])];

@@ -1,11 +1,11 @@
 //! `pick_up`: what lies in the open drawer of the robot that holds the role in parameter `from_role`.
 
-use super::{GoalLeaf, Shipped, TaskContext};
+use super::{GoalLeaf, StandardSkill, TaskContext};
 use crate::actions::Goal;
 use crate::bt::{PortSpec, PortType, Registry, RegistryError};
 
-pub(super) const SKILL: Shipped =
-    Shipped { task_type: "pick_up", xml: include_str!("../../trees/pick_up.xml"), leaves };
+pub(super) const SKILL: StandardSkill =
+    StandardSkill { task_type: "pick_up", xml: include_str!("../../trees/pick_up.xml"), register_leaves: leaves };
 
 fn leaves(registry: &mut Registry<TaskContext>) -> Result<(), RegistryError> {
     let ports = [PortSpec::input("from", PortType::Robot)];

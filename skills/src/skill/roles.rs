@@ -1,23 +1,25 @@
 //! Who is meant: from the roles that a task names to robots and people.
 
 use super::TaskContext;
-use crate::bt::{Cause, Instant, LeafContext, Manifest, NodeKind, PortSpec, PortType, Registry, RegistryError, listed};
+use crate::bt::{
+    Cause, LeafContext, NodeKind, NodeManifest, PortSpec, PortType, Registry, RegistryError, SyncLeaf, join_names,
+};
 use consort_protocol::ids::{RobotId, RoleId};
 
-pub(super) fn leaves(registry: &mut Registry<TaskContext>) -> Result<(), RegistryError> {
+pub(super) fn register_leaves(registry: &mut Registry<TaskContext>) -> Result<(), RegistryError> {
     let ports = [PortSpec::input("role", PortType::Role), PortSpec::output("robot", PortType::Robot)];
-    registry.register(Manifest::new("FindHolder", NodeKind::Action, ports), |context: &TaskContext| {
+    registry.register(NodeManifest::new("FindHolder", NodeKind::Action, ports), |context: &TaskContext| {
         let context = context.clone();
-        Box::new(Instant(move |leaf: &mut LeafContext<'_, '_>| {
-            let robot = holder(&context, &leaf.read("role")?)?;
+        Box::new(SyncLeaf(move |leaf: &mut LeafContext<'_, '_>| {
+            let robot = role_holder(&context, &leaf.read("role")?)?;
             leaf.write("robot", robot)?;
             Ok(true)
         }))
     })?;
     let ports = [PortSpec::input("person_role", PortType::Role).optional(), PortSpec::output("role", PortType::Role)];
-    registry.register(Manifest::new("FindPerson", NodeKind::Action, ports), |context: &TaskContext| {
+    registry.register(NodeManifest::new("FindPerson", NodeKind::Action, ports), |context: &TaskContext| {
         let context = context.clone();
-        Box::new(Instant(move |leaf: &mut LeafContext<'_, '_>| {
+        Box::new(SyncLeaf(move |leaf: &mut LeafContext<'_, '_>| {
             let role = match leaf.read_optional("person_role")? {
                 Some(role) => role,
                 None => person(&context)?,
@@ -29,11 +31,11 @@ pub(super) fn leaves(registry: &mut Registry<TaskContext>) -> Result<(), Registr
 }
 
 /// The robot that holds a role.
-pub(super) fn holder(context: &TaskContext, role: &RoleId) -> Result<RobotId, Cause> {
+pub(super) fn role_holder(context: &TaskContext, role: &RoleId) -> Result<RobotId, Cause> {
     let holders = &context.skill.holders;
     holders.get(role).cloned().ok_or_else(|| {
         let held: Vec<String> = holders.iter().map(|(role, robot)| format!("{role} by {robot}")).collect();
-        Cause::new(format!("no robot holds role {role}; held are {}", listed(held.iter().map(String::as_str))))
+        Cause::new(format!("no robot holds role {role}; held are {}", join_names(held.iter().map(String::as_str))))
     })
 }
 

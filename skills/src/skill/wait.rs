@@ -1,10 +1,11 @@
 //! `wait`: stand still for the time in parameter `seconds`.
 
-use super::{GoalLeaf, Shipped, TaskContext};
+use super::{GoalLeaf, StandardSkill, TaskContext};
 use crate::actions::Goal;
 use crate::bt::{PortSpec, PortType, Registry, RegistryError};
 
-pub(super) const SKILL: Shipped = Shipped { task_type: "wait", xml: include_str!("../../trees/wait.xml"), leaves };
+pub(super) const SKILL: StandardSkill =
+    StandardSkill { task_type: "wait", xml: include_str!("../../trees/wait.xml"), register_leaves: leaves };
 
 fn leaves(registry: &mut Registry<TaskContext>) -> Result<(), RegistryError> {
     let ports = [PortSpec::input("seconds", PortType::Seconds)];

@@ -3,7 +3,7 @@
 use super::*;
 use consort_protocol::mission::Domain;
 use consort_skills::bt::xml::{read_xml, write_xml};
-use consort_skills::bt::{Cause, Leaf, LeafContext, Manifest, NodeKind, Status};
+use consort_skills::bt::{Cause, Leaf, LeafContext, NodeKind, NodeManifest, NodeStatus};
 use std::path::PathBuf;
 
 fn library() -> SkillLibrary {
@@ -101,12 +101,12 @@ struct Sing {
 }
 
 impl Leaf for Sing {
-    fn tick(&mut self, context: &mut LeafContext<'_, '_>) -> Result<Status, Cause> {
+    fn tick(&mut self, context: &mut LeafContext<'_, '_>) -> Result<NodeStatus, Cause> {
         self.verses -= 1;
         match self.verses {
-            0 => Ok(Status::Success),
+            0 => Ok(NodeStatus::Success),
             verses if verses < 0 => panic!("sang {} verses too many at {}", -verses, context.now().as_secs()),
-            _ => Ok(Status::Running),
+            _ => Ok(NodeStatus::Running),
         }
     }
 
@@ -115,7 +115,7 @@ impl Leaf for Sing {
 
 fn singing(verses: i64) -> SkillLibrary {
     let mut library = library();
-    let manifest = Manifest::new("Sing", NodeKind::Action, []);
+    let manifest = NodeManifest::new("Sing", NodeKind::Action, []);
     library.extend(|registry| registry.register(manifest, move |_| Box::new(Sing { verses }))).unwrap();
     let xml = r#"<root BTCPP_format="4"><BehaviorTree ID="serenade">
         <Sequence><FindPerson person_role="{to}" role="{role}"/><ApproachPerson role="{role}"/><Sing/></Sequence>
@@ -129,7 +129,7 @@ fn users_add_skills_of_their_own_leaves_and_ours() {
     let library = singing(2);
     assert!(library.task_types().any(|known| known.as_str() == "serenade"));
     let mut skill = library.load(&task("serenade", &[("to", "nurse")]), &context()).unwrap_or_else(|e| panic!("{e}"));
-    let mut body = ScriptedBody::at("A");
+    let mut body = ScriptedDriver::at("A");
     assert_eq!(run(&mut skill, &mut body), SkillStatus::Succeeded);
     assert_eq!(body.sent(), ["approach person nurse"]);
 }
@@ -138,7 +138,7 @@ fn users_add_skills_of_their_own_leaves_and_ours() {
 fn a_panic_in_a_users_leaf_unwinds_to_whoever_ticks() {
     let mut skill =
         singing(0).load(&task("serenade", &[("to", "nurse")]), &context()).unwrap_or_else(|e| panic!("{e}"));
-    let mut body = ScriptedBody::at("A");
+    let mut body = ScriptedDriver::at("A");
     assert_eq!(skill.tick(&mut body), SkillStatus::Running);
     body.end_goal();
     let caught = std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| skill.tick(&mut body)));

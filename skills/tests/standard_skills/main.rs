@@ -1,18 +1,18 @@
 //! The skills that come with the library, on a body that plays a written script.
 
-mod body;
-mod drives;
+mod follow_path;
+mod interactions;
 mod library;
-mod meetings;
-mod paths;
+mod navigation;
+mod scripted_driver;
 
-use body::ScriptedBody;
 use consort_protocol::ids::{PlaceId, RobotId, RoleId, TaskType};
 use consort_protocol::mission::TaskSpec;
 use consort_protocol::pose::Pose;
 use consort_skills::actions::{ActionError, ErrorCode, Goal};
 use consort_skills::environment::{Edge, Environment, Routes, TopologicalMap};
 use consort_skills::library::{ActiveSkill, SkillContext, SkillLibrary, SkillStatus};
+use scripted_driver::ScriptedDriver;
 
 fn place(name: &str) -> PlaceId {
     PlaceId::new(name).unwrap()
@@ -52,7 +52,7 @@ fn skill(task: &TaskSpec) -> ActiveSkill {
 }
 
 /// Ticks, and lets the body end what it does, until the skill ends.
-fn run(skill: &mut ActiveSkill, body: &mut ScriptedBody) -> SkillStatus {
+fn run(skill: &mut ActiveSkill, body: &mut ScriptedDriver) -> SkillStatus {
     for _ in 0..100 {
         match skill.tick(body) {
             SkillStatus::Running => body.end_goal(),

@@ -7,7 +7,7 @@ use std::process::ExitCode;
 use tokio::time::Instant;
 
 /// Why there is no figure.
-pub(crate) type Problem = String;
+pub(crate) type BenchError = String;
 
 /// Milliseconds from one instant to another.
 pub(crate) fn ms(from: Instant, to: Instant) -> f64 {
@@ -25,7 +25,7 @@ pub(crate) fn figures(mut all: Vec<f64>) -> Value {
 }
 
 /// Runs a benchmark and prints what it found, and how busy the machine was, as one line of JSON.
-pub(crate) fn main(name: &str, measure: impl Future<Output = Result<Value, Problem>>) -> ExitCode {
+pub(crate) fn main(name: &str, measure: impl Future<Output = Result<Value, BenchError>>) -> ExitCode {
     let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build().expect("the system gives threads");
     let found = runtime.block_on(measure);
     let load = std::fs::read_to_string("/proc/loadavg").unwrap_or_default();

@@ -4,7 +4,7 @@ mod figures;
 
 use consort_actors::bus::{Sample, SharedBus, Stream};
 use consort_nodes::config::{FleetConfig, FleetRef};
-use consort_nodes::demo::{Cast, Processes, Stage};
+use consort_nodes::demo::{DemoFleet, DemoScenario, ProcessFleet};
 use consort_protocol::event::Event;
 use consort_protocol::ids::MissionId;
 use consort_protocol::keys::{Key, Keys};
@@ -14,33 +14,33 @@ use std::path::Path;
 use std::time::Duration;
 use tokio::time::{Instant, sleep, timeout_at};
 
-pub(crate) use figures::{Problem, figures, main, ms};
+pub(crate) use figures::{BenchError, figures, main, ms};
 
 /// How long a fleet may take to start, and whatever else is certain to happen.
 const PATIENCE: Duration = Duration::from_secs(30);
 
 /// How long one look or one request may take.
-pub(crate) const LOOK: Duration = Duration::from_secs(2);
+pub(crate) const QUERY_TIMEOUT: Duration = Duration::from_secs(2);
 
 /// A fleet of processes and somebody who looks on, linked with the world's node, which nobody kills.
 pub(crate) struct Fleet {
-    pub(crate) stage: Processes,
+    pub(crate) stage: ProcessFleet,
     pub(crate) keys: Keys,
     events: Stream<Sample>,
 }
 
 impl Fleet {
     /// Starts it and waits until somebody coordinates with as many voters as there can be.
-    pub(crate) async fn start(cast: &Cast) -> Result<Fleet, Problem> {
+    pub(crate) async fn start(cast: &DemoScenario) -> Result<Fleet, BenchError> {
         let program = Path::new(env!("CARGO_BIN_EXE_consort"));
-        let stage = Processes::set(cast, program, None).await.map_err(|problem| problem.to_string())?;
+        let stage = ProcessFleet::start(cast, program, None).await.map_err(|problem| problem.to_string())?;
         let keys = Keys::new(&cast.fleet.name);
         let events = stage.bus().subscribe(&keys.any_events()).await.map_err(|problem| problem.to_string())?;
         let mut fleet = Fleet { stage, keys, events };
         let wanted = cast.voters().len().min(5);
         let deadline = Instant::now() + PATIENCE;
         while fleet.voters().await < wanted {
-            if let Some(words) = fleet.stage.trouble() {
+            if let Some(words) = fleet.stage.unexpected_exit() {
                 return Err(words);
             }
             if Instant::now() >= deadline {
@@ -53,7 +53,7 @@ impl Fleet {
 
     /// What the coordinator shows of itself.
     pub(crate) async fn coordinator(&self) -> Option<Value> {
-        ask(&self.stage.bus(), &self.keys.write(&Key::ViewCoordinator), &Value::Null, LOOK).await
+        ask(&self.stage.bus(), &self.keys.write(&Key::ViewCoordinator), &Value::Null, QUERY_TIMEOUT).await
     }
 
     async fn voters(&self) -> usize {
@@ -61,12 +61,12 @@ impl Fleet {
     }
 
     /// Waits for an event, and says when it was heard.
-    pub(crate) async fn hear<T>(
+    pub(crate) async fn wait_for_event<T>(
         &mut self,
         what: impl Display,
         limit: Duration,
         mut pick: impl FnMut(Event) -> Option<T>,
-    ) -> Result<(T, Instant), Problem> {
+    ) -> Result<(T, Instant), BenchError> {
         let deadline = Instant::now() + limit;
         loop {
             let sample = timeout_at(deadline, self.events.recv()).await;
@@ -82,12 +82,12 @@ impl Fleet {
 
     /// Ends it.
     pub(crate) async fn end(self) {
-        self.stage.strike().await;
+        self.stage.shut_down().await;
     }
 }
 
 /// The same cast in another fleet; all its nodes agree on it.
-pub(crate) fn in_fleet(mut cast: Cast, fleet: FleetConfig) -> Cast {
+pub(crate) fn in_fleet(mut cast: DemoScenario, fleet: FleetConfig) -> DemoScenario {
     let reference = FleetRef::from(fleet.clone());
     cast.fleet = fleet;
     cast.world.fleet = reference.clone();

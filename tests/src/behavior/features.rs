@@ -1,6 +1,6 @@
 //! Feature files: found, read, outlines expanded, and every step looked up before anything is played.
 
-use super::book::Book;
+use super::step_registry::StepRegistry;
 use cucumber::feature::Ext;
 use cucumber::gherkin::tagexpr::TagOperation;
 use cucumber::gherkin::{Feature, GherkinEnv, ParseFileError, Scenario, Step};
@@ -14,14 +14,14 @@ pub struct Features(pub(super) Vec<Feature>);
 
 /// Which scenarios are played.
 #[derive(Debug, Default)]
-pub struct Filter {
+pub struct ScenarioFilter {
     /// Those whose tags fit an expression: `@slow and not @nurse`.
     pub tags: Option<TagOperation>,
     /// Those whose names have this in them.
     pub name: Option<String>,
 }
 
-impl Filter {
+impl ScenarioFilter {
     /// Reads an expression over tags.
     ///
     /// # Errors
@@ -39,9 +39,9 @@ impl Filter {
 
 /// What is wrong with feature files, a problem each, with file and line.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Bad(pub Vec<String>);
+pub struct FeatureErrors(pub Vec<String>);
 
-impl fmt::Display for Bad {
+impl fmt::Display for FeatureErrors {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(&self.0.join("\n"))
     }
@@ -53,7 +53,7 @@ impl Features {
     /// # Errors
     /// [`Bad`] with all that is wrong: files that cannot be read or are no features, steps that nobody knows, and that there
     /// is nothing to be played.
-    pub fn read(paths: &[PathBuf], filter: &Filter) -> Result<Features, Bad> {
+    pub fn read(paths: &[PathBuf], filter: &ScenarioFilter) -> Result<Features, FeatureErrors> {
         let (mut files, mut bad, mut features) = (vec![], vec![], vec![]);
         for path in paths {
             if let Err(problem) = find(path, true, &mut files) {
@@ -74,7 +74,7 @@ impl Features {
             bad.push(format!("{}: there is no file ending with .feature", paths.join(", ")));
         }
         if !bad.is_empty() {
-            return Err(Bad(bad));
+            return Err(FeatureErrors(bad));
         }
         for feature in &mut features {
             let whole = feature.clone();
@@ -86,7 +86,7 @@ impl Features {
         }
         features.retain(|feature| feature.count_scenarios() > 0);
         if features.is_empty() {
-            return Err(Bad(vec!["no scenario has such a name and such tags".to_owned()]));
+            return Err(FeatureErrors(vec!["no scenario has such a name and such tags".to_owned()]));
         }
         Ok(Features(features))
     }
@@ -136,16 +136,16 @@ fn check(file: &Path, feature: &Feature) -> Vec<String> {
     let mut bad: Vec<(usize, String)> = vec![];
     for step in steps {
         let line = step.position.line;
-        if let Err(problem) = Book::open().read(step)
+        if let Err(problem) = StepRegistry::get().read(step)
             && bad.iter().all(|(known, _)| *known != line)
         {
-            bad.push((line, format!("{}:{line}: {}: {problem}", file.display(), said(step))));
+            bad.push((line, format!("{}:{line}: {}: {problem}", file.display(), step_text(step))));
         }
     }
     bad.into_iter().map(|(_, problem)| problem).collect()
 }
 
 /// A step as it stands in its file.
-pub(super) fn said(step: &Step) -> String {
+pub(super) fn step_text(step: &Step) -> String {
     format!("{} {}", step.keyword.trim(), step.value)
 }

@@ -16,23 +16,23 @@
 //! Every scenario has a thread and a paused runtime of its own, so nothing of one is left in another, and one seed gives one
 //! run whatever runs beside it. All times are those of the world in which robots and people live.
 
-mod book;
-mod cast;
-mod deeds;
-mod errands;
-mod facts;
+mod event_text;
 mod features;
-mod goals;
-mod phrase;
+mod fixture;
+mod fleet_actions;
+mod fleet_facts;
+mod goal_actions;
+mod mission_requests;
 mod report;
-mod robots;
+mod robot_facts;
 mod run;
-mod said;
+mod scenario_setup;
 mod settings;
-mod stage;
-mod story;
+mod step_arguments;
+mod step_pattern;
+mod step_registry;
 
-pub use book::{Listed, listed};
-pub use features::{Bad, Features, Filter};
-pub use report::Outcome;
-pub use run::{Order, run};
+pub use features::{FeatureErrors, Features, ScenarioFilter};
+pub use report::FeatureOutcome;
+pub use run::{RunOptions, run};
+pub use step_registry::{StepDoc, step_docs};

@@ -1,6 +1,6 @@
 //! What is said while features are played: a line for each scenario, and all of it where one fails.
 
-use super::features::said;
+use super::features::step_text;
 use cucumber::event::{Cucumber, Event, Feature, Hook, RetryableScenario, Rule, Scenario, Source, Step, StepError};
 use cucumber::gherkin;
 use cucumber::{Writer, cli, parser};
@@ -9,7 +9,7 @@ use std::time::{Duration, Instant};
 
 /// What came of all features.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
-pub struct Outcome {
+pub struct FeatureOutcome {
     /// Features played.
     pub features: usize,
     /// Scenarios that passed.
@@ -17,7 +17,7 @@ pub struct Outcome {
     /// Scenarios that did not, as `file:line: name`.
     pub failed: Vec<String>,
     /// Whether what was said could not be written.
-    pub unheard: bool,
+    pub write_failed: bool,
 }
 
 /// Writes as cucumber tells.
@@ -26,7 +26,7 @@ pub(super) struct Report<W> {
     steps: bool,
     colours: bool,
     began: Instant,
-    outcome: Outcome,
+    outcome: FeatureOutcome,
     /// The scenario under way: what was said of its steps, and why it failed.
     told: Vec<String>,
     failure: Option<String>,
@@ -34,17 +34,17 @@ pub(super) struct Report<W> {
 
 impl<W: Write> Report<W> {
     pub(super) fn new(out: W, steps: bool, colours: bool) -> Report<W> {
-        let (told, failure, outcome) = (vec![], None, Outcome::default());
+        let (told, failure, outcome) = (vec![], None, FeatureOutcome::default());
         Report { out, steps, colours, began: Instant::now(), outcome, told, failure }
     }
 
-    pub(super) fn outcome(&self) -> Outcome {
+    pub(super) fn outcome(&self) -> FeatureOutcome {
         self.outcome.clone()
     }
 
     fn line(&mut self, text: &str) {
         let written = writeln!(self.out, "{text}").and_then(|()| self.out.flush());
-        self.outcome.unheard |= written.is_err();
+        self.outcome.write_failed |= written.is_err();
     }
 
     fn painted(&self, colour: u8, text: &str) -> String {
@@ -67,7 +67,7 @@ impl<W: Write> Report<W> {
     }
 
     fn step<T>(&mut self, step: &gherkin::Step, event: Step<T>) {
-        let line = |mark: String| format!("    {mark} {}", said(step));
+        let line = |mark: String| format!("    {mark} {}", step_text(step));
         match event {
             Step::Started => {}
             Step::Passed(..) => {

@@ -1,10 +1,10 @@
 //! Plays features with cucumber: each scenario on a thread of its own, so that it has a runtime and its time for itself.
 
-use super::book::Book;
 use super::features::Features;
-use super::phrase::Wrong;
-use super::report::{Outcome, Report};
-use super::stage::Stage;
+use super::fixture::Fixture;
+use super::report::{FeatureOutcome, Report};
+use super::step_pattern::StepFailure;
+use super::step_registry::StepRegistry;
 use cucumber::event::ScenarioFinished;
 use cucumber::gherkin::{Feature, Step};
 use cucumber::step::{Collection, Context};
@@ -25,7 +25,7 @@ use std::thread;
 const STORY: usize = 40;
 
 /// How features are to be played.
-pub struct Order {
+pub struct RunOptions {
     /// Where the chance of scenarios comes from that name no seed of their own.
     pub seed: u64,
     /// How many scenarios are played at once.
@@ -37,7 +37,7 @@ pub struct Order {
 }
 
 /// Plays features and tells of them as they are played.
-pub fn run(features: Features, order: &Order, out: impl Write) -> Outcome {
+pub fn run(features: Features, order: &RunOptions, out: impl Write) -> FeatureOutcome {
     let steps = Collection::new();
     let any = || Regex::new(".*").expect("a sound pattern");
     let steps = steps.given(None, any(), perform).when(None, any(), perform).then(None, any(), perform);
@@ -106,17 +106,17 @@ fn play(folder: PathBuf, seed: u64, jobs: &mpsc::Receiver<Job>) {
     let runtime = builder.enable_time().start_paused(true).build().expect("a runtime without I/O");
     // Its clock is read between steps, too.
     let _entered = runtime.enter();
-    let mut stage = Stage::new(folder, seed);
+    let mut stage = Fixture::new(folder, seed);
     for Job(step, answer) in jobs {
         let Some(step) = step else {
             // Whoever is told that nothing came of it has nothing to say about that.
-            let _ = answer.send(stage.left_over().map_or(Ok(()), Err));
+            let _ = answer.send(stage.unfinished().map_or(Ok(()), Err));
             return;
         };
-        let meaning = Book::open().read(&step);
+        let meaning = StepRegistry::get().read(&step);
         let played = meaning.map(|meaning| {
             catch_unwind(AssertUnwindSafe(|| runtime.block_on(stage.perform(meaning)))).unwrap_or_else(|panic| {
-                Err(Wrong::Nonsense(format!("the program itself failed: {}", in_words(&*panic))))
+                Err(StepFailure::Invalid(format!("the program itself failed: {}", in_words(&*panic))))
             })
         });
         let went = match played {
@@ -130,15 +130,15 @@ fn play(folder: PathBuf, seed: u64, jobs: &mpsc::Receiver<Job>) {
     }
 }
 
-fn explain(step: &Step, wrong: &Wrong, stage: &Stage) -> String {
+fn explain(step: &Step, wrong: &StepFailure, stage: &Fixture) -> String {
     let (head, what) = match wrong {
-        Wrong::Instead(found) => ("found", found),
-        Wrong::Nonsense(why) => ("but", why),
+        StepFailure::NotMet(found) => ("found", found),
+        StepFailure::Invalid(why) => ("but", why),
     };
     let mut lines = vec![format!("expected: {}", step.value), format!("{head:>8}: {what}")];
-    let story = stage.story();
+    let story = stage.event_text();
     if !story.is_empty() {
-        lines.push(format!("what had happened by {:.1} s (seed {}):", stage.now_s(), stage.cast.seed));
+        lines.push(format!("what had happened by {:.1} s (seed {}):", stage.now_s(), stage.setup.seed));
         if story.len() > STORY {
             lines.push(format!("  … {} lines before", story.len() - STORY));
         }

@@ -1,16 +1,18 @@
 //! Settings: what there is before anything happens.
 
-use super::cast::{Cast, Floor, Part};
-use super::phrase::{Phrase, Setting, Wrong};
-use super::said::{Row, list, name};
-use crate::Member;
-use crate::fleet::nurse_of;
+use super::scenario_setup::{ScenarioMap, ScenarioRobot, ScenarioSetup};
+use super::step_arguments::{TableRow, name, split_list};
+use super::step_pattern::{SettingFn, StepFailure, StepPattern};
+use crate::RobotSpec;
+use crate::fleet::nurse_in;
 use consort_sim::kinematics::{
     AckermannSettings, AerialSettings, DifferentialSettings, Kinematics, OmnidirectionalSettings,
 };
 use consort_sim::map;
 use consort_sim::space::Sensor;
-use consort_sim::world::{Deed, DoorSetup, Moment, Mood, Object, Obstacle, Person};
+use consort_sim::world::{
+    DoorSetup, ObjectSetup, Obstacle, PersonAction, PersonSetup, PersonTrigger, SpontaneousAction,
+};
 
 /// What a table of robots may have.
 const ROBOT: [&str; 15] = [
@@ -32,12 +34,12 @@ const ROBOT: [&str; 15] = [
 ];
 
 /// All settings.
-pub(super) fn phrases() -> Vec<Phrase<Setting>> {
-    let says = |pattern, example, does: Setting| Phrase::new(pattern, example, does);
+pub(super) fn phrases() -> Vec<StepPattern<SettingFn>> {
+    let says = |pattern, example, does: SettingFn| StepPattern::new(pattern, example, does);
     vec![
         says("seed {number}", "seed 7", |cast, said| {
-            let seed = said.word(0).parse::<u64>();
-            cast.seed = seed.map_err(|_| Wrong::nonsense("a seed is a whole number, 0 or more"))?;
+            let seed = said.value(0).parse::<u64>();
+            cast.seed = seed.map_err(|_| StepFailure::invalid("a seed is a whole number, 0 or more"))?;
             Ok(())
         }),
         says(
@@ -46,42 +48,44 @@ pub(super) fn phrases() -> Vec<Phrase<Setting>> {
             |cast, said| {
                 let speed = said.number(0);
                 if !(0.1..=100.0).contains(&speed) {
-                    return Err(Wrong::nonsense("allowed are 0.1 to 100 times"));
+                    return Err(StepFailure::invalid("allowed are 0.1 to 100 times"));
                 }
                 cast.speed = speed;
                 Ok(())
             },
         ),
         says("the map {text}", r#"the map "hospital""#, |cast, said| {
-            let wanted = said.word(0);
+            let wanted = said.value(0);
             let read = if map::SHIPPED.contains(&wanted) {
-                map::shipped(wanted).map_err(Wrong::nonsense)?
+                map::shipped(wanted).map_err(StepFailure::invalid)?
             } else {
                 let file = cast.folder.join(wanted);
                 let text = std::fs::read_to_string(&file).map_err(|problem| {
                     let shipped = map::SHIPPED.join(", ");
-                    Wrong::Nonsense(format!(
+                    StepFailure::Invalid(format!(
                         "{}: {problem}; maps that come with the program: {shipped}",
                         file.display()
                     ))
                 })?;
-                map::read(&text, wanted).map_err(Wrong::nonsense)?
+                map::read(&text, wanted).map_err(StepFailure::invalid)?
             };
-            cast.floor = Floor::Map(Box::new(read));
+            cast.map = ScenarioMap::Map(Box::new(read));
             Ok(())
         }),
         says("this map:", "this map:", |cast, said| {
-            let text =
-                said.text.as_deref().ok_or_else(|| Wrong::nonsense("the map follows between lines of \"\"\""))?;
-            cast.floor = Floor::Map(Box::new(map::read(text, "map.yaml").map_err(Wrong::nonsense)?));
+            let text = said
+                .docstring
+                .as_deref()
+                .ok_or_else(|| StepFailure::invalid("the map follows between lines of \"\"\""))?;
+            cast.map = ScenarioMap::Map(Box::new(map::read(text, "map.yaml").map_err(StepFailure::invalid)?));
             Ok(())
         }),
         says("a room of {number} by {number} metres", "a room of 50 by 50 metres", |cast, said| {
-            cast.floor = Floor::Room { width_m: said.number(0), depth_m: said.number(1) };
+            cast.map = ScenarioMap::Room { width_m: said.number(0), depth_m: said.number(1) };
             Ok(())
         }),
         says("a robot {name} at {text}", r#"a robot amber at "Dock""#, |cast, said| {
-            cast.robots.push(Part::of(Member::carrier(said.word(0), said.word(1))));
+            cast.robots.push(ScenarioRobot::of(RobotSpec::carrier(said.value(0), said.value(1))));
             Ok(())
         }),
         says(
@@ -90,12 +94,13 @@ pub(super) fn phrases() -> Vec<Phrase<Setting>> {
             |cast, said| {
                 let skills = said.names(2);
                 let skills: Vec<&str> = skills.iter().map(String::as_str).collect();
-                cast.robots.push(Part::of(Member::carrier(said.word(0), said.word(1)).able(&skills)));
+                cast.robots
+                    .push(ScenarioRobot::of(RobotSpec::carrier(said.value(0), said.value(1)).with_skills(&skills)));
                 Ok(())
             },
         ),
         says("an arm {name} at {text}", r#"an arm lab-arm at "Laboratory""#, |cast, said| {
-            cast.robots.push(Part::of(Member::arm(said.word(0), said.word(1))));
+            cast.robots.push(ScenarioRobot::of(RobotSpec::arm(said.value(0), said.value(1))));
             Ok(())
         }),
         says("these robots:", "these robots:", |cast, said| {
@@ -109,19 +114,19 @@ pub(super) fn phrases() -> Vec<Phrase<Setting>> {
             Ok(())
         }),
         says("a nurse in {text}", r#"a nurse in "IC Room 6""#, |cast, said| {
-            name::<consort_protocol::ids::PlaceId>(said.word(0))?;
-            cast.people.push(nurse_of(said.word(0)));
+            name::<consort_protocol::ids::PlaceId>(said.value(0))?;
+            cast.people.push(nurse_in(said.value(0)));
             Ok(())
         }),
         says("these people:", "these people:", |cast, said| {
             for row in said.rows(&["name", "role", "place", "samples"])? {
-                cast.people.push(Person {
-                    name: row.must("name")?.into(),
+                cast.people.push(PersonSetup {
+                    name: row.required("name")?.into(),
                     role: name(row.cell("role").unwrap_or("nurse"))?,
-                    place: name(row.must("place")?)?,
+                    place: name(row.required("place")?)?,
                     samples: row
                         .cell("samples")
-                        .map(list)
+                        .map(split_list)
                         .unwrap_or_default()
                         .iter()
                         .map(|s| s.as_str().into())
@@ -135,8 +140,8 @@ pub(super) fn phrases() -> Vec<Phrase<Setting>> {
             "the nurse in {text} {deed} once {moment}",
             r#"the nurse in "IC Room 6" cancels once handing over"#,
             |cast, said| {
-                let mood = Mood::certainly(moment(said.word(2)), deed(said.word(1)));
-                cast.person_at(said.word(0))?.mood.push(mood);
+                let mood = SpontaneousAction::certain(moment(said.value(2)), person_action(said.value(1)));
+                cast.person_at(said.value(0))?.mood.push(mood);
                 Ok(())
             },
         ),
@@ -145,16 +150,19 @@ pub(super) fn phrases() -> Vec<Phrase<Setting>> {
             r#"the nurse in "IC Room 6" walks away once approached for 5 minutes"#,
             |cast, said| {
                 let back_after_s = Some(said.seconds(2));
-                let mood = Mood { back_after_s, ..Mood::certainly(moment(said.word(1)), Deed::WalksAway) };
-                cast.person_at(said.word(0))?.mood.push(mood);
+                let mood = SpontaneousAction {
+                    back_after_s,
+                    ..SpontaneousAction::certain(moment(said.value(1)), PersonAction::WalksAway)
+                };
+                cast.person_at(said.value(0))?.mood.push(mood);
                 Ok(())
             },
         ),
         says("these things:", "these things:", |cast, said| {
             for row in said.rows(&["name", "place", "weight", "distance"])? {
-                cast.objects.push(Object {
-                    name: row.must("name")?.into(),
-                    place: name(row.must("place")?)?,
+                cast.objects.push(ObjectSetup {
+                    name: row.required("name")?.into(),
+                    place: name(row.required("place")?)?,
                     weight_kg: row.number("weight")?.unwrap_or(0.1),
                     distance_m: row.number("distance")?.unwrap_or(0.0),
                 });
@@ -163,23 +171,23 @@ pub(super) fn phrases() -> Vec<Phrase<Setting>> {
         }),
         says("the door {text} lets in {number} at once", r#"the door "Gate" lets in 2 at once"#, |cast, said| {
             let capacity = said.number(1) as usize;
-            cast.doors.push(DoorSetup { capacity, ..DoorSetup::named(said.word(0).to_owned()) });
+            cast.doors.push(DoorSetup { capacity, ..DoorSetup::named(said.value(0).to_owned()) });
             Ok(())
         }),
         says(
             "the corridor between {text} and {text} is closed",
             r#"the corridor between "IC Corridor 3" and "IC Corridor 6" is closed"#,
-            |cast, said| closes(cast, said.word(0), said.word(1), 0.0, None),
+            |cast, said| closes(cast, said.value(0), said.value(1), 0.0, None),
         ),
         says(
             "the corridor between {text} and {text} closes after {time}",
             r#"the corridor between "IC Corridor 3" and "IC Corridor 6" closes after 30 s"#,
-            |cast, said| closes(cast, said.word(0), said.word(1), said.seconds(2), None),
+            |cast, said| closes(cast, said.value(0), said.value(1), said.seconds(2), None),
         ),
         says(
             "the corridor between {text} and {text} is closed from {time} to {time}",
             r#"the corridor between "IC Corridor 3" and "IC Corridor 6" is closed from 30 s to 5 min"#,
-            |cast, said| closes(cast, said.word(0), said.word(1), said.seconds(2), Some(said.seconds(3))),
+            |cast, said| closes(cast, said.value(0), said.value(1), said.seconds(2), Some(said.seconds(3))),
         ),
         says("steps of {time}", "steps of 50 ms", |cast, said| {
             cast.step_s = Some(said.seconds(0));
@@ -188,7 +196,7 @@ pub(super) fn phrases() -> Vec<Phrase<Setting>> {
     ]
 }
 
-fn closes(cast: &mut Cast, a: &str, b: &str, from_s: f64, until_s: Option<f64>) -> Result<(), Wrong> {
+fn closes(cast: &mut ScenarioSetup, a: &str, b: &str, from_s: f64, until_s: Option<f64>) -> Result<(), StepFailure> {
     let obstacle = Obstacle::between(&obstacle_name(a, b), name(a)?, name(b)?);
     cast.obstacles.push(Obstacle { from_s, until_s, ..obstacle });
     Ok(())
@@ -200,31 +208,31 @@ pub(super) fn obstacle_name(a: &str, b: &str) -> String {
     format!("barrier between {a} and {b}")
 }
 
-fn part(row: &Row) -> Result<Part, Wrong> {
-    let (robot, place) = (row.must("name")?, row.must("place")?);
-    let mut member = Member::carrier(robot, place);
+fn part(row: &TableRow) -> Result<ScenarioRobot, StepFailure> {
+    let (robot, place) = (row.required("name")?, row.required("place")?);
+    let mut member = RobotSpec::carrier(robot, place);
     if let Some(skills) = row.cell("skills") {
-        member.skills = if skills == "none" { vec![] } else { list(skills) };
+        member.skills = if skills == "none" { vec![] } else { split_list(skills) };
     }
     member.speed = row.number("speed")?.or(member.speed);
     let percent =
-        |column: &str| -> Result<Option<f64>, Wrong> { Ok(row.number(column)?.map(|percent| percent / 100.0)) };
+        |column: &str| -> Result<Option<f64>, StepFailure> { Ok(row.number(column)?.map(|percent| percent / 100.0)) };
     member.battery = percent("charge")?.unwrap_or(member.battery);
     member.discharge = percent("uses")?.unwrap_or(member.discharge);
     if let Some(really) = percent("really uses")? {
-        member.thirst = really / member.discharge;
+        member.discharge_factor = really / member.discharge;
     }
     member.clock_rate = row.number("clock")?.unwrap_or(member.clock_rate);
-    let mut part = Part::of(member);
+    let mut part = ScenarioRobot::of(member);
     let yes = |column: &str| match row.cell(column) {
         None => Ok(None),
         Some("yes") => Ok(Some(true)),
         Some("no") => Ok(Some(false)),
-        Some(other) => Err(Wrong::Nonsense(format!("{column}: {other:?} is neither yes nor no"))),
+        Some(other) => Err(StepFailure::Invalid(format!("{column}: {other:?} is neither yes nor no"))),
     };
     part.chassis = row.cell("chassis").map(chassis).transpose()?;
     (part.arm, part.drawer) = (yes("arm")?, yes("drawer")?);
-    (part.lifts_kg, part.reach_m) = (row.number("lifts")?, row.number("reach")?);
+    (part.payload_max_kg, part.reach_m) = (row.number("lifts")?, row.number("reach")?);
     part.charges_per_s = percent("charges")?;
     let sensors =
         row.cell("sensors").map(|cell| cell.split(',').map(|text| sensor(text.trim())).collect::<Result<Vec<_>, _>>());
@@ -232,7 +240,7 @@ fn part(row: &Row) -> Result<Part, Wrong> {
     Ok(part)
 }
 
-fn chassis(kind: &str) -> Result<Kinematics, Wrong> {
+fn chassis(kind: &str) -> Result<Kinematics, StepFailure> {
     Ok(match kind {
         "differential" => Kinematics::Differential(DifferentialSettings::default()),
         "omnidirectional" => Kinematics::Omnidirectional(OmnidirectionalSettings::default()),
@@ -240,16 +248,16 @@ fn chassis(kind: &str) -> Result<Kinematics, Wrong> {
         "aerial" => Kinematics::Aerial(AerialSettings::default()),
         other => {
             let known = "differential, omnidirectional, ackermann and aerial";
-            return Err(Wrong::Nonsense(format!("{other:?} is no chassis; there are {known}")));
+            return Err(StepFailure::Invalid(format!("{other:?} is no chassis; there are {known}")));
         }
     })
 }
 
 /// `range 10 m`, `camera 60 degrees 8 m`, `proximity 2 m`.
-fn sensor(text: &str) -> Result<Sensor, Wrong> {
+fn sensor(text: &str) -> Result<Sensor, StepFailure> {
     let words: Vec<&str> = text.split_whitespace().collect();
     let known = "`range 10 m`, `camera 60 degrees 8 m`, `proximity 2 m`";
-    let wrong = || Wrong::Nonsense(format!("{text:?} is no sensor; there are {known}"));
+    let wrong = || StepFailure::Invalid(format!("{text:?} is no sensor; there are {known}"));
     let number = |word: &str| word.parse::<f64>().map_err(|_| wrong());
     match words[..] {
         ["range", reach, "m"] => Ok(Sensor::Range { bearing_rad: 0.0, reach_m: number(reach)? }),
@@ -262,20 +270,20 @@ fn sensor(text: &str) -> Result<Sensor, Wrong> {
 }
 
 /// What a person does.
-pub(super) fn deed(text: &str) -> Deed {
+pub(super) fn person_action(text: &str) -> PersonAction {
     match text {
-        "cancels" => Deed::Cancels,
-        "declines" => Deed::Declines,
-        _ => Deed::WalksAway,
+        "cancels" => PersonAction::Cancels,
+        "declines" => PersonAction::Declines,
+        _ => PersonAction::WalksAway,
     }
 }
 
-fn moment(text: &str) -> Moment {
+fn moment(text: &str) -> PersonTrigger {
     match text {
-        "waiting" => Moment::Waiting,
-        "approached" => Moment::Approached,
-        "authenticated" => Moment::Authenticated,
-        "handing over" => Moment::HandingOver,
-        _ => Moment::HandedOver,
+        "waiting" => PersonTrigger::Waiting,
+        "approached" => PersonTrigger::Approached,
+        "authenticated" => PersonTrigger::Authenticated,
+        "handing over" => PersonTrigger::HandingOver,
+        _ => PersonTrigger::HandedOver,
     }
 }

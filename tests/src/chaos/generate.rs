@@ -1,7 +1,7 @@
 //! Schedules drawn from a seed.
 
-use super::cast::{ARM, Cast, MISSIONS, ROOMS, WORLD};
-use super::schedule::{Act, Fate, Kind, Mishap, Schedule, Step};
+use super::chaos_fleet::{ARM, ChaosFleet, MISSIONS, ROOMS, WORLD};
+use super::schedule::{ChaosAction, DiskAfterCrash, FaultKind, Schedule, ScheduledAction, SkillFault};
 use rand::seq::{IndexedMutRandom, IndexedRandom, SliceRandom};
 use rand::{RngExt, SeedableRng};
 use rand_chacha::ChaCha8Rng;
@@ -18,7 +18,7 @@ const FIRST_MS: u64 = 4_000;
 const AWAY_MS: Range<u64> = 15_000..30_000;
 
 /// A schedule with faults of these kinds, for a fleet that runs so long.
-pub fn generate(seed: u64, cast: &Cast, minutes: f64, kinds: &[Kind]) -> Schedule {
+pub fn generate(seed: u64, cast: &ChaosFleet, minutes: f64, kinds: &[FaultKind]) -> Schedule {
     let chance = ChaCha8Rng::seed_from_u64(seed ^ 0x5eed_0fc4_a05f);
     let end_ms = u64::try_from(Duration::from_secs_f64(minutes * 60.0 * LIFTED).as_millis()).unwrap_or(u64::MAX);
     let mut draw =
@@ -36,7 +36,7 @@ pub fn generate(seed: u64, cast: &Cast, minutes: f64, kinds: &[Kind]) -> Schedul
     // From a chance of its own, so that whatever is drawn beyond does not change the times and faults above.
     draw.chance = ChaCha8Rng::seed_from_u64(seed ^ 0xa5_4ed0_0d1f);
     draw.vary();
-    if kinds.contains(&Kind::Partition) {
+    if kinds.contains(&FaultKind::Partition) {
         draw.lose_at_work();
     }
     Schedule { steps: draw.steps }.in_order()
@@ -44,9 +44,9 @@ pub fn generate(seed: u64, cast: &Cast, minutes: f64, kinds: &[Kind]) -> Schedul
 
 struct Draw<'a> {
     chance: ChaCha8Rng,
-    cast: &'a Cast,
+    cast: &'a ChaosFleet,
     end_ms: u64,
-    steps: Vec<Step>,
+    steps: Vec<ScheduledAction>,
     /// Nodes whose disk is lost.
     wiped: Vec<&'static str>,
     /// Robots whose battery runs down.
@@ -64,11 +64,11 @@ impl Draw<'_> {
             let priority = *[0, 0, 0, 10, -10].choose(&mut self.chance).expect("five");
             let (request_name, mission) = (request.clone(), MISSIONS[0].to_owned());
             let (room, unnamed, deadline_s) = ((*room).to_owned(), false, None);
-            let act = Act::Submit { request: request_name, unnamed, mission, room, priority, deadline_s };
-            self.steps.push(Step { at_ms, act });
+            let act = ChaosAction::Submit { request: request_name, unnamed, mission, room, priority, deadline_s };
+            self.steps.push(ScheduledAction { at_ms, action: act });
             if self.chance.random_bool(0.1) {
                 let at_ms = self.chance.random_range(at_ms..self.end_ms);
-                self.steps.push(Step { at_ms, act: Act::Cancel { request } });
+                self.steps.push(ScheduledAction { at_ms, action: ChaosAction::Cancel { request } });
             }
         }
     }
@@ -77,7 +77,7 @@ impl Draw<'_> {
     fn vary(&mut self) {
         let chance = &mut self.chance;
         for step in &mut self.steps {
-            if let Act::Submit { unnamed, mission, deadline_s, .. } = &mut step.act {
+            if let ChaosAction::Submit { unnamed, mission, deadline_s, .. } = &mut step.action {
                 *unnamed = chance.random_bool(0.15);
                 *mission = MISSIONS[usize::from(chance.random_bool(0.4))].to_owned();
                 // Some pass while the mission waits, some while it is under way, most never.
@@ -89,7 +89,7 @@ impl Draw<'_> {
     /// As often as not a carrier is away with its body right after something was asked for, which it may have been given to do,
     /// for long enough that another one is given it. Else few seeds have a role that passes from one to another.
     fn lose_at_work(&mut self) {
-        let asked = self.steps.iter().filter(|step| step.act.submits().is_some()).map(|step| step.at_ms);
+        let asked = self.steps.iter().filter(|step| step.action.submitted_request().is_some()).map(|step| step.at_ms);
         let latest = self.end_ms.saturating_sub(AWAY_MS.end);
         let asked: Vec<u64> = asked.filter(|at_ms| (FIRST_MS..latest).contains(at_ms)).collect();
         if self.chance.random_bool(0.5)
@@ -99,14 +99,14 @@ impl Draw<'_> {
             let for_ms = self.chance.random_range(AWAY_MS).min(self.end_ms - at_ms);
             let nodes = self.cast.nodes().into_iter().map(str::to_owned).collect();
             let groups = self.stray(nodes);
-            self.steps.push(Step { at_ms, act: Act::Partition { groups, for_ms } });
+            self.steps.push(ScheduledAction { at_ms, action: ChaosAction::Partition { groups, for_ms } });
         }
     }
 
-    fn fault(&mut self, kind: Kind) {
+    fn fault(&mut self, kind: FaultKind) {
         let at_ms = self.chance.random_range(FIRST_MS..self.end_ms - 1_000);
         let Some(act) = self.act(kind, at_ms) else { return };
-        self.steps.push(Step { at_ms, act });
+        self.steps.push(ScheduledAction { at_ms, action: act });
     }
 
     /// A node; the host of the world less often than others.
@@ -131,31 +131,31 @@ impl Draw<'_> {
         self.chance.random_range(100..=longest).min(self.end_ms.saturating_sub(at_ms)).max(50)
     }
 
-    fn act(&mut self, kind: Kind, at_ms: u64) -> Option<Act> {
+    fn act(&mut self, kind: FaultKind, at_ms: u64) -> Option<ChaosAction> {
         let for_ms = self.lasting(at_ms, 40_000);
         Some(match kind {
-            Kind::None => return None,
-            Kind::Crash => Act::Crash { node: self.node(), disk: Fate::Kept, for_ms },
-            Kind::CrashTorn => {
+            FaultKind::None => return None,
+            FaultKind::Crash => ChaosAction::Crash { node: self.node(), disk: DiskAfterCrash::Kept, for_ms },
+            FaultKind::CrashTorn => {
                 let node = self.node();
                 self.tire(&node, at_ms);
-                Act::Crash { node, disk: Fate::Torn, for_ms }
+                ChaosAction::Crash { node, disk: DiskAfterCrash::Torn, for_ms }
             }
-            Kind::CrashEmpty => return self.wipe(for_ms),
-            Kind::CoordinatorCrash => {
-                let disk = if self.chance.random_bool(0.5) { Fate::Kept } else { Fate::Torn };
-                Act::Crash { node: "coordinator".to_owned(), disk, for_ms }
+            FaultKind::CrashEmpty => return self.wipe(for_ms),
+            FaultKind::CoordinatorCrash => {
+                let disk = if self.chance.random_bool(0.5) { DiskAfterCrash::Kept } else { DiskAfterCrash::Torn };
+                ChaosAction::Crash { node: "coordinator".to_owned(), disk, for_ms }
             }
-            Kind::Blackout => {
+            FaultKind::Blackout => {
                 for voter in self.cast.voters() {
                     self.tire(voter, at_ms);
                 }
                 self.ask_just_before(at_ms);
-                Act::Blackout { disk: Fate::Torn, for_ms: for_ms.min(10_000) }
+                ChaosAction::Blackout { disk: DiskAfterCrash::Torn, for_ms: for_ms.min(10_000) }
             }
-            Kind::Pause => Act::Pause { node: self.node(), for_ms: for_ms.min(20_000) },
-            Kind::Partition => Act::Partition { groups: self.groups(), for_ms },
-            Kind::OneWayCut => {
+            FaultKind::Pause => ChaosAction::Pause { node: self.node(), for_ms: for_ms.min(20_000) },
+            FaultKind::Partition => ChaosAction::Partition { groups: self.groups(), for_ms },
+            FaultKind::OneWayCut => {
                 let (mut from, mut to) = (self.node(), self.node());
                 match self.chance.random_range(0..4) {
                     0 => from = "*".to_owned(),
@@ -163,23 +163,25 @@ impl Draw<'_> {
                     _ if from == to => to = "*".to_owned(),
                     _ => {}
                 }
-                Act::Cut { from, to, for_ms }
+                ChaosAction::Cut { from, to, for_ms }
             }
-            Kind::Loss => self.weather(for_ms, |chance, weather| weather.0 = Self::share(chance, 1, 40)),
-            Kind::Duplication => self.weather(for_ms, |chance, weather| weather.1 = Self::share(chance, 5, 80)),
-            Kind::Reordering => self.weather(for_ms, |chance, weather| {
+            FaultKind::Loss => self.weather(for_ms, |chance, weather| weather.0 = Self::share(chance, 1, 40)),
+            FaultKind::Duplication => self.weather(for_ms, |chance, weather| weather.1 = Self::share(chance, 5, 80)),
+            FaultKind::Reordering => self.weather(for_ms, |chance, weather| {
                 weather.2 = Self::share(chance, 5, 80);
                 weather.3 = 20;
             }),
-            Kind::Delay => self.weather(for_ms, |chance, weather| weather.3 = chance.random_range(10..400)),
-            Kind::SlowDisk => Act::SlowDisk { node: self.voter(), write_ms: self.chance.random_range(10..500), for_ms },
-            Kind::Drift => {
+            FaultKind::Delay => self.weather(for_ms, |chance, weather| weather.3 = chance.random_range(10..400)),
+            FaultKind::SlowDisk => {
+                ChaosAction::SlowDisk { node: self.voter(), write_ms: self.chance.random_range(10..500), for_ms }
+            }
+            FaultKind::Drift => {
                 let rate = 1.0 + f64::from(self.chance.random_range(-DRIFT_MAX..=DRIFT_MAX)) / 1000.0;
                 let node = self.node();
-                self.steps.push(Step { at_ms: 0, act: Act::Drift { node, rate } });
+                self.steps.push(ScheduledAction { at_ms: 0, action: ChaosAction::Drift { node, rate } });
                 return None;
             }
-            Kind::Battery => {
+            FaultKind::Battery => {
                 let left: Vec<_> = self.cast.carriers.iter().filter(|robot| !self.flat.contains(robot)).collect();
                 // Somebody must be able to carry on.
                 if left.len() < 2 {
@@ -187,13 +189,15 @@ impl Draw<'_> {
                 }
                 let robot = **left.choose(&mut self.chance).expect("two at least");
                 self.flat.push(robot);
-                Act::Battery { robot: robot.to_owned() }
+                ChaosAction::Battery { robot: robot.to_owned() }
             }
-            Kind::Skill => {
+            FaultKind::Skill => {
                 let robots: Vec<_> = self.cast.carriers.iter().copied().chain([ARM]).collect();
                 let robot = (*robots.choose(&mut self.chance).expect("the arm is one")).to_owned();
-                let how = *[Mishap::Fails, Mishap::Panics, Mishap::Hangs].choose(&mut self.chance).expect("three");
-                Act::Skill { robot, how, times: self.chance.random_range(1..=3) }
+                let how = *[SkillFault::Fails, SkillFault::Panics, SkillFault::Hangs]
+                    .choose(&mut self.chance)
+                    .expect("three");
+                ChaosAction::Skill { robot, how, times: self.chance.random_range(1..=3) }
             }
         })
     }
@@ -203,8 +207,9 @@ impl Draw<'_> {
         if node != WORLD && self.chance.random_bool(0.6) {
             let begins = at_ms.saturating_sub(self.chance.random_range(500..6_000)).max(FIRST_MS);
             let write_ms = self.chance.random_range(20..300);
-            let act = Act::SlowDisk { node: node.to_owned(), write_ms, for_ms: at_ms.saturating_sub(begins) + 100 };
-            self.steps.push(Step { at_ms: begins, act });
+            let act =
+                ChaosAction::SlowDisk { node: node.to_owned(), write_ms, for_ms: at_ms.saturating_sub(begins) + 100 };
+            self.steps.push(ScheduledAction { at_ms: begins, action: act });
         }
     }
 
@@ -214,21 +219,22 @@ impl Draw<'_> {
             return;
         }
         let before = self.chance.random_range(30..400);
-        let mut requests: Vec<&mut Step> = self.steps.iter_mut().filter(|s| s.act.submits().is_some()).collect();
+        let mut requests: Vec<&mut ScheduledAction> =
+            self.steps.iter_mut().filter(|s| s.action.submitted_request().is_some()).collect();
         if let Some(request) = requests.choose_mut(&mut self.chance) {
             request.at_ms = at_ms - before;
         }
     }
 
     /// A disk is lost, unless too few would be left for a majority of the voters.
-    fn wipe(&mut self, for_ms: u64) -> Option<Act> {
+    fn wipe(&mut self, for_ms: u64) -> Option<ChaosAction> {
         let voters = self.cast.voters();
         let node = *voters.choose(&mut self.chance).expect("a fleet has voters");
         if self.wiped.contains(&node) || (self.wiped.len() + 1) * 2 >= voters.len() {
             return None;
         }
         self.wiped.push(node);
-        Some(Act::Crash { node: node.to_owned(), disk: Fate::Empty, for_ms })
+        Some(ChaosAction::Crash { node: node.to_owned(), disk: DiskAfterCrash::Empty, for_ms })
     }
 
     fn groups(&mut self) -> Vec<Vec<String>> {
@@ -262,11 +268,11 @@ impl Draw<'_> {
         f64::from(chance.random_range(least..=most)) / 100.0
     }
 
-    fn weather(&mut self, for_ms: u64, set: impl FnOnce(&mut ChaCha8Rng, &mut (f64, f64, f64, u64))) -> Act {
+    fn weather(&mut self, for_ms: u64, set: impl FnOnce(&mut ChaCha8Rng, &mut (f64, f64, f64, u64))) -> ChaosAction {
         let mut weather = (0.0, 0.0, 0.0, 3);
         set(&mut self.chance, &mut weather);
         let (loss, duplication, reordering, delay_ms) = weather;
-        Act::Weather { loss, duplication, reordering, delay_ms, for_ms }
+        ChaosAction::Weather { loss, duplication, reordering, delay_ms, for_ms }
     }
 }
 
@@ -279,12 +285,12 @@ mod tests {
 
     #[test]
     fn equal_seeds_give_equal_schedules_and_every_fault_is_over_in_time() {
-        let cast = Cast::of(7);
+        let cast = ChaosFleet::of(7);
         for seed in 0..200 {
-            let schedule = generate(seed, &cast, 5.0, &Kind::FAULTS);
-            assert_eq!(schedule, generate(seed, &cast, 5.0, &Kind::FAULTS));
+            let schedule = generate(seed, &cast, 5.0, &FaultKind::FAULTS);
+            assert_eq!(schedule, generate(seed, &cast, 5.0, &FaultKind::FAULTS));
             for step in &schedule.steps {
-                let over = step.at_ms + step.act.for_ms().unwrap_or(0);
+                let over = step.at_ms + step.action.for_ms().unwrap_or(0);
                 assert!(over <= 210_050, "seed {seed}: {step}");
             }
         }
@@ -292,11 +298,11 @@ mod tests {
 
     #[test]
     fn requests_are_of_all_kinds_and_most_have_a_name_and_no_deadline() {
-        let cast = Cast::of(7);
-        let steps = (0..200).flat_map(|seed| generate(seed, &cast, 5.0, &Kind::FAULTS).steps);
+        let cast = ChaosFleet::of(7);
+        let steps = (0..200).flat_map(|seed| generate(seed, &cast, 5.0, &FaultKind::FAULTS).steps);
         let mut counts = [0; 5];
         for step in steps {
-            if let Act::Submit { unnamed, mission, priority, deadline_s, .. } = step.act {
+            if let ChaosAction::Submit { unnamed, mission, priority, deadline_s, .. } = step.action {
                 let kinds = [true, unnamed, mission == MISSIONS[1], priority != 0, deadline_s.is_some()];
                 counts.iter_mut().zip(kinds).for_each(|(count, is)| *count += u32::from(is));
             }
@@ -307,9 +313,9 @@ mod tests {
 
     #[test]
     fn a_schedule_is_the_same_after_it_was_written_and_read() {
-        let cast = Cast::of(7);
+        let cast = ChaosFleet::of(7);
         for seed in 0..50 {
-            let schedule = generate(seed, &cast, 5.0, &Kind::FAULTS);
+            let schedule = generate(seed, &cast, 5.0, &FaultKind::FAULTS);
             let text = serde_json::to_string(&schedule).expect("plain data");
             assert_eq!(serde_json::from_str::<Schedule>(&text).expect("what was written"), schedule);
         }
@@ -317,11 +323,12 @@ mod tests {
 
     #[test]
     fn a_majority_of_the_voters_keeps_its_disks_and_a_carrier_its_charge() {
-        let cast = Cast::of(7);
+        let cast = ChaosFleet::of(7);
         for seed in 0..500 {
-            let steps = generate(seed, &cast, 5.0, &[Kind::CrashEmpty, Kind::Battery]).steps;
-            let lost = |step: &&Step| matches!(step.act, Act::Crash { disk: Fate::Empty, .. });
-            let flat = |step: &&Step| matches!(step.act, Act::Battery { .. });
+            let steps = generate(seed, &cast, 5.0, &[FaultKind::CrashEmpty, FaultKind::Battery]).steps;
+            let lost =
+                |step: &&ScheduledAction| matches!(step.action, ChaosAction::Crash { disk: DiskAfterCrash::Empty, .. });
+            let flat = |step: &&ScheduledAction| matches!(step.action, ChaosAction::Battery { .. });
             assert!(steps.iter().filter(lost).count() <= 2, "seed {seed}");
             assert!(steps.iter().filter(flat).count() <= 2, "seed {seed}");
         }

@@ -10,22 +10,22 @@
 //! writes and never hand back other bytes than were written, and the bus is not Zenoh. Real processes, real files and real
 //! hosts are tried elsewhere.
 
-pub mod cast;
-mod gear;
+pub mod chaos_fleet;
+mod executor;
+mod fault_injector;
 pub mod generate;
 pub mod invariants;
-pub mod many;
 pub mod mutants;
-mod perform;
 pub mod run;
+pub mod run_counters;
 pub mod schedule;
 pub mod scoreboard;
+pub mod seed_sweep;
 pub mod shrink;
-pub mod tally;
 
-pub use cast::Cast;
+pub use chaos_fleet::ChaosFleet;
 pub use generate::generate;
-pub use many::Many;
-pub use run::{Order, Outcome, Violation, run};
-pub use schedule::{Act, Kind, Schedule, Step};
+pub use run::{RunConfig, RunOutcome, Violation, run};
+pub use schedule::{ChaosAction, FaultKind, Schedule, ScheduledAction};
+pub use seed_sweep::SeedSweep;
 pub use shrink::shrink;

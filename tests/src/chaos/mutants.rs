@@ -1,20 +1,20 @@
 //! Whether chaos finds what it should: deliberate mistakes, one at a time, under the same generated faults as ever.
 
-use super::cast::Cast;
+use super::chaos_fleet::ChaosFleet;
 use super::generate::generate;
-use super::many::Many;
-use super::run::Order;
-use super::schedule::Kind;
-use consort_protocol::mutants::{self, Mutant, NotBuilt};
+use super::run::RunConfig;
+use super::schedule::FaultKind;
+use super::seed_sweep::SeedSweep;
+use consort_protocol::mutants::{self, Mutant, MutantsNotBuilt};
 use serde::Serialize;
 
 /// How a mistake is looked for.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Hunt {
+pub struct MutantCheck {
     /// Which.
     pub mutant: Mutant,
     /// Within how many seeds, from 1 on, it must be found.
-    pub within: u64,
+    pub seeds_max: u64,
 }
 
 /// Simulated minutes of each run of a hunt.
@@ -25,25 +25,25 @@ pub const NODES: usize = 7;
 
 /// All mistakes, each with the number of seeds within which it must be found: about three times what was
 /// measured. The one at 90 takes a client whose acknowledgement is lost and which asks again under the same name.
-pub const HUNTS: [Hunt; Mutant::ALL.len()] = [
-    Hunt { mutant: Mutant::SkipFsync, within: 20 },
-    Hunt { mutant: Mutant::DoubleVote, within: 20 },
-    Hunt { mutant: Mutant::DeafLeader, within: 3 },
-    Hunt { mutant: Mutant::IgnoreEpoch, within: 30 },
-    Hunt { mutant: Mutant::LeaseNotChecked, within: 30 },
-    Hunt { mutant: Mutant::EarlyRelease, within: 30 },
-    Hunt { mutant: Mutant::RefusedApplied, within: 30 },
-    Hunt { mutant: Mutant::UncommittedReport, within: 3 },
-    Hunt { mutant: Mutant::RequestForgotten, within: 90 },
-    Hunt { mutant: Mutant::LostRelay, within: 3 },
-    Hunt { mutant: Mutant::WaitSkipped, within: 3 },
-    Hunt { mutant: Mutant::GuardSkipped, within: 3 },
-    Hunt { mutant: Mutant::TwoRemoved, within: 6 },
+pub const MUTANT_CHECKS: [MutantCheck; Mutant::ALL.len()] = [
+    MutantCheck { mutant: Mutant::SkipFsync, seeds_max: 20 },
+    MutantCheck { mutant: Mutant::DoubleVote, seeds_max: 20 },
+    MutantCheck { mutant: Mutant::NoCheckQuorum, seeds_max: 3 },
+    MutantCheck { mutant: Mutant::IgnoreEpoch, seeds_max: 30 },
+    MutantCheck { mutant: Mutant::LeaseNotChecked, seeds_max: 30 },
+    MutantCheck { mutant: Mutant::EarlyRelease, seeds_max: 30 },
+    MutantCheck { mutant: Mutant::RefusedApplied, seeds_max: 30 },
+    MutantCheck { mutant: Mutant::UncommittedReport, seeds_max: 3 },
+    MutantCheck { mutant: Mutant::RequestForgotten, seeds_max: 90 },
+    MutantCheck { mutant: Mutant::LostRelay, seeds_max: 3 },
+    MutantCheck { mutant: Mutant::WaitSkipped, seeds_max: 3 },
+    MutantCheck { mutant: Mutant::GuardSkipped, seeds_max: 3 },
+    MutantCheck { mutant: Mutant::TwoRemoved, seeds_max: 6 },
 ];
 
 /// What came of a hunt.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
-pub struct Hunted {
+pub struct MutantResult {
     /// The mistake.
     pub mutant: &'static str,
     /// Within how many seeds it must be found.
@@ -61,32 +61,36 @@ pub struct Hunted {
 ///
 /// # Errors
 /// [`NotBuilt`]; nothing was run.
-pub fn hunt(hunt: Hunt, jobs: usize, mut each: impl FnMut()) -> Result<Hunted, NotBuilt> {
-    mutants::choose(Some(hunt.mutant))?;
-    mutants::choose(None)?;
-    let cast = Cast::of(NODES);
+pub fn check_mutant(hunt: MutantCheck, jobs: usize, mut each: impl FnMut()) -> Result<MutantResult, MutantsNotBuilt> {
+    mutants::activate(Some(hunt.mutant))?;
+    mutants::activate(None)?;
+    let cast = ChaosFleet::of(NODES);
     let order = |seed| {
-        (Order { seed, nodes: NODES, minutes: MINUTES, closed: false }, generate(seed, &cast, MINUTES, &Kind::FAULTS))
+        (
+            RunConfig { seed, nodes: NODES, minutes: MINUTES, closed: false },
+            generate(seed, &cast, MINUTES, &FaultKind::FAULTS),
+        )
     };
-    let choose = |mutant| mutants::choose(mutant).expect("it could be chosen a moment ago");
+    let choose = |mutant| mutants::activate(mutant).expect("it could be chosen a moment ago");
     let mut first = 1;
     let found = loop {
-        let mistaken = Many { seeds: first..=hunt.within, jobs, order: &order, prepare: &|| choose(Some(hunt.mutant)) };
+        let mistaken =
+            SeedSweep { seeds: first..=hunt.seeds_max, jobs, config: &order, prepare: &|| choose(Some(hunt.mutant)) };
         let Some(found) = mistaken.run(|_| each()) else { break None };
         let seeds = found.seed..=found.seed;
-        let sound = Many { seeds, jobs: 1, order: &order, prepare: &|| choose(None) }.run(|_| each()).is_none();
+        let sound = SeedSweep { seeds, jobs: 1, config: &order, prepare: &|| choose(None) }.run(|_| each()).is_none();
         if sound {
             break Some(found);
         }
         first = found.seed + 1;
-        if first > hunt.within {
+        if first > hunt.seeds_max {
             break None;
         }
     };
     let violation = found.as_ref().and_then(|outcome| outcome.violation.clone());
-    Ok(Hunted {
+    Ok(MutantResult {
         mutant: hunt.mutant.name(),
-        within: hunt.within,
+        within: hunt.seeds_max,
         seeds: found.map(|outcome| outcome.seed),
         invariant: violation.as_ref().map(|violation| violation.invariant.clone()),
         why: violation.map(|violation| violation.why),

@@ -5,14 +5,14 @@
 //!  ─────────┴──────── invariants at every step ───────────────┴─────── liveness ─────────────┴──────────── relay ───────────▶
 //! ```
 
-use super::cast::{Cast, ROOMS};
-use super::gear::Gear;
+use super::chaos_fleet::{ChaosFleet, ROOMS};
+use super::executor::ActionExecutor;
+use super::fault_injector::FaultInjector;
 use super::generate::LIFTED;
 use super::invariants::{self, Invariant};
-use super::perform::Hand;
-use super::schedule::{Fate, Schedule};
-use super::tally::Tally;
-use crate::{Entry, Fleet, slug};
+use super::run_counters::RunCounters;
+use super::schedule::{DiskAfterCrash, Schedule};
+use crate::{Fleet, Observation, slug};
 use consort_protocol::ids::{MissionId, NodeId};
 use consort_sim::world::World;
 use serde::Serialize;
@@ -37,7 +37,7 @@ const RELAYED_WITHIN: Duration = Duration::from_secs(30);
 
 /// What is to be run.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Order {
+pub struct RunConfig {
     /// Where all chance comes from.
     pub seed: u64,
     /// Nodes of the fleet, the host of the world not counted.
@@ -50,13 +50,13 @@ pub struct Order {
 
 /// What came of a run.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct Outcome {
+pub struct RunOutcome {
     /// Its seed.
     pub seed: u64,
     /// What did not hold, if anything.
     pub violation: Option<Violation>,
     /// What was counted.
-    pub tally: Tally,
+    pub tally: RunCounters,
     /// A digest of all that happened and every message: equal runs have equal ones.
     pub digest: String,
 }
@@ -75,14 +75,14 @@ pub struct Violation {
 }
 
 /// Carries an order out. It takes a thread for itself: one paused runtime, nothing of which is left afterwards.
-pub fn run(order: &Order, schedule: &Schedule) -> Outcome {
+pub fn run(order: &RunConfig, schedule: &Schedule) -> RunOutcome {
     let mut builder = tokio::runtime::Builder::new_current_thread();
     let runtime = builder.enable_time().start_paused(true).build().expect("a runtime without I/O");
     let played = catch_unwind(AssertUnwindSafe(|| runtime.block_on(play(order, schedule))));
-    played.unwrap_or_else(|panic| Outcome {
+    played.unwrap_or_else(|panic| RunOutcome {
         seed: order.seed,
         violation: Some(Violation { invariant: "panic".to_owned(), at_ms: 0, why: in_words(&*panic), tale: vec![] }),
-        tally: Tally::default(),
+        tally: RunCounters::default(),
         digest: String::new(),
     })
 }
@@ -92,41 +92,41 @@ fn in_words(panic: &(dyn Any + Send)) -> String {
     text.unwrap_or("a panic without words").to_owned()
 }
 
-async fn play(order: &Order, schedule: &Schedule) -> Outcome {
-    let cast = Cast::of(order.nodes);
-    let gear = Gear::new(order.seed, &cast, schedule);
+async fn play(order: &RunConfig, schedule: &Schedule) -> RunOutcome {
+    let cast = ChaosFleet::of(order.nodes);
+    let gear = FaultInjector::new(order.seed, &cast, schedule);
     let adjust = gear.adjust();
-    let fleet = Fleet::any_hospital(order.seed, cast.members(), &cast.stations, &ROOMS, adjust, order.closed).await;
-    let mut run = Run { fleet, hand: Hand::new(cast.clone(), gear), judge: Judge::new() };
+    let fleet = Fleet::hospital_with(order.seed, cast.members(), &cast.stations, &ROOMS, adjust, order.closed).await;
+    let mut run = Run { fleet, hand: ActionExecutor::new(cast.clone(), gear), judge: Judge::new() };
     for node in cast.nodes() {
-        run.fleet.follow_beliefs(node);
+        run.fleet.record_leadership(node);
     }
     let violation = run.through(order, schedule, &cast).await.err();
     let Run { fleet, hand, mut judge } = run;
     judge.tally.end(&fleet, &hand.acknowledged());
     let mut hasher = DefaultHasher::new();
-    hasher.write(fleet.tale().as_bytes());
+    hasher.write(fleet.event_log_text().as_bytes());
     hasher.write_u64(fleet.network.digest());
     let digest = format!("{:016x}", hasher.finish());
-    Outcome { seed: order.seed, violation, tally: judge.tally, digest }
+    RunOutcome { seed: order.seed, violation, tally: judge.tally, digest }
 }
 
 struct Run {
     fleet: Fleet,
-    hand: Hand,
+    hand: ActionExecutor,
     judge: Judge,
 }
 
 impl Run {
-    async fn through(&mut self, order: &Order, schedule: &Schedule, cast: &Cast) -> Result<(), Violation> {
+    async fn through(&mut self, order: &RunConfig, schedule: &Schedule, cast: &ChaosFleet) -> Result<(), Violation> {
         let lifted = Duration::from_secs_f64(order.minutes * 60.0 * LIFTED);
         self.schedule(schedule, lifted).await?;
-        self.hand.lift(&mut self.fleet).await;
+        self.hand.end_all_faults(&mut self.fleet).await;
         self.fleet.heal();
-        self.hand.send_rescuers(&self.fleet);
+        self.hand.spawn_resolver(&self.fleet);
         let since = self.fleet.elapsed();
         self.until("one coordinator whom all follow, and all known to all", SETTLES_WITHIN, of_one_mind).await?;
-        let requests: Vec<String> = schedule.steps.iter().filter_map(|step| step.act.submits()).collect();
+        let requests: Vec<String> = schedule.steps.iter().filter_map(|step| step.action.submitted_request()).collect();
         let hand = self.hand.acknowledged_receiver();
         self.until("an end of every mission", ENDS_WITHIN, move |fleet| {
             let acknowledged = hand.borrow();
@@ -134,7 +134,7 @@ impl Run {
                 && unfinished(fleet, &acknowledged).is_empty()
         })
         .await?;
-        self.judge.tally.converged_ms = Some(ms(self.fleet.elapsed() - since));
+        self.judge.tally.converged_ms = Some(millis(self.fleet.elapsed() - since));
         self.judge.end(&self.fleet)?;
         // What is left of the run is quiet.
         let end = Duration::from_secs_f64(order.minutes * 60.0);
@@ -151,7 +151,7 @@ impl Run {
         let mut agenda: BTreeMap<(u64, bool, usize), usize> = BTreeMap::new();
         for (number, step) in schedule.steps.iter().enumerate() {
             agenda.insert((step.at_ms, true, number), number);
-            if let Some(for_ms) = step.act.for_ms() {
+            if let Some(for_ms) = step.action.for_ms() {
                 agenda.insert((step.at_ms + for_ms, false, number), number);
             }
         }
@@ -165,10 +165,10 @@ impl Run {
                 agenda.pop_first();
                 let step = &schedule.steps[number];
                 if begins {
-                    self.judge.tell(now, &format!("*** {}", step.act));
-                    self.hand.begin(&mut self.fleet, number, &step.act).await;
+                    self.judge.tell(now, &format!("*** {}", step.action));
+                    self.hand.begin(&mut self.fleet, number, &step.action).await;
                 } else {
-                    self.judge.tell(now, &format!("*** over: {}", step.act));
+                    self.judge.tell(now, &format!("*** over: {}", step.action));
                     self.hand.end(&mut self.fleet, number).await;
                 }
                 self.judge.look(&self.fleet)?;
@@ -216,7 +216,7 @@ impl Run {
 
     /// Two nodes do not hear one another at all. One of them starts anew: the other must hear of it through third parties,
     /// for word of nodes crosses the fleet even where it does not meet.
-    async fn estrange(&mut self, seed: u64, cast: &Cast) -> Result<(), Violation> {
+    async fn estrange(&mut self, seed: u64, cast: &ChaosFleet) -> Result<(), Violation> {
         let nodes = cast.nodes();
         let pick = |salt: u64| nodes[usize::try_from((seed ^ salt) % nodes.len() as u64).unwrap_or(0)];
         let (one, other) = (pick(0x51), pick(0xa7));
@@ -229,7 +229,7 @@ impl Run {
         self.judge
             .tell(self.fleet.elapsed(), &format!("*** {one} and {other} do not hear one another; {one} starts anew"));
         let step = usize::MAX;
-        self.hand.crash(&mut self.fleet, step, &[one.to_owned()], Fate::Kept).await;
+        self.hand.crash(&mut self.fleet, step, &[one.to_owned()], DiskAfterCrash::Kept).await;
         self.hand.end(&mut self.fleet, step).await;
         let end = self.fleet.elapsed() + RELAYED_WITHIN;
         loop {
@@ -257,7 +257,7 @@ impl Run {
 }
 
 fn leads(node: &consort_actors::node::NodeHandle) -> bool {
-    node.replica.as_ref().is_some_and(|replica| replica.leadership().borrow().is_me)
+    node.replica.as_ref().is_some_and(|replica| replica.leadership().borrow().is_leader)
 }
 
 /// Exactly one leads, and everybody that runs counts everybody else alive.
@@ -269,7 +269,7 @@ fn of_one_mind(fleet: &Fleet) -> bool {
 fn strangers(fleet: &Fleet) -> impl Iterator<Item = String> {
     let pairs = fleet.nodes.iter().flat_map(|(name, node)| fleet.nodes.keys().map(move |other| (name, node, other)));
     pairs
-        .filter(|(_, node, other)| !node.knowledge.alive(&slug(other)))
+        .filter(|(_, node, other)| !node.knowledge.is_alive(&slug(other)))
         .map(|(name, _, other)| format!("{other} by {name}"))
 }
 
@@ -277,12 +277,12 @@ fn strangers(fleet: &Fleet) -> impl Iterator<Item = String> {
 fn unfinished(fleet: &Fleet, acknowledged: &BTreeMap<String, String>) -> Vec<String> {
     let open = |mission: &&String| {
         let id: MissionId = slug(mission);
-        fleet.ledger(|ledger| ledger.mission(&id).is_some_and(|entry| entry.state.is_end())) != Some(true)
+        fleet.ledger(|ledger| ledger.mission(&id).is_some_and(|entry| entry.state.is_final())) != Some(true)
     };
     acknowledged.values().filter(open).cloned().collect()
 }
 
-pub(super) fn ms(time: Duration) -> u64 {
+pub(super) fn millis(time: Duration) -> u64 {
     u64::try_from(time.as_millis()).unwrap_or(u64::MAX)
 }
 
@@ -293,7 +293,7 @@ struct Judge {
     seen: usize,
     grown: tokio::sync::watch::Receiver<usize>,
     told: Vec<(Duration, String)>,
-    tally: Tally,
+    tally: RunCounters,
 }
 
 /// Lines of a violation's tale.
@@ -302,7 +302,7 @@ const TALE: usize = 80;
 impl Judge {
     fn new() -> Judge {
         let grown = tokio::sync::watch::Sender::new(0).subscribe();
-        Judge { invariants: invariants::all(), seen: 0, grown, told: vec![], tally: Tally::default() }
+        Judge { invariants: invariants::all(), seen: 0, grown, told: vec![], tally: RunCounters::default() }
     }
 
     /// Notes what chaos does, for the tale.
@@ -313,23 +313,23 @@ impl Judge {
     /// Looks at all that has happened since the last look.
     fn look(&mut self, fleet: &Fleet) -> Result<(), Violation> {
         if self.seen == 0 {
-            self.grown = fleet.chronicle.grown();
+            self.grown = fleet.event_log.subscribe_len();
         }
         self.grown.mark_unchanged();
-        for (at, entry) in fleet.chronicle.since(self.seen) {
+        for (at, entry) in fleet.event_log.since(self.seen) {
             self.seen += 1;
-            self.tally.see(at, &entry);
+            self.tally.observe(at, &entry);
             for invariant in &mut self.invariants {
-                if let Err(why) = invariant.see(at, &entry, fleet) {
+                if let Err(why) = invariant.observe(at, &entry, fleet) {
                     let name = invariant.name();
                     return Err(self.violation(name, why, fleet));
                 }
             }
         }
         let now = fleet.elapsed();
-        for entry in fleet.world.with(World::drain_journal) {
+        for entry in fleet.world.with(World::drain_event_log) {
             for invariant in &mut self.invariants {
-                if let Err(why) = invariant.see_world(now, &entry, fleet) {
+                if let Err(why) = invariant.observe_world(now, &entry, fleet) {
                     let name = invariant.name();
                     return Err(self.violation(name, why, fleet));
                 }
@@ -340,7 +340,7 @@ impl Judge {
 
     fn end(&mut self, fleet: &Fleet) -> Result<(), Violation> {
         for invariant in &mut self.invariants {
-            if let Err(why) = invariant.end(fleet) {
+            if let Err(why) = invariant.check_end(fleet) {
                 let name = invariant.name();
                 return Err(self.violation(name, why, fleet));
             }
@@ -349,11 +349,12 @@ impl Judge {
     }
 
     fn violation(&self, invariant: &str, why: String, fleet: &Fleet) -> Violation {
-        let entries = fleet.chronicle.tale_of(|entry| !matches!(entry, Entry::Believes { leads: None, .. }));
+        let entries =
+            fleet.event_log.lines(|entry| !matches!(entry, Observation::LeadershipChanged { leading_as: None, .. }));
         let done = self.told.iter().map(|(at, what)| (*at, format!("{:8.3} {what}", at.as_secs_f64())));
         let mut tale: Vec<(Duration, String)> = entries.into_iter().chain(done).collect();
         tale.sort_by_key(|(at, _)| *at);
         let tale = tale.split_off(tale.len().saturating_sub(TALE)).into_iter().map(|(_, line)| line).collect();
-        Violation { invariant: invariant.to_owned(), at_ms: ms(fleet.elapsed()), why, tale }
+        Violation { invariant: invariant.to_owned(), at_ms: millis(fleet.elapsed()), why, tale }
     }
 }

@@ -1,7 +1,7 @@
 //! What is done to a fleet and when, as plain data: written to a file, cut down, and done again.
 
-use super::cast::{ARM, Cast, MISSIONS, ROOMS};
-use crate::disk::Torn;
+use super::chaos_fleet::{ARM, ChaosFleet, MISSIONS, ROOMS};
+use crate::disk::UnsyncedWrites;
 use serde::{Deserialize, Serialize};
 use std::fmt::{self, Display};
 use std::time::Duration;
@@ -10,23 +10,23 @@ use std::time::Duration;
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct Schedule {
     /// What is done.
-    pub steps: Vec<Step>,
+    pub steps: Vec<ScheduledAction>,
 }
 
 /// One thing that is done, faults with the time for which they last.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct Step {
+pub struct ScheduledAction {
     /// When, in milliseconds since the fleet was started.
     pub at_ms: u64,
     /// What.
     #[serde(flatten)]
-    pub act: Act,
+    pub action: ChaosAction,
 }
 
 /// Something that is done. Nodes are named; `coordinator` is whoever coordinates at that instant.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(tag = "act", rename_all = "snake_case")]
-pub enum Act {
+pub enum ChaosAction {
     /// A client asks for the sample of a room, again and again until it is acknowledged.
     Submit {
         /// The request's own name.
@@ -57,14 +57,14 @@ pub enum Act {
         /// Which.
         node: String,
         /// What its disk is then.
-        disk: Fate,
+        disk: DiskAfterCrash,
         /// For how long it is down, in milliseconds.
         for_ms: u64,
     },
     /// All nodes are killed at one instant, and started again after a while.
     Blackout {
         /// What their disks are then.
-        disk: Fate,
+        disk: DiskAfterCrash,
         /// For how long they are down, in milliseconds.
         for_ms: u64,
     },
@@ -131,7 +131,7 @@ pub enum Act {
         /// Whose.
         robot: String,
         /// How.
-        how: Mishap,
+        how: SkillFault,
         /// How often, one after the other.
         times: u32,
     },
@@ -144,7 +144,7 @@ fn plain() -> String {
 /// What a crash leaves of a disk.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
-pub enum Fate {
+pub enum DiskAfterCrash {
     /// All that was written, acknowledged or not.
     Kept,
     /// All that was acknowledged, and by chance some of what was not.
@@ -153,12 +153,12 @@ pub enum Fate {
     Empty,
 }
 
-impl Fate {
+impl DiskAfterCrash {
     /// What becomes of writes under way.
-    pub fn torn(self) -> Torn {
+    pub fn unsynced_writes(self) -> UnsyncedWrites {
         match self {
-            Fate::Kept => Torn::Nothing,
-            Fate::Torn | Fate::Empty => Torn::ByChance,
+            DiskAfterCrash::Kept => UnsyncedWrites::AllKept,
+            DiskAfterCrash::Torn | DiskAfterCrash::Empty => UnsyncedWrites::SomeLost,
         }
     }
 }
@@ -166,7 +166,7 @@ impl Fate {
 /// How a skill goes wrong.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
-pub enum Mishap {
+pub enum SkillFault {
     /// It fails.
     Fails,
     /// It panics.
@@ -179,7 +179,7 @@ pub enum Mishap {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 #[expect(missing_docs, reason = "each is described at the act that it is a kind of")]
-pub enum Kind {
+pub enum FaultKind {
     None,
     Crash,
     CrashTorn,
@@ -199,98 +199,104 @@ pub enum Kind {
     Skill,
 }
 
-impl Kind {
+impl FaultKind {
     /// All of them but none at all.
-    pub const FAULTS: [Kind; 16] = [
-        Kind::Crash,
-        Kind::CrashTorn,
-        Kind::CrashEmpty,
-        Kind::CoordinatorCrash,
-        Kind::Blackout,
-        Kind::Pause,
-        Kind::Partition,
-        Kind::OneWayCut,
-        Kind::Loss,
-        Kind::Duplication,
-        Kind::Reordering,
-        Kind::Delay,
-        Kind::SlowDisk,
-        Kind::Drift,
-        Kind::Battery,
-        Kind::Skill,
+    pub const FAULTS: [FaultKind; 16] = [
+        FaultKind::Crash,
+        FaultKind::CrashTorn,
+        FaultKind::CrashEmpty,
+        FaultKind::CoordinatorCrash,
+        FaultKind::Blackout,
+        FaultKind::Pause,
+        FaultKind::Partition,
+        FaultKind::OneWayCut,
+        FaultKind::Loss,
+        FaultKind::Duplication,
+        FaultKind::Reordering,
+        FaultKind::Delay,
+        FaultKind::SlowDisk,
+        FaultKind::Drift,
+        FaultKind::Battery,
+        FaultKind::Skill,
     ];
 
     /// Its name, as commands take it.
     pub fn name(self) -> &'static str {
         match self {
-            Kind::None => "none",
-            Kind::Crash => "crash",
-            Kind::CrashTorn => "crash-torn",
-            Kind::CrashEmpty => "crash-empty",
-            Kind::CoordinatorCrash => "coordinator-crash",
-            Kind::Blackout => "blackout",
-            Kind::Pause => "pause",
-            Kind::Partition => "partition",
-            Kind::OneWayCut => "one-way-cut",
-            Kind::Loss => "loss",
-            Kind::Duplication => "duplication",
-            Kind::Reordering => "reordering",
-            Kind::Delay => "delay",
-            Kind::SlowDisk => "slow-disk",
-            Kind::Drift => "drift",
-            Kind::Battery => "battery",
-            Kind::Skill => "skill",
+            FaultKind::None => "none",
+            FaultKind::Crash => "crash",
+            FaultKind::CrashTorn => "crash-torn",
+            FaultKind::CrashEmpty => "crash-empty",
+            FaultKind::CoordinatorCrash => "coordinator-crash",
+            FaultKind::Blackout => "blackout",
+            FaultKind::Pause => "pause",
+            FaultKind::Partition => "partition",
+            FaultKind::OneWayCut => "one-way-cut",
+            FaultKind::Loss => "loss",
+            FaultKind::Duplication => "duplication",
+            FaultKind::Reordering => "reordering",
+            FaultKind::Delay => "delay",
+            FaultKind::SlowDisk => "slow-disk",
+            FaultKind::Drift => "drift",
+            FaultKind::Battery => "battery",
+            FaultKind::Skill => "skill",
         }
     }
 }
 
-impl std::str::FromStr for Kind {
+impl std::str::FromStr for FaultKind {
     type Err = String;
 
-    fn from_str(name: &str) -> Result<Kind, String> {
-        let known = || [Kind::None].into_iter().chain(Kind::FAULTS);
+    fn from_str(name: &str) -> Result<FaultKind, String> {
+        let known = || [FaultKind::None].into_iter().chain(FaultKind::FAULTS);
         known().find(|kind| kind.name() == name).ok_or_else(|| {
-            let names: Vec<_> = known().map(Kind::name).collect();
+            let names: Vec<_> = known().map(FaultKind::name).collect();
             format!("no kind of fault is called {name:?}; there are {}", names.join(", "))
         })
     }
 }
 
-impl Act {
+impl ChaosAction {
     /// For how long it lasts, in milliseconds; `None` for what happens once.
     pub fn for_ms(&self) -> Option<u64> {
         match self {
-            Act::Crash { for_ms, .. }
-            | Act::Blackout { for_ms, .. }
-            | Act::Pause { for_ms, .. }
-            | Act::Partition { for_ms, .. }
-            | Act::Cut { for_ms, .. }
-            | Act::Weather { for_ms, .. }
-            | Act::SlowDisk { for_ms, .. } => Some(*for_ms),
-            Act::Submit { .. } | Act::Cancel { .. } | Act::Drift { .. } | Act::Battery { .. } | Act::Skill { .. } => {
-                None
-            }
+            ChaosAction::Crash { for_ms, .. }
+            | ChaosAction::Blackout { for_ms, .. }
+            | ChaosAction::Pause { for_ms, .. }
+            | ChaosAction::Partition { for_ms, .. }
+            | ChaosAction::Cut { for_ms, .. }
+            | ChaosAction::Weather { for_ms, .. }
+            | ChaosAction::SlowDisk { for_ms, .. } => Some(*for_ms),
+            ChaosAction::Submit { .. }
+            | ChaosAction::Cancel { .. }
+            | ChaosAction::Drift { .. }
+            | ChaosAction::Battery { .. }
+            | ChaosAction::Skill { .. } => None,
         }
     }
 
     /// The request that it makes, if it is one.
-    pub fn submits(&self) -> Option<String> {
-        if let Act::Submit { request, .. } = self { Some(request.clone()) } else { None }
+    pub fn submitted_request(&self) -> Option<String> {
+        if let ChaosAction::Submit { request, .. } = self { Some(request.clone()) } else { None }
     }
 
     /// The same, for another time.
     #[must_use]
-    pub fn lasting(&self, ms: u64) -> Act {
+    pub fn with_duration_ms(&self, ms: u64) -> ChaosAction {
         let mut act = self.clone();
         match &mut act {
-            Act::Crash { for_ms, .. }
-            | Act::Blackout { for_ms, .. }
-            | Act::Pause { for_ms, .. }
-            | Act::Partition { for_ms, .. }
-            | Act::Cut { for_ms, .. }
-            | Act::Weather { for_ms, .. }
-            | Act::SlowDisk { for_ms, .. } => *for_ms = ms,
-            Act::Submit { .. } | Act::Cancel { .. } | Act::Drift { .. } | Act::Battery { .. } | Act::Skill { .. } => {}
+            ChaosAction::Crash { for_ms, .. }
+            | ChaosAction::Blackout { for_ms, .. }
+            | ChaosAction::Pause { for_ms, .. }
+            | ChaosAction::Partition { for_ms, .. }
+            | ChaosAction::Cut { for_ms, .. }
+            | ChaosAction::Weather { for_ms, .. }
+            | ChaosAction::SlowDisk { for_ms, .. } => *for_ms = ms,
+            ChaosAction::Submit { .. }
+            | ChaosAction::Cancel { .. }
+            | ChaosAction::Drift { .. }
+            | ChaosAction::Battery { .. }
+            | ChaosAction::Skill { .. } => {}
         }
         act
     }
@@ -301,10 +307,10 @@ impl Schedule {
     ///
     /// # Errors
     /// What is not, and what there is, in words.
-    pub fn check(&self, cast: &Cast) -> Result<(), String> {
+    pub fn check(&self, cast: &ChaosFleet) -> Result<(), String> {
         let nodes = cast.nodes();
         let robots: Vec<&str> = cast.carriers.iter().copied().chain([ARM]).collect();
-        let one_of = |step: &Step, name: &str, known: &[&str], extra: &[&str]| {
+        let one_of = |step: &ScheduledAction, name: &str, known: &[&str], extra: &[&str]| {
             let known: Vec<&str> = known.iter().chain(extra).copied().collect();
             if known.contains(&name) {
                 return Ok(());
@@ -312,33 +318,35 @@ impl Schedule {
             Err(format!("at {} ms: {name:?} is not known; there are {}", step.at_ms, known.join(", ")))
         };
         for step in &self.steps {
-            match &step.act {
-                Act::Submit { room, mission, .. } => {
+            match &step.action {
+                ChaosAction::Submit { room, mission, .. } => {
                     one_of(step, room, &ROOMS, &[])?;
                     one_of(step, mission, &MISSIONS, &[])?;
                 }
-                Act::Cancel { .. } | Act::Blackout { .. } => {}
-                Act::Crash { node, .. } => one_of(step, node, &nodes, &["coordinator"])?,
-                Act::Pause { node, .. } | Act::SlowDisk { node, .. } => one_of(step, node, &nodes, &[])?,
-                Act::Partition { groups, .. } => {
+                ChaosAction::Cancel { .. } | ChaosAction::Blackout { .. } => {}
+                ChaosAction::Crash { node, .. } => one_of(step, node, &nodes, &["coordinator"])?,
+                ChaosAction::Pause { node, .. } | ChaosAction::SlowDisk { node, .. } => {
+                    one_of(step, node, &nodes, &[])?
+                }
+                ChaosAction::Partition { groups, .. } => {
                     groups.iter().flatten().try_for_each(|node| one_of(step, node, &nodes, &["client"]))?;
                 }
-                Act::Cut { from, to, .. } => {
+                ChaosAction::Cut { from, to, .. } => {
                     one_of(step, from, &nodes, &["client", "*"])?;
                     one_of(step, to, &nodes, &["client", "*"])?;
                 }
-                Act::Weather { loss, duplication, reordering, .. } => {
+                ChaosAction::Weather { loss, duplication, reordering, .. } => {
                     if ![loss, duplication, reordering].into_iter().all(|share| (0.0..=1.0).contains(share)) {
                         return Err(format!("at {} ms: a share lies between 0 and 1", step.at_ms));
                     }
                 }
-                Act::Drift { node, rate } => {
+                ChaosAction::Drift { node, rate } => {
                     one_of(step, node, &nodes, &[])?;
                     if !(0.5..=2.0).contains(rate) {
                         return Err(format!("at {} ms: a clock counts 0.5 to 2 s in one", step.at_ms));
                     }
                 }
-                Act::Battery { robot } | Act::Skill { robot, .. } => one_of(step, robot, &robots, &[])?,
+                ChaosAction::Battery { robot } | ChaosAction::Skill { robot, .. } => one_of(step, robot, &robots, &[])?,
             }
         }
         Ok(())
@@ -358,10 +366,10 @@ impl Display for Schedule {
     }
 }
 
-impl Display for Step {
+impl Display for ScheduledAction {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let at = Duration::from_millis(self.at_ms).as_secs_f64();
-        write!(f, "{at:8.3}  {}", self.act)
+        write!(f, "{at:8.3}  {}", self.action)
     }
 }
 
@@ -374,43 +382,47 @@ impl Display for For {
     }
 }
 
-impl Display for Act {
+impl Display for ChaosAction {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let fate = |disk: &Fate| match disk {
-            Fate::Kept => "its disk kept",
-            Fate::Torn => "its last unsynced writes lost",
-            Fate::Empty => "its disk lost",
+        let fate = |disk: &DiskAfterCrash| match disk {
+            DiskAfterCrash::Kept => "its disk kept",
+            DiskAfterCrash::Torn => "its last unsynced writes lost",
+            DiskAfterCrash::Empty => "its disk lost",
         };
         match self {
-            Act::Submit { request, unnamed, mission, room, priority, deadline_s } => {
+            ChaosAction::Submit { request, unnamed, mission, room, priority, deadline_s } => {
                 let unnamed = if *unnamed { ", which is not named" } else { "" };
                 write!(f, "request {request}{unnamed}: {mission} from {room}, priority {priority}")?;
                 deadline_s.map_or(Ok(()), |seconds| write!(f, ", within {seconds} s"))
             }
-            Act::Cancel { request } => write!(f, "request {request} is withdrawn"),
-            Act::Crash { node, disk, for_ms } => write!(f, "{node} crashes, {}, down {}", fate(disk), For(*for_ms)),
-            Act::Blackout { disk, for_ms } => write!(f, "every node crashes, {}, down {}", fate(disk), For(*for_ms)),
-            Act::Pause { node, for_ms } => write!(f, "{node} is paused {}", For(*for_ms)),
-            Act::Partition { groups, for_ms } => {
+            ChaosAction::Cancel { request } => write!(f, "request {request} is withdrawn"),
+            ChaosAction::Crash { node, disk, for_ms } => {
+                write!(f, "{node} crashes, {}, down {}", fate(disk), For(*for_ms))
+            }
+            ChaosAction::Blackout { disk, for_ms } => {
+                write!(f, "every node crashes, {}, down {}", fate(disk), For(*for_ms))
+            }
+            ChaosAction::Pause { node, for_ms } => write!(f, "{node} is paused {}", For(*for_ms)),
+            ChaosAction::Partition { groups, for_ms } => {
                 let groups: Vec<_> = groups.iter().map(|group| group.join(" ")).collect();
                 write!(f, "partition {} {}", groups.join(" | "), For(*for_ms))
             }
-            Act::Cut { from, to, for_ms } => write!(f, "{to} does not hear {from} {}", For(*for_ms)),
-            Act::Weather { loss, duplication, reordering, delay_ms, for_ms } => write!(
+            ChaosAction::Cut { from, to, for_ms } => write!(f, "{to} does not hear {from} {}", For(*for_ms)),
+            ChaosAction::Weather { loss, duplication, reordering, delay_ms, for_ms } => write!(
                 f,
                 "bad links: {loss:.2} lost, {duplication:.2} repeated, {reordering:.2} overtaken, up to {delay_ms} ms {}",
                 For(*for_ms)
             ),
-            Act::SlowDisk { node, write_ms, for_ms } => {
+            ChaosAction::SlowDisk { node, write_ms, for_ms } => {
                 write!(f, "the disk of {node} takes up to {write_ms} ms a write {}", For(*for_ms))
             }
-            Act::Drift { node, rate } => write!(f, "the clock of {node} counts {rate:.4} s a second"),
-            Act::Battery { robot } => write!(f, "the battery of {robot} runs down"),
-            Act::Skill { robot, how, times } => {
+            ChaosAction::Drift { node, rate } => write!(f, "the clock of {node} counts {rate:.4} s a second"),
+            ChaosAction::Battery { robot } => write!(f, "the battery of {robot} runs down"),
+            ChaosAction::Skill { robot, how, times } => {
                 let how = match how {
-                    Mishap::Fails => "fails",
-                    Mishap::Panics => "panics",
-                    Mishap::Hangs => "hangs",
+                    SkillFault::Fails => "fails",
+                    SkillFault::Panics => "panics",
+                    SkillFault::Hangs => "hangs",
                 };
                 write!(f, "the skill of {robot} {how}, {times} in a row")
             }

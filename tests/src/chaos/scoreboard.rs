@@ -1,15 +1,15 @@
 //! How the fleet fares under each kind of fault alone.
 
-use super::cast::Cast;
+use super::chaos_fleet::ChaosFleet;
 use super::generate::generate;
-use super::many::{Many, percentiles};
-use super::run::{Order, Outcome};
-use super::schedule::Kind;
+use super::run::{RunConfig, RunOutcome};
+use super::schedule::FaultKind;
+use super::seed_sweep::{SeedSweep, percentiles};
 use serde::Serialize;
 
 /// One kind of fault.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct Row {
+pub struct ScoreboardRow {
     /// Its name; `all` for all of them together.
     pub fault: &'static str,
     /// How many fleets it was done to.
@@ -42,21 +42,29 @@ pub struct Row {
 }
 
 /// Kinds in the order of the table, each alone, and all together.
-pub fn kinds() -> Vec<(&'static str, Vec<Kind>)> {
-    let alone = [Kind::None].into_iter().chain(Kind::FAULTS).map(|kind| (kind.name(), vec![kind]));
-    alone.chain([("all", Kind::FAULTS.to_vec())]).collect()
+pub fn kinds() -> Vec<(&'static str, Vec<FaultKind>)> {
+    let alone = [FaultKind::None].into_iter().chain(FaultKind::FAULTS).map(|kind| (kind.name(), vec![kind]));
+    alone.chain([("all", FaultKind::FAULTS.to_vec())]).collect()
 }
 
 /// Runs seeds `1..=runs` under some kinds of faults; `each` is called after each run. A violation stops nothing here: it is
 /// counted.
-pub fn row(name: &'static str, kinds: &[Kind], runs: u64, minutes: f64, jobs: usize, mut each: impl FnMut()) -> Row {
+pub fn run_row(
+    name: &'static str,
+    kinds: &[FaultKind],
+    runs: u64,
+    minutes: f64,
+    jobs: usize,
+    mut each: impl FnMut(),
+) -> ScoreboardRow {
     const NODES: usize = 7;
-    let cast = Cast::of(NODES);
-    let order = |seed| (Order { seed, nodes: NODES, minutes, closed: false }, generate(seed, &cast, minutes, kinds));
-    let mut outcomes: Vec<Outcome> = vec![];
+    let cast = ChaosFleet::of(NODES);
+    let order =
+        |seed| (RunConfig { seed, nodes: NODES, minutes, closed: false }, generate(seed, &cast, minutes, kinds));
+    let mut outcomes: Vec<RunOutcome> = vec![];
     let mut next = 1;
     while next <= runs {
-        let found = Many { seeds: next..=runs, jobs, order: &order, prepare: &|| () }.run(|outcome| {
+        let found = SeedSweep { seeds: next..=runs, jobs, config: &order, prepare: &|| () }.run(|outcome| {
             outcomes.push(outcome.clone());
             each();
         });
@@ -65,7 +73,7 @@ pub fn row(name: &'static str, kinds: &[Kind], runs: u64, minutes: f64, jobs: us
         outcomes.retain(|outcome| outcome.seed <= found.seed);
         next = found.seed + 1;
     }
-    let sum = |count: fn(&Outcome) -> usize| outcomes.iter().map(count).sum::<usize>();
+    let sum = |count: fn(&RunOutcome) -> usize| outcomes.iter().map(count).sum::<usize>();
     let takeovers: Vec<u64> = outcomes.iter().flat_map(|outcome| outcome.tally.takeovers_ms.iter().copied()).collect();
     let converged: Vec<u64> = outcomes.iter().filter_map(|outcome| outcome.tally.converged_ms).collect();
     let (takeover, convergence) = (percentiles(&takeovers), percentiles(&converged));
@@ -74,7 +82,7 @@ pub fn row(name: &'static str, kinds: &[Kind], runs: u64, minutes: f64, jobs: us
     violations.sort();
     let faults = if name == "all" { String::new() } else { format!(" --faults {name}") };
     let minutes = if minutes == 5.0 { String::new() } else { format!(" --minutes {minutes}") };
-    Row {
+    ScoreboardRow {
         fault: name,
         runs,
         acknowledged: sum(|outcome| outcome.tally.acknowledged),
@@ -93,7 +101,7 @@ pub fn row(name: &'static str, kinds: &[Kind], runs: u64, minutes: f64, jobs: us
 }
 
 /// The rows as a table in Markdown.
-pub fn markdown(rows: &[Row]) -> String {
+pub fn markdown(rows: &[ScoreboardRow]) -> String {
     let mut table = String::from(
         "| fault | runs | lost missions | double holders | missions completed | takeover p50 / p99 | \
          time to converge p50 / p99 | again by |\n|---|---|---|---|---|---|---|---|\n",

@@ -1,13 +1,13 @@
 //! Cuts a schedule down to what matters: delta debugging (Zeller and Hildebrandt, *Simplifying and isolating
 //! failure-inducing input*, 2002), then shorter faults.
 
-use super::schedule::{Schedule, Step};
+use super::schedule::{Schedule, ScheduledAction};
 
 /// The smallest schedule found for which `fails` is still true, trying at most so often. `fails` must be true of
 /// `schedule`, and is asked again about nothing twice in a row.
 pub fn shrink(schedule: &Schedule, tries_max: usize, mut fails: impl FnMut(&Schedule) -> bool) -> Schedule {
     let mut tries = 0;
-    let mut still = |steps: &[Step]| {
+    let mut still = |steps: &[ScheduledAction]| {
         tries += 1;
         tries <= tries_max && fails(&Schedule { steps: steps.to_vec() })
     };
@@ -18,14 +18,14 @@ pub fn shrink(schedule: &Schedule, tries_max: usize, mut fails: impl FnMut(&Sche
 }
 
 /// Halves, quarters and so on, down to single steps, until none can be spared.
-fn drop_parts(steps: &mut Vec<Step>, still: &mut impl FnMut(&[Step]) -> bool) {
+fn drop_parts(steps: &mut Vec<ScheduledAction>, still: &mut impl FnMut(&[ScheduledAction]) -> bool) {
     let mut size = steps.len().div_ceil(2);
     while size > 0 && !steps.is_empty() {
         let mut from = 0;
         let mut spared = false;
         while from < steps.len() {
             let to = (from + size).min(steps.len());
-            let rest: Vec<Step> = steps[..from].iter().chain(&steps[to..]).cloned().collect();
+            let rest: Vec<ScheduledAction> = steps[..from].iter().chain(&steps[to..]).cloned().collect();
             if still(&rest) {
                 *steps = rest;
                 spared = true;
@@ -41,11 +41,11 @@ fn drop_parts(steps: &mut Vec<Step>, still: &mut impl FnMut(&[Step]) -> bool) {
 }
 
 /// Each fault half as long, as often as that still does it.
-fn shorten(steps: &mut [Step], still: &mut impl FnMut(&[Step]) -> bool) {
+fn shorten(steps: &mut [ScheduledAction], still: &mut impl FnMut(&[ScheduledAction]) -> bool) {
     for number in 0..steps.len() {
-        while let Some(for_ms) = steps[number].act.for_ms().filter(|ms| *ms >= 200) {
+        while let Some(for_ms) = steps[number].action.for_ms().filter(|ms| *ms >= 200) {
             let longer = steps[number].clone();
-            steps[number].act = longer.act.lasting(for_ms / 2);
+            steps[number].action = longer.action.with_duration_ms(for_ms / 2);
             if !still(steps) {
                 steps[number] = longer;
                 break;
@@ -57,21 +57,22 @@ fn shorten(steps: &mut [Step], still: &mut impl FnMut(&[Step]) -> bool) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::chaos::schedule::Act;
+    use crate::chaos::schedule::ChaosAction;
 
-    fn pause(at_ms: u64, node: &str) -> Step {
-        Step { at_ms, act: Act::Pause { node: node.to_owned(), for_ms: 10_000 } }
+    fn pause(at_ms: u64, node: &str) -> ScheduledAction {
+        ScheduledAction { at_ms, action: ChaosAction::Pause { node: node.to_owned(), for_ms: 10_000 } }
     }
 
     #[test]
     fn only_the_steps_that_matter_are_left_and_last_no_longer_than_they_must() {
         let steps = (0..23).map(|n| pause(n, &format!("n{n}"))).collect();
         let lasts = |schedule: &Schedule, node: &str| {
-            let step = schedule.steps.iter().find(|s| matches!(&s.act, Act::Pause { node: n, .. } if n == node));
-            step.and_then(|step| step.act.for_ms()).unwrap_or(0)
+            let step =
+                schedule.steps.iter().find(|s| matches!(&s.action, ChaosAction::Pause { node: n, .. } if n == node));
+            step.and_then(|step| step.action.for_ms()).unwrap_or(0)
         };
         let found = shrink(&Schedule { steps }, 1_000, |s| lasts(s, "n4") >= 2_000 && lasts(s, "n17") >= 100);
-        let expected = [pause(4, "n4").act.lasting(2_500), pause(17, "n17").act.lasting(156)];
-        assert_eq!(found.steps.iter().map(|step| step.act.clone()).collect::<Vec<_>>(), expected);
+        let expected = [pause(4, "n4").action.with_duration_ms(2_500), pause(17, "n17").action.with_duration_ms(156)];
+        assert_eq!(found.steps.iter().map(|step| step.action.clone()).collect::<Vec<_>>(), expected);
     }
 }

@@ -17,11 +17,11 @@
 //! robot; one that hosts the world. The world begins when the ledger has been founded and all robots are known, for the
 //! published trials, too, began with a fleet that was ready.
 
-mod many;
-mod stage;
+mod runner;
+mod setup;
 mod trial;
-mod watcher;
+mod trial_observer;
 
-pub use many::{Trial, run, trials};
-pub use stage::{Stage, StageError};
-pub use trial::Outcome;
+pub use runner::{Trial, run, trials};
+pub use setup::{ExperimentSetup, ExperimentSetupError};
+pub use trial::TrialOutcome;

@@ -1,19 +1,19 @@
 //! One trial: a whole fleet on virtual time, from the request until the first event decides.
 
-use super::many::Trial;
-use super::stage::Stage;
-use super::watcher::{Brief, Seen, Watcher};
-use crate::look::coordinating;
+use super::runner::Trial;
+use super::setup::ExperimentSetup;
+use super::trial_observer::{ObserverSettings, TrialObserver, TrialState};
+use crate::inspection::current_coordinator;
 use consort_actors::bus::{Bus as _, LinkModel, VirtualBus, VirtualNetwork};
 use consort_actors::clock::Clock;
-use consort_actors::coordinator::IntakeLimits;
-use consort_actors::node::{FleetSettings, HostPart, NodeHandle, NodeSettings, RobotPart};
-use consort_actors::store::Store;
+use consort_actors::coordinator::RequestLimits;
+use consort_actors::node::{DriverServerPart, FleetSettings, NodeHandle, NodeSettings, RobotPart};
+use consort_actors::store::NodeStore;
 use consort_actors::timing::Timing;
-use consort_protocol::auction::{Choice, Exact, Limits};
+use consort_protocol::auction::{Allocator, BidLimits, OptimalAssignment};
 use consort_protocol::ids::{NodeId, PlaceId, RobotId, RoleId, TaskType};
 use consort_protocol::keys::{ApiCall, Key, Keys};
-use consort_protocol::knowledge::{Availability, Worker};
+use consort_protocol::knowledge::{Availability, RobotKnowledge};
 use consort_protocol::lease::LeaseTerms;
 use consort_protocol::ledger::MissionState;
 use consort_protocol::plan::{Division, divide_and_check};
@@ -22,12 +22,12 @@ use consort_protocol::units::{BatteryShare, MetresPerSecond, SharePerSecond, Wor
 use consort_sim::experiment::calibration::Observation;
 use consort_sim::experiment::design::{Scenario, ScenarioRobot};
 use consort_sim::experiment::outcome::{BatteryFacts, TrialFacts, classify};
-use consort_sim::experiment::policy::{ByChance, ByFate, ByGreed, Policy};
-use consort_sim::experiment::prospect::{context, prospect};
+use consort_sim::experiment::policy::{GreedyAllocator, OracleAllocator, Policy, RandomAllocator};
 use consort_sim::experiment::results::{Treatment, TrialRow};
 use consort_sim::experiment::seeds::{derive, generator};
-use consort_sim::world::{Happening, Keeper, Person, RobotBody, SharedWorld, World, WorldSetup};
-use consort_skills::actions::BodyHost;
+use consort_sim::experiment::success_estimate::{estimate_success, start_context};
+use consort_sim::world::{PersonSetup, RobotSetup, SampleHolder, SharedWorld, World, WorldEvent, WorldSetup};
+use consort_skills::actions::RobotBackend;
 use rand::RngExt;
 use serde_json::{Value, json};
 use std::collections::{BTreeMap, BTreeSet};
@@ -59,7 +59,7 @@ const USEFUL_CHARGE: f64 = 0.08;
 
 /// What came of a trial.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Outcome {
+pub struct TrialOutcome {
     /// Its row.
     pub row: TrialRow,
     /// What was learned of estimates.
@@ -67,7 +67,7 @@ pub struct Outcome {
 }
 
 /// Carries a trial out, on a paused runtime of its own of which nothing is left afterwards.
-pub(super) fn perform(stage: &Stage, trial: &Trial) -> Outcome {
+pub(super) fn run_trial(stage: &ExperimentSetup, trial: &Trial) -> TrialOutcome {
     let mut builder = tokio::runtime::Builder::new_current_thread();
     let runtime = builder.enable_time().start_paused(true).build().expect("a runtime without I/O");
     // Made within the runtime: outside of it the clock is the machine's, and no run would be like another.
@@ -76,13 +76,13 @@ pub(super) fn perform(stage: &Stage, trial: &Trial) -> Outcome {
     played.unwrap_or_else(|_| panic!("trial {} panicked", name(stage, trial)))
 }
 
-fn name(stage: &Stage, trial: &Trial) -> String {
+fn name(stage: &ExperimentSetup, trial: &Trial) -> String {
     let (mission, code) = (&stage.design.mission.name, &stage.scenarios[trial.scenario].code);
     format!("{mission}/{code}/{}/{}/{}", trial.policy, trial.treatment.as_str(), trial.repetition)
 }
 
 struct Play<'s> {
-    stage: &'s Stage,
+    stage: &'s ExperimentSetup,
     trial: &'s Trial,
     scenario: &'s Scenario,
     parameters: BTreeMap<String, String>,
@@ -91,14 +91,14 @@ struct Play<'s> {
     settings: FleetSettings,
     network: VirtualNetwork,
     world: SharedWorld,
-    watcher: Watcher,
+    watcher: TrialObserver,
     nodes: BTreeMap<NodeId, NodeHandle>,
     lives: u64,
     wall: WallInstant,
 }
 
 impl<'s> Play<'s> {
-    fn new(stage: &'s Stage, trial: &'s Trial) -> Play<'s> {
+    fn new(stage: &'s ExperimentSetup, trial: &'s Trial) -> Play<'s> {
         let scenario = &stage.scenarios[trial.scenario];
         let design = &stage.design;
         let repetition = trial.repetition.to_string();
@@ -114,7 +114,7 @@ impl<'s> Play<'s> {
         let skills = able.chain(design.fixed.iter().map(|fixed| (fixed.name.clone(), fixed.skills.clone()))).collect();
         let tasks =
             division.plans.iter().filter(|(role, _)| managed.contains(*role)).flat_map(|(_, plan)| plan.tasks());
-        let brief = Brief {
+        let brief = ObserverSettings {
             world: world.clone(),
             speed: design.world_speed,
             seed: derive(seed, &["drives"]),
@@ -124,17 +124,17 @@ impl<'s> Play<'s> {
             skills,
             tasks: tasks.map(|(id, spec)| (id.clone(), spec.clone())).collect(),
         };
-        let times = Timing::Lan.times();
+        let times = Timing::Lan.parameters();
         let settings = FleetSettings {
             fleet: crate::slug("trial"),
             ensemble: Arc::clone(&stage.ensemble),
             domain: Arc::clone(&stage.domain),
-            limits: Limits::default(),
-            intake: IntakeLimits::default(),
-            choice: choice(stage, trial, &division, &managed, seed),
-            terms: LeaseTerms::default(),
-            window: times.window,
-            stall_after: Duration::ZERO,
+            limits: BidLimits::default(),
+            request_limits: RequestLimits::default(),
+            allocator: choice(stage, trial, &division, &managed, seed),
+            lease_terms: LeaseTerms::default(),
+            bid_window: times.auction_window,
+            stall_timeout: Duration::ZERO,
             bootstrap_expect: STATIONS.len(),
             timing: Timing::Lan,
             voters: STATIONS.len(),
@@ -142,12 +142,12 @@ impl<'s> Play<'s> {
             map: None,
         };
         let network = VirtualNetwork::new(derive(seed, &["network"]), LinkModel::LAN);
-        let watcher = Watcher::new(brief);
+        let watcher = TrialObserver::new(brief);
         let (nodes, lives, wall) = (BTreeMap::new(), 0, WallInstant::now());
         Play { stage, trial, scenario, parameters, seed, settings, network, world, watcher, nodes, lives, wall }
     }
 
-    async fn through(mut self) -> Outcome {
+    async fn through(mut self) -> TrialOutcome {
         self.gather().await;
         let client = self.network.bus(crate::slug("client"));
         self.start_host().await;
@@ -186,7 +186,7 @@ impl<'s> Play<'s> {
             let known = |node: &NodeHandle| {
                 names
                     .iter()
-                    .all(|name| node.knowledge.alive(name) && node.knowledge.read(|base| base.get(name).is_some()))
+                    .all(|name| node.knowledge.is_alive(name) && node.knowledge.read(|base| base.get(name).is_some()))
             };
             if self.coordinator().is_some_and(|coordinator| known(&self.nodes[&coordinator])) {
                 return;
@@ -203,9 +203,9 @@ impl<'s> Play<'s> {
         speed: Option<f64>,
         charge: f64,
         discharge: f64,
-    ) -> Worker {
+    ) -> RobotKnowledge {
         let checked = "scenarios are checked";
-        Worker {
+        RobotKnowledge {
             skills: skills.clone(),
             pose: self.stage.map.place(place).map_or(Pose::default(), |place| place.pose),
             place: place.clone(),
@@ -227,15 +227,15 @@ impl<'s> Play<'s> {
             node: crate::slug(name),
             incarnation: self.lives,
             seed,
-            store: Store::in_memory(seed),
+            store: NodeStore::in_memory(seed),
             clock: Clock::virtual_at(0),
             may_vote,
             stationary,
             mains_powered: stationary,
             robot,
-            host: None,
+            driver_server: None,
             observer: Some(Arc::new(self.watcher.clone())),
-            notary: None,
+            record_signer: None,
         }
     }
 
@@ -247,14 +247,14 @@ impl<'s> Play<'s> {
     }
 
     async fn start_host(&mut self) {
-        let host = HostPart { world: Box::new(self.world.clone()), speed: self.stage.design.world_speed };
-        let settings = NodeSettings { host: Some(host), ..self.node(HOST, false, None) };
-        self.watcher.begin();
+        let host = DriverServerPart { world: Box::new(self.world.clone()), speed: self.stage.design.world_speed };
+        let settings = NodeSettings { driver_server: Some(host), ..self.node(HOST, false, None) };
+        self.watcher.start_clock();
         self.start(settings).await;
     }
 
     fn coordinator(&self) -> Option<NodeId> {
-        coordinating(self.nodes.values())
+        current_coordinator(self.nodes.values())
     }
 
     async fn submit(&self, client: &VirtualBus) {
@@ -291,17 +291,17 @@ impl<'s> Play<'s> {
         let mut changed = self.watcher.changed();
         loop {
             changed.mark_unchanged();
-            for entry in self.world.with(World::drain_journal) {
-                match &entry.what {
-                    Happening::SampleMoved { sample, to, .. }
+            for entry in self.world.with(World::drain_event_log) {
+                match &entry.event {
+                    WorldEvent::SampleMoved { sample, to, .. }
                         if item == Some(sample.as_str()) && target.as_ref() == Some(to) =>
                     {
                         delivered_at_s.get_or_insert(entry.time.as_secs());
                     }
-                    Happening::Stranded { robot } => {
-                        let mut seen = self.watcher.look();
-                        if seen.held(robot, entry.time.as_secs()) {
-                            seen.empty.entry(robot.clone()).or_insert(entry.time.as_secs());
+                    WorldEvent::Stranded { robot } => {
+                        let mut seen = self.watcher.state();
+                        if seen.held_role_at(robot, entry.time.as_secs()) {
+                            seen.depleted.entry(robot.clone()).or_insert(entry.time.as_secs());
                         }
                     }
                     _ => {}
@@ -309,11 +309,11 @@ impl<'s> Play<'s> {
             }
             let now_s = self.watcher.now_s();
             let over = {
-                let seen = self.watcher.look();
-                if target.is_none() && seen.end == Some(MissionState::Completed) {
+                let seen = self.watcher.state();
+                if target.is_none() && seen.end_state == Some(MissionState::Completed) {
                     delivered_at_s.get_or_insert(now_s);
                 }
-                seen.unskilled.is_some() || !seen.empty.is_empty() || seen.end.is_some()
+                seen.unskilled.is_some() || !seen.depleted.is_empty() || seen.end_state.is_some()
             };
             if over || delivered_at_s.is_some() || now_s >= end_s || self.wall.elapsed().as_secs_f64() >= limits.wall_s
             {
@@ -338,28 +338,28 @@ impl<'s> Play<'s> {
     }
 
     /// Who or what has what was delivered.
-    fn keeper(&self, to: &str) -> Keeper {
+    fn keeper(&self, to: &str) -> SampleHolder {
         let fixed = self.stage.design.fixed.iter().find(|fixed| fixed.name.as_str() == to);
         match fixed {
-            Some(fixed) => Keeper::Arm(fixed.name.clone()),
-            None => Keeper::Table(self.scenario.place(to).expect("the stage was checked")),
+            Some(fixed) => SampleHolder::Arm(fixed.name.clone()),
+            None => SampleHolder::Table(self.scenario.place(to).expect("the stage was checked")),
         }
     }
 
-    fn conclude(self, requested_at_s: f64, delivered_at_s: Option<f64>, killed_at_s: Option<f64>) -> Outcome {
+    fn conclude(self, requested_at_s: f64, delivered_at_s: Option<f64>, killed_at_s: Option<f64>) -> TrialOutcome {
         let ended_at_s = self.watcher.now_s();
         // The charges are those of the last moment.
         let last = WorldTime::from_secs(delivered_at_s.unwrap_or(ended_at_s).max(self.world.now().as_secs()));
         self.world.with(|world| drop(world.advance(last)));
-        let seen = std::mem::take(&mut *self.watcher.look());
+        let seen = std::mem::take(&mut *self.watcher.state());
         let share = |robot: &RobotId| self.world.telemetry(robot).map_or(0.0, |report| report.battery.get());
         let batteries: Vec<BatteryFacts> = seen
-            .ever
+            .ever_assigned
             .iter()
             .map(|robot| BatteryFacts {
                 robot: robot.clone(),
                 lowest_share: share(robot),
-                below_at_s: seen.empty.get(robot).copied(),
+                below_at_s: seen.depleted.get(robot).copied(),
             })
             .collect();
         let lowest_share = batteries.iter().map(|facts| facts.lowest_share).min_by(f64::total_cmp);
@@ -389,10 +389,10 @@ impl<'s> Play<'s> {
             ttc_s,
             predicted_s: seen.predicted_s,
             lowest_share,
-            robots: pairs(&seen.chosen),
+            robots: pairs(&seen.first_holders),
             note: note(&seen, killed_at_s.map(|at| at - requested_at_s)),
         };
-        Outcome { row, observations: seen.observations }
+        TrialOutcome { row, observations: seen.observations }
     }
 }
 
@@ -400,35 +400,35 @@ fn pairs(chosen: &BTreeMap<RoleId, RobotId>) -> String {
     chosen.iter().map(|(role, robot)| format!("{role}={robot}")).collect::<Vec<_>>().join(" ")
 }
 
-fn note(seen: &Seen, killed_after_s: Option<f64>) -> String {
+fn note(seen: &TrialState, killed_after_s: Option<f64>) -> String {
     let mut notes = vec![];
     notes.extend(killed_after_s.map(|after| format!("coordinator killed after {after:.1} s")));
     notes.extend(seen.unskilled.as_ref().map(|(_, robot, skill)| format!("{robot} lacks {skill}")));
-    notes.extend(seen.empty.keys().map(|robot| format!("the battery of {robot} is empty")));
+    notes.extend(seen.depleted.keys().map(|robot| format!("the battery of {robot} is empty")));
     notes.extend(seen.releases.iter().map(|cause| format!("released {cause}")));
-    let end = seen.end.as_ref().filter(|end| **end != MissionState::Completed);
-    notes.extend(end.map(|end| format!("ended {}", end.word())));
+    let end = seen.end_state.as_ref().filter(|end| **end != MissionState::Completed);
+    notes.extend(end.map(|end| format!("ended {}", end.as_str())));
     notes.join("; ")
 }
 
-fn world(stage: &Stage, scenario: &Scenario, seed: u64) -> SharedWorld {
+fn world(stage: &ExperimentSetup, scenario: &Scenario, seed: u64) -> SharedWorld {
     let checked = "scenarios are checked";
     let mut setup = WorldSetup::new(stage.map.clone(), seed);
     for robot in &scenario.robots {
-        let body = RobotBody::carrier(
+        let body = RobotSetup::carrier(
             robot.name.clone(),
             robot.place.clone(),
             MetresPerSecond::new(robot.speed_mps).expect(checked),
             BatteryShare::new(robot.charge).expect(checked),
             SharePerSecond::new(robot.discharge).expect(checked),
         );
-        setup = setup.robot(RobotBody { has_drawer: robot.drawer, has_arm: robot.arm, ..body });
+        setup = setup.robot(RobotSetup { has_drawer: robot.drawer, has_arm: robot.arm, ..body });
     }
     for fixed in &stage.design.fixed {
-        setup = setup.robot(RobotBody::arm(fixed.name.clone(), scenario.place(&fixed.place).expect(checked)));
+        setup = setup.robot(RobotSetup::arm(fixed.name.clone(), scenario.place(&fixed.place).expect(checked)));
     }
     for person in &stage.design.people {
-        setup = setup.person(Person {
+        setup = setup.person(PersonSetup {
             name: person.name.as_str().into(),
             role: person.role.clone(),
             place: scenario.place(&person.place).expect(checked),
@@ -440,7 +440,13 @@ fn world(stage: &Stage, scenario: &Scenario, seed: u64) -> SharedWorld {
 }
 
 /// The rule of a policy.
-fn choice(stage: &Stage, trial: &Trial, division: &Division, managed: &BTreeSet<RoleId>, seed: u64) -> Arc<dyn Choice> {
+fn choice(
+    stage: &ExperimentSetup,
+    trial: &Trial,
+    division: &Division,
+    managed: &BTreeSet<RoleId>,
+    seed: u64,
+) -> Arc<dyn Allocator> {
     let scenario = &stage.scenarios[trial.scenario];
     let fixed = |role: &RoleId| stage.design.fixed.iter().find(|fixed| fixed.role == *role);
     let may = |robot: &ScenarioRobot, role: &RoleId| robot.roles.is_empty() || robot.roles.contains(role);
@@ -451,14 +457,14 @@ fn choice(stage: &Stage, trial: &Trial, division: &Division, managed: &BTreeSet<
         }
     };
     match trial.policy {
-        Policy::Consort => Arc::new(Exact),
+        Policy::Consort => Arc::new(OptimalAssignment),
         Policy::MissionControl => {
-            let robots = scenario.robots.iter().map(|robot| (robot.name.clone(), context(robot))).collect();
-            Arc::new(ByGreed { estimator: Arc::clone(&stage.standard), robots })
+            let robots = scenario.robots.iter().map(|robot| (robot.name.clone(), start_context(robot))).collect();
+            Arc::new(GreedyAllocator { estimator: Arc::clone(&stage.standard), robots })
         }
         Policy::Random => {
             let candidates = managed.iter().map(|role| (role.clone(), candidates(role))).collect();
-            Arc::new(ByChance { candidates, seed: derive(seed, &["dice", trial.policy.as_str()]) })
+            Arc::new(RandomAllocator { candidates, seed: derive(seed, &["dice", trial.policy.as_str()]) })
         }
         Policy::Optimal => {
             let mut prospects = BTreeMap::new();
@@ -469,15 +475,15 @@ fn choice(stage: &Stage, trial: &Trial, division: &Division, managed: &BTreeSet<
                         Some(known) => {
                             let mut rng = generator(seed, &["fate", role.as_str(), robot.as_str()]);
                             let (plan, limits) = (&division.plans[role], &stage.design.limits);
-                            prospect(plan, known, &stage.standard, &stage.travel, limits, DRAWS, &mut rng)
+                            estimate_success(plan, known, &stage.standard, &stage.travel, limits, DRAWS, &mut rng)
                         }
                         // Whoever is meant for one role on mains power does it.
-                        None => consort_sim::experiment::policy::Prospect { success: 1.0, time_s: 0.0 },
+                        None => consort_sim::experiment::policy::SuccessEstimate { success: 1.0, time_s: 0.0 },
                     };
                     prospects.insert((role.clone(), robot), fate);
                 }
             }
-            Arc::new(ByFate { prospects })
+            Arc::new(OracleAllocator { estimates: prospects })
         }
     }
 }

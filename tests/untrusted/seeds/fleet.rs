@@ -1,17 +1,17 @@
 //! A fleet with a mission: what is written of it, and what is seen.
 
-use super::spoken::{body_state, frame};
-use consort_nodes::floor;
-use consort_nodes::picture::{FloorPlan, Heard, Picture};
-use consort_nodes::recording::Tape;
+use super::sample_messages::{body_state, frame};
+use consort_nodes::fleet_model::{FleetInput, FleetModel, FloorPlan};
+use consort_nodes::map_loader;
+use consort_nodes::recording::RecordingWriter;
 use consort_protocol::event::Event;
 use consort_protocol::keys::Key;
 use consort_protocol::ledger::Submission;
 use consort_protocol::message::Beacon;
 use consort_protocol::mission::{Domain, Format, MissionTemplate, shipped};
 use consort_protocol::plan::divide_and_check;
-use consort_sim::record::foxglove::Existing;
-use consort_tests::chaos::{Cast, Kind, generate};
+use consort_sim::record::foxglove::ExistingFile;
+use consort_tests::chaos::{ChaosFleet, FaultKind, generate};
 use serde_json::{Value, json};
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -61,7 +61,7 @@ pub(super) fn calibration() -> Vec<u8> {
 }
 
 pub(super) fn schedule() -> Vec<u8> {
-    let schedule = generate(1, &Cast::of(6), 4.0, &Kind::FAULTS);
+    let schedule = generate(1, &ChaosFleet::of(6), 4.0, &FaultKind::FAULTS);
     serde_json::to_vec(&schedule).expect("a schedule")
 }
 
@@ -84,7 +84,7 @@ fn event(sequence: usize, at_ms: u64, what: &Value) -> Value {
 
 fn views() -> [(u8, Key, Value); 4] {
     let map: Value = serde_json::from_slice(&map_in_json()).expect("JSON");
-    let told = floor::read(&map.to_string(), "hall.json").expect("a map").show();
+    let told = map_loader::parse(&map.to_string(), "hall.json").expect("a map").to_json();
     let robot = json!({
         "skills": ["navigation"], "place": "Dock", "pose": { "x_m": 6.0, "y_m": 2.5, "yaw_rad": 0.5 }, "battery": 0.75,
         "useful_charge": 0.125, "speed": 0.5, "availability": "free",
@@ -104,7 +104,7 @@ fn views() -> [(u8, Key, Value); 4] {
 }
 
 /// What somebody hears who shows a fleet.
-pub(super) fn heard() -> Vec<u8> {
+pub(super) fn fleet_inputs() -> Vec<u8> {
     let beacon = json!({ "node": "s-1", "term": 2, "voters": ["s-1"], "since_ms": 40, "cluster": null });
     let views = views().map(|(kind, _, view)| frame(kind, view.to_string().as_bytes()));
     let events =
@@ -121,23 +121,23 @@ pub(super) fn recording() -> Vec<u8> {
     let began_ms = 1_795_000_000_000;
     let file = std::env::temp_dir().join(format!("consort-untrusted-seed-{}.mcap", std::process::id()));
     let fleet = "ward".parse().expect("a slug");
-    let mut tape = Tape::create(&file, Existing::Replace, &fleet, "s-1", began_ms).expect("a file");
-    let mut picture = Picture::new("ward", "s-1", FloorPlan::default(), began_ms);
+    let mut tape = RecordingWriter::create(&file, ExistingFile::Replace, &fleet, "s-1", began_ms).expect("a file");
+    let mut picture = FleetModel::new("ward", "s-1", FloorPlan::default(), began_ms);
     let node: consort_protocol::ids::NodeId = "s-1".parse().expect("a slug");
     let beacon = Beacon { node: node.clone(), term: 2, voters: [node].into(), since_ms: 40, cluster: None, wire: None };
-    let mut all = vec![Heard::Beacon(beacon), Heard::Links(2)];
-    all.extend(views().map(|(_, key, view)| Heard::View { key, view }));
+    let mut all = vec![FleetInput::Beacon(beacon), FleetInput::Links(2)];
+    all.extend(views().map(|(_, key, view)| FleetInput::View { key, view }));
     for (sequence, what) in (1..).zip(happened()) {
         let event: Event = serde_json::from_value(event(sequence, began_ms, &what)).expect("an event");
-        all.push(Heard::Event(Box::new(event)));
+        all.push(FleetInput::Event(Box::new(event)));
     }
-    all.extend(views().map(|(_, key, view)| Heard::View { key, view }));
+    all.extend(views().map(|(_, key, view)| FleetInput::View { key, view }));
     for (now_ms, heard) in (began_ms..).step_by(300).zip(all) {
-        picture.take(&heard, now_ms);
-        tape.take(&heard, &picture, now_ms).expect("a file");
-        tape.pass(now_ms).expect("a file");
+        picture.apply(&heard, now_ms);
+        tape.write_input(&heard, &picture, now_ms).expect("a file");
+        tape.flush_due(now_ms).expect("a file");
     }
-    tape.end().expect("a file");
+    tape.finish().expect("a file");
     let bytes = std::fs::read(&file).expect("the same file");
     std::fs::remove_file(file).expect("the same file");
     bytes

@@ -1,24 +1,24 @@
 //! What each target begins with: something of each kind that it reads. Examples that are shipped are read from where they are.
 
 mod fleet;
-mod spoken;
+mod sample_messages;
 
-use consort_protocol::versions::Versions;
+use consort_protocol::versions::VersionRange;
 use serde_json::json;
 use std::fs;
 use std::path::Path;
 
 /// The seeds of a target, none of which is refused as a whole.
-pub(crate) fn of(name: &str) -> Vec<Vec<u8>> {
+pub(crate) fn for_target(name: &str) -> Vec<Vec<u8>> {
     match name {
-        "wire" => (Versions::OWN.oldest..=Versions::OWN.newest).flat_map(spoken::messages).collect(),
-        "gossip" => spoken::gossip(),
-        "raft" => spoken::raft(),
-        "award" => spoken::awards(),
-        "notebook" => spoken::pages(),
-        "ledger" => vec![spoken::commands()],
+        "wire" => (VersionRange::OWN.oldest..=VersionRange::OWN.newest).flat_map(sample_messages::messages).collect(),
+        "gossip" => sample_messages::gossip(),
+        "raft" => sample_messages::raft(),
+        "award" => sample_messages::awards(),
+        "notebook" => sample_messages::checkpoints(),
+        "ledger" => vec![sample_messages::commands()],
         "store" => vec![vec![]],
-        "seal" => spoken::sealed(),
+        "seal" => sample_messages::signed_envelopes(),
         // No edits: what was issued.
         "certificate" | "pem" => vec![vec![0]],
         "names" => texts(&[
@@ -63,7 +63,7 @@ pub(crate) fn of(name: &str) -> Vec<Vec<u8>> {
             fleet::schedule(),
         ],
         "recording" => vec![fleet::recording()],
-        "picture" => vec![fleet::heard()],
+        "picture" => vec![fleet::fleet_inputs()],
         "dashboard" => texts(&[
             "GET /api/events?after=1&kind=bid&mission=m-1&robot=ada&text=a%20b&limit=5",
             "GET /api/picture",
@@ -76,8 +76,8 @@ pub(crate) fn of(name: &str) -> Vec<Vec<u8>> {
 /// The same of what nodes say to one another and write down, as a fleet that writes this version of the wire has it.
 pub(crate) fn at_version(wire: u8, name: &str) -> Vec<Vec<u8>> {
     match name {
-        "wire" => spoken::messages(wire),
-        other => of(other),
+        "wire" => sample_messages::messages(wire),
+        other => for_target(other),
     }
 }
 

@@ -3,7 +3,7 @@
 use super::frames::frames;
 use consort_protocol::codec;
 use consort_protocol::lease::Epoch;
-use consort_protocol::ledger::{Command, Ledger, Outcome};
+use consort_protocol::ledger::{Command, CommandOutcome, Ledger};
 
 /// Whatever is committed, the ledger goes on: what it refuses changes nothing, and what it holds can be looked at, written down
 /// and read back.
@@ -13,7 +13,7 @@ pub(super) fn ledger(bytes: &[u8]) -> bool {
         let Ok(command) = codec::decode::<Command>(piece) else { continue };
         let before = written(&ledger);
         let outcome = ledger.apply(Epoch { term: 1, index }, command);
-        if let Outcome::Refused(refused) = &outcome {
+        if let CommandOutcome::Refused(refused) = &outcome {
             assert!(written(&ledger) == before, "a refused command has changed the ledger: {refused}");
         } else {
             applied += 1;
@@ -32,8 +32,8 @@ fn written(ledger: &Ledger) -> Vec<u8> {
 }
 
 fn look(ledger: &Ledger) {
-    ledger.stranded().for_each(drop);
-    for entry in ledger.live() {
+    ledger.held_items().for_each(drop);
+    for entry in ledger.active_missions() {
         entry.rank();
     }
     for entry in ledger.missions() {
@@ -41,9 +41,9 @@ fn look(ledger: &Ledger) {
         entry.holders();
         entry.progress();
         entry.open_roles();
-        entry.state.word();
-        for (role, holding) in entry.holdings() {
-            entry.told(&role);
+        entry.state.as_str();
+        for (role, holding) in entry.role_holders() {
+            entry.signals_to(&role);
             entry.plan(&role);
             entry.excluded(&role);
             ledger.held_by(&holding.robot);

@@ -1,8 +1,8 @@
 //! Maps of all forms.
 
 use super::frames::text;
-use consort_nodes::floor;
-use consort_sim::map::{self, Map, MapError, MapFile, Options, show};
+use consort_nodes::map_loader;
+use consort_sim::map::{self, ImportOptions, Map, MapError, MapFile, render};
 
 /// A map that was taken is sound, can be told and drawn, and reads back the same.
 fn sound(file: &MapFile, name: &str) -> bool {
@@ -16,10 +16,10 @@ fn sound(file: &MapFile, name: &str) -> bool {
     let json = serde_json::to_string(file).expect("numbers that a sound map has");
     let again = map::read(&json, "again.json").expect("what was written can be read");
     assert_eq!(again, sound, "it reads back as something else");
-    Map::told(&sound.show(), "view/map").expect("what is told can be read");
+    Map::from_json(&sound.to_json(), "view/map").expect("what is told can be read");
     sound.topology();
     if sound.places().len() <= 100 {
-        show::svg(&sound, &[]);
+        render::svg(&sound, &[]);
     }
     true
 }
@@ -30,7 +30,7 @@ fn named(problem: &MapError, name: &str) {
 
 fn read(bytes: &[u8], name: &str) -> bool {
     let Some(text) = text(bytes) else { return false };
-    match map::open(text, name, &Options::default()) {
+    match map::parse_drawing(text, name, &ImportOptions::default()) {
         Ok(drawing) => sound(&drawing.map, name),
         Err(problem) => {
             named(&problem, name);
@@ -45,10 +45,10 @@ pub(super) fn yaml(bytes: &[u8]) -> bool {
 
 pub(super) fn json(bytes: &[u8]) -> bool {
     let read = read(bytes, "a.json");
-    let Some(text) = text(bytes).filter(|text| floor::is_published_form(text)) else { return read };
-    match floor::read(text, "published.json") {
+    let Some(text) = text(bytes).filter(|text| map_loader::is_published_format(text)) else { return read };
+    match map_loader::parse(text, "published.json") {
         Ok(floor) => {
-            floor.show();
+            floor.to_json();
             true
         }
         Err(problems) => {

@@ -1,10 +1,10 @@
 //! Missions, as files and as clients ask for them.
 
 use super::frames::text;
-use consort_actors::untrusted::{Request, request as asked};
+use consort_actors::fuzz_api::{ApiRequest, request as asked};
 use consort_protocol::codec;
 use consort_protocol::keys::ApiCall;
-use consort_protocol::mission::{Domain, Format, IhtnReading, Mission, MissionTemplate, TemplateKind, import_ihtn};
+use consort_protocol::mission::{Domain, Format, IhtnOptions, Mission, MissionTemplate, TemplateKind, import_ihtn};
 use consort_protocol::plan::{check_division, divide_and_check};
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -30,9 +30,9 @@ fn instantiated(template: &MissionTemplate) {
     };
     let given: BTreeMap<String, String> =
         open.map(|(name, parameter)| (name.clone(), value(parameter.kind).to_owned())).collect();
-    match template.instantiate_both(&given, &domain) {
+    match template.instantiate_with_recovery(&given, &domain) {
         Ok((mission, _)) => sound(&mission, &domain),
-        Err(errors) => assert!(!errors.problems.is_empty()),
+        Err(errors) => assert!(!errors.diagnostics.is_empty()),
     }
 }
 
@@ -65,7 +65,7 @@ pub(super) fn json(bytes: &[u8]) -> bool {
 pub(super) fn ihtn(bytes: &[u8]) -> bool {
     let Some(text) = text(bytes) else { return false };
     let slug = |text: &str| text.parse().expect("a slug");
-    let reading = IhtnReading {
+    let reading = IhtnOptions {
         name: "mission".parse().expect("a slug"),
         unmanaged: BTreeSet::from(["nurse".parse().expect("a slug")]),
         aliases: BTreeMap::from([("navto".to_owned(), slug("navigation"))]),
@@ -77,7 +77,7 @@ pub(super) fn ihtn(bytes: &[u8]) -> bool {
             true
         }
         Err(errors) => {
-            assert!(errors.problems.iter().all(|problem| !problem.path.is_empty()), "where is it wrong?");
+            assert!(errors.diagnostics.iter().all(|problem| !problem.path.is_empty()), "where is it wrong?");
             false
         }
     }
@@ -88,12 +88,12 @@ pub(super) fn request(bytes: &[u8]) -> bool {
     let mut taken = false;
     for call in ApiCall::ALL {
         match asked(*call, bytes) {
-            Ok(Request::Submit(template)) => {
+            Ok(ApiRequest::Submit(template)) => {
                 instantiated(&template);
                 taken = true;
             }
             // These two take nothing, whatever they are given.
-            Ok(Request::Other) => taken |= !matches!(call, ApiCall::List | ApiCall::Help),
+            Ok(ApiRequest::Other) => taken |= !matches!(call, ApiCall::List | ApiCall::Help),
             Err(problem) => assert!(!problem.is_empty()),
         }
     }

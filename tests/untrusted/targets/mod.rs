@@ -4,31 +4,31 @@
 //! What must hold beyond ending without a panic, soon and in little memory: what was read can be written, and what is written
 //! reads back the same; what an importer has taken passes its own checks; what is refused is refused with words.
 
-mod bodies;
-mod books;
+mod behavior_files;
 mod frames;
 mod ledgers;
 mod maps;
 mod messages;
 mod missions;
-mod proofs;
 mod recordings;
+mod robots;
 mod scratch;
 mod settings;
 mod stores;
+mod trust;
 
 /// Something that is read.
 pub(crate) struct Target {
     /// Its name: that of the fuzz target, and of its folder of kept inputs.
     pub(crate) name: &'static str,
     /// Reads; says whether anything of it made sense.
-    pub(crate) hit: fn(&[u8]) -> bool,
+    pub(crate) run: fn(&[u8]) -> bool,
 }
 
 macro_rules! targets {
     ($($(#[doc = $doc:literal])* $name:ident = $hit:path;)*) => {
         /// All there are.
-        pub(crate) const ALL: &[Target] = &[$(Target { name: stringify!($name), hit: $hit }),*];
+        pub(crate) const ALL: &[Target] = &[$(Target { name: stringify!($name), run: $hit }),*];
     };
 }
 
@@ -36,21 +36,21 @@ targets! {
     /// Messages between nodes, of each kind.
     wire = messages::wire;
     /// The seal around them, and what whoever bears it may say.
-    seal = proofs::seal;
+    seal = trust::signed_envelope;
     /// Certificates as peers show them, and lists of revoked ones.
-    certificate = proofs::certificate;
+    certificate = trust::certificate;
     /// Certificates as files.
-    pem = proofs::pem;
+    pem = trust::pem;
     /// Names, identities and keys, which stand in keys and certificates.
-    names = proofs::names;
+    names = trust::names;
     /// Gossip: packets of failure detection, statements, exchanges, one after the other.
     gossip = messages::gossip;
     /// Consensus: questions, answers, log entries, snapshots.
     raft = messages::raft;
     /// What a robot is awarded, carried out.
-    award = bodies::award;
+    award = robots::award;
     /// A robot's notebook.
-    notebook = bodies::notebook;
+    notebook = robots::checkpoint;
     /// Commands of the ledger, one after the other.
     ledger = ledgers::ledger;
     /// A store on a disk that was damaged.
@@ -72,11 +72,11 @@ targets! {
     /// Buildings of Open-RMF.
     building = maps::building;
     /// Behavior trees.
-    tree = books::tree;
+    tree = behavior_files::tree;
     /// Conditions of ensembles.
-    condition = books::condition;
+    condition = behavior_files::condition;
     /// Features in Gherkin.
-    feature = books::feature;
+    feature = behavior_files::feature;
     /// Fleet, robot, station and world files.
     config = settings::config;
     /// Designs of evaluations.
@@ -88,7 +88,7 @@ targets! {
     /// Recordings.
     recording = recordings::recording;
     /// What is heard of a fleet by whoever shows it.
-    picture = recordings::picture;
+    picture = recordings::fleet_model;
     /// Requests to the dashboard.
     dashboard = recordings::dashboard;
 }

@@ -2,13 +2,13 @@
 
 use super::frames::{frames, text};
 use super::scratch;
-use consort_actors::body::BodyState;
 use consort_actors::clock::Clock;
-use consort_nodes::address::Taken;
-use consort_nodes::dashboard::{Board, Dashboard};
-use consort_nodes::floor::Floor;
-use consort_nodes::picture::{FloorPlan, Heard, Picture, delta};
-use consort_nodes::recording::Reel;
+use consort_actors::robot_driver::DriverState;
+use consort_nodes::address::BoundAddress;
+use consort_nodes::dashboard::{Dashboard, FramePublisher};
+use consort_nodes::fleet_model::{FleetInput, FleetModel, FloorPlan, delta};
+use consort_nodes::map_loader::LoadedMap;
+use consort_nodes::recording::RecordingReader;
 use consort_protocol::codec;
 use consort_protocol::ids::FleetId;
 use consort_protocol::keys::{Key, Keys};
@@ -23,7 +23,7 @@ use tokio::runtime::Runtime;
 /// A recording that is shown shows the same however one comes to an instant of it.
 pub(super) fn recording(bytes: &[u8]) -> bool {
     let file = scratch::file("a.mcap", bytes);
-    let reel = match Reel::open(&file) {
+    let reel = match RecordingReader::open(&file) {
         Ok(reel) => reel,
         Err(problem) => {
             assert!(problem.to_string().contains("a.mcap"), "{problem}");
@@ -32,52 +32,52 @@ pub(super) fn recording(bytes: &[u8]) -> bool {
     };
     let (from, to) = (reel.from_ms(), reel.to_ms());
     let middle = from + to.saturating_sub(from) / 2;
-    let mut picture = reel.picture_at(from);
+    let mut picture = reel.model_at(from);
     let mut taken = 0;
     for at in [from, middle, to, middle] {
-        taken = reel.bring(&mut picture, taken, at);
-        assert_eq!(picture.value(), reel.picture_at(at).value(), "at {at} ms, of {from} to {to}");
+        taken = reel.seek(&mut picture, taken, at);
+        assert_eq!(picture.to_json(), reel.model_at(at).to_json(), "at {at} ms, of {from} to {to}");
     }
     true
 }
 
 /// Whatever is heard, and whenever, what is drawn by changes is what is drawn at once.
-pub(super) fn picture(bytes: &[u8]) -> bool {
+pub(super) fn fleet_model(bytes: &[u8]) -> bool {
     let keys = Keys::new(&FleetId::new("ward").expect("a slug"));
-    let mut picture = Picture::new("ward", "ada", FloorPlan::default(), 1000);
+    let mut picture = FleetModel::new("ward", "ada", FloorPlan::default(), 1000);
     let mut drawn = Value::Null;
-    picture.redraw(&mut drawn);
+    picture.render_patch(&mut drawn);
     let (mut patched, mut now_ms, mut taken) = (drawn.clone(), 1000u64, 0);
     for (kind, piece) in frames(bytes).take(60) {
         let json = || serde_json::from_slice::<Value>(piece).ok();
         let heard = match kind % 8 {
-            0 => serde_json::from_slice(piece).ok().map(Heard::Event),
-            1 => codec::decode::<Beacon>(piece).ok().map(Heard::Beacon),
-            2 => codec::decode::<BodyState>(piece)
+            0 => serde_json::from_slice(piece).ok().map(FleetInput::Event),
+            1 => codec::decode::<Beacon>(piece).ok().map(FleetInput::Beacon),
+            2 => codec::decode::<DriverState>(piece)
                 .ok()
-                .map(|state| Heard::Body { robot: state.robot.to_string(), telemetry: state.telemetry }),
+                .map(|state| FleetInput::Telemetry { robot: state.robot.to_string(), telemetry: state.telemetry }),
             3 => {
                 now_ms = now_ms.saturating_add(1 << (kind / 8));
                 None
             }
-            4 => Some(Heard::Links(piece.len())),
-            5 => serde_json::from_slice::<Beacon>(piece).ok().map(Heard::Beacon),
-            _ => json().and_then(|view| Some(Heard::View { key: view_key(kind, &keys, &view)?, view })),
+            4 => Some(FleetInput::Links(piece.len())),
+            5 => serde_json::from_slice::<Beacon>(piece).ok().map(FleetInput::Beacon),
+            _ => json().and_then(|view| Some(FleetInput::View { key: view_key(kind, &keys, &view)?, view })),
         };
-        if let Some(Heard::View { key: Key::ViewMap, view }) = &heard
-            && let Ok(floor) = Floor::told(view)
+        if let Some(FleetInput::View { key: Key::ViewMap, view }) = &heard
+            && let Ok(floor) = LoadedMap::from_view(view)
         {
-            floor.show();
+            floor.to_json();
         }
         let Some(heard) = heard else { continue };
-        picture.take(&heard, now_ms);
+        picture.apply(&heard, now_ms);
         taken += 1;
-        if let Some(patch) = picture.redraw(&mut drawn) {
+        if let Some(patch) = picture.render_patch(&mut drawn) {
             delta::apply(&mut patched, &patch);
         }
         assert_eq!(patched, drawn, "the changes make another picture");
     }
-    assert_eq!(drawn, picture.value(), "drawn bit by bit it is another picture");
+    assert_eq!(drawn, picture.to_json(), "drawn bit by bit it is another picture");
     taken > 0
 }
 
@@ -113,9 +113,10 @@ fn server() -> &'static Server {
         let runtime = tokio::runtime::Builder::new_multi_thread().worker_threads(1).enable_all().build();
         let runtime = runtime.expect("a runtime");
         let dashboard = runtime.block_on(async {
-            let picture = Picture::new("ward", "ada", FloorPlan::default(), 1000);
-            let taken = Taken::take("--dashboard", SocketAddr::from(([127, 0, 0, 1], 0))).await.expect("a free port");
-            Dashboard::show(taken, Arc::new(Board::new(picture, Clock::real())))
+            let picture = FleetModel::new("ward", "ada", FloorPlan::default(), 1000);
+            let taken =
+                BoundAddress::bind("--dashboard", SocketAddr::from(([127, 0, 0, 1], 0))).await.expect("a free port");
+            Dashboard::serve_view_only(taken, Arc::new(FramePublisher::new(picture, Clock::real())))
         });
         let address = dashboard.address();
         Server { _runtime: runtime, _dashboard: dashboard, address }

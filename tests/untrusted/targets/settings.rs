@@ -2,7 +2,7 @@
 
 use super::frames::text;
 use consort_nodes::config::{ConfigFile, FleetConfig, RobotConfig, StationConfig, WorldConfig, from_text, to_toml};
-use consort_nodes::source;
+use consort_nodes::inputs;
 use consort_sim::experiment::calibration::Calibration;
 use consort_sim::experiment::design::{self, Design};
 use consort_sim::experiment::{results, travel};
@@ -55,14 +55,14 @@ pub(super) fn tables(bytes: &[u8]) -> bool {
         assert_eq!(results::read(&once[..]).expect("what was written can be read").len(), rows.len());
         read = !rows.is_empty();
     }
-    match travel::Legs::read(bytes) {
+    match travel::MeasuredLegs::read(bytes) {
         Ok(_) => read = true,
         Err(problem) => assert!(!problem.to_string().is_empty()),
     }
     let Some(text) = text(bytes) else { return read };
     for file in ["a.toml", "a.json", "a.yaml"] {
-        let workers = source::workers(text, file).map(|workers| !workers.is_empty());
-        for found in [workers, source::scenarios(text, file).map(|scenarios| !scenarios.is_empty())] {
+        let workers = inputs::workers(text, file).map(|workers| !workers.is_empty());
+        for found in [workers, inputs::scenarios(text, file).map(|scenarios| !scenarios.is_empty())] {
             match found {
                 Ok(some) => read |= some,
                 Err(problems) => assert!(problems.0.iter().all(|problem| problem.to_string().contains(file))),

@@ -1,8 +1,8 @@
 //! Stores on disks.
 
 use super::frames::frames;
-use consort_actors::replica::{Recorded, StoreIdentity, holdings};
-use consort_actors::store::{DurableStore, OpenError, Owner};
+use consort_actors::raft::{PersistentState, StoreIdentity, inspect_log_store};
+use consort_actors::store::{DurableStore, OpenError, StoreOwner};
 use consort_protocol::ledger::Ledger;
 use redb::StorageBackend;
 use redb::backends::InMemoryBackend;
@@ -52,24 +52,24 @@ impl StorageBackend for Disk {
 
 /// A store as it was left.
 struct Left {
-    owner: Owner,
+    owner: StoreOwner,
     ledger: Vec<u8>,
     seal: Vec<u8>,
-    recorded: Recorded,
+    recorded: PersistentState,
 }
 
 fn left() -> &'static Left {
     static LEFT: OnceLock<Left> = OnceLock::new();
     LEFT.get_or_init(|| {
-        let owner = Owner { fleet: "ward".parse().expect("a slug"), node: "ada".parse().expect("a slug") };
+        let owner = StoreOwner { fleet: "ward".parse().expect("a slug"), node: "ada".parse().expect("a slug") };
         let (ledger, seal) = (Disk::holding(&[]), Disk::holding(&[]));
         let recorded = {
             let identity = StoreIdentity(7);
             let store = DurableStore::open_on(ledger.clone(), seal.clone(), &owner, identity).expect("a new store");
             let entries = (0..20u64).map(|index| (index, vec![7; 300])).collect();
-            let recorded = Recorded { vote: Some(vec![1; 9]), entries, ..Recorded::default() };
+            let recorded = PersistentState { vote: Some(vec![1; 9]), entries, ..PersistentState::default() };
             store.replace(recorded.clone()).expect("memory");
-            store.begin_life(5).expect("memory");
+            store.begin_incarnation(5).expect("memory");
             recorded
         };
         Left { owner, ledger: ledger.bytes(), seal: seal.bytes(), recorded }
@@ -99,10 +99,10 @@ pub(super) fn store(bytes: &[u8]) -> bool {
     let whole = opened.is_ok();
     match opened {
         Ok(store) => {
-            let found = store.recorded().expect("an open store can be read");
+            let found = store.persistent_state().expect("an open store can be read");
             assert!(found == *recorded, "a damaged store was taken for a sound one");
         }
-        Err(OpenError::InUse { .. } | OpenError::Absent { .. }) => panic!("that is not what is wrong with it"),
+        Err(OpenError::InUse { .. } | OpenError::NotFound { .. }) => panic!("that is not what is wrong with it"),
         Err(problem) => {
             assert!(harmed, "a sound store is refused: {problem}");
             assert!(problem.to_string().contains("ledger"), "it does not say which file: {problem}");
@@ -111,14 +111,14 @@ pub(super) fn store(bytes: &[u8]) -> bool {
     let records: Vec<&[u8]> = frames(bytes).map(|(_, piece)| piece).collect();
     let nth = |nth: usize| records.get(nth).map(|bytes| bytes.to_vec());
     let entries = records.iter().skip(4).map(|bytes| bytes.to_vec());
-    let recorded = Recorded {
+    let recorded = PersistentState {
         vote: nth(0),
         committed: nth(1),
         purged: nth(2),
         snapshot: nth(3),
         entries: (0..).zip(entries).collect(),
     };
-    if let Err(problem) = holdings::<Ledger>(recorded) {
+    if let Err(problem) = inspect_log_store::<Ledger>(recorded) {
         assert!(!problem.to_string().is_empty());
     }
     whole

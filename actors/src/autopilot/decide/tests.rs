@@ -6,15 +6,15 @@ const LONG: Duration = Duration::from_secs(3600);
 
 fn member(number: u64) -> Member {
     let node = NodeId::new(format!("n{number}")).unwrap();
-    Member { node, health: Health::Well { since: LONG }, fixed: true, leaving: false, lag: Some(0) }
+    Member { node, health: MemberHealth::Healthy { since: LONG }, preferred: true, leaving: false, lag: Some(0) }
 }
 
 fn silent(number: u64, seconds: u64) -> Member {
-    Member { health: Health::Silent { since: Duration::from_secs(seconds) }, ..member(number) }
+    Member { health: MemberHealth::Unresponsive { since: Duration::from_secs(seconds) }, ..member(number) }
 }
 
 fn mobile(number: u64) -> Member {
-    Member { fixed: false, ..member(number) }
+    Member { preferred: false, ..member(number) }
 }
 
 fn leaving(number: u64) -> Member {
@@ -25,17 +25,17 @@ fn numbered(members: Vec<(u64, Member)>) -> BTreeMap<RaftId, Member> {
     members.into_iter().map(|(number, member)| (RaftId(number), member)).collect()
 }
 
-fn fleet(voters: Vec<(u64, Member)>, observers: Vec<(u64, Member)>, candidates: Vec<(u64, Member)>) -> View {
-    View {
+fn fleet(voters: Vec<(u64, Member)>, observers: Vec<(u64, Member)>, candidates: Vec<(u64, Member)>) -> AutopilotInput {
+    AutopilotInput {
         me: RaftId(1),
-        target: 5,
+        target_voters: 5,
         dead_after: DEAD,
-        settle: DEAD,
-        quiet: LONG,
-        yielded: None,
+        settle_time: DEAD,
+        unchanged_for: LONG,
+        since_transfer: None,
         voters: numbered(voters),
-        changing_to: None,
-        observers: numbered(observers),
+        pending_voters: None,
+        learners: numbered(observers),
         candidates: numbered(candidates),
     }
 }
@@ -45,14 +45,14 @@ fn well(numbers: impl IntoIterator<Item = u64>) -> Vec<(u64, Member)> {
 }
 
 /// The change without its reason.
-fn gist(change: Option<Change>) -> String {
+fn gist(change: Option<AutopilotAction>) -> String {
     let list = |voters: &BTreeSet<RaftId>| voters.iter().map(|id| id.0.to_string()).collect::<Vec<_>>().join(" ");
     match change {
         None => "nothing".to_owned(),
-        Some(Change::Observe { id, .. }) => format!("observe {}", id.0),
-        Some(Change::Vote { voters, .. }) => format!("vote {}", list(&voters)),
-        Some(Change::Forget { id, .. }) => format!("forget {}", id.0),
-        Some(Change::HandOver { to, .. }) => {
+        Some(AutopilotAction::AddLearner { id, .. }) => format!("observe {}", id.0),
+        Some(AutopilotAction::SetVoters { voters, .. }) => format!("vote {}", list(&voters)),
+        Some(AutopilotAction::RemoveLearner { id, .. }) => format!("forget {}", id.0),
+        Some(AutopilotAction::TransferLeadership { to, .. }) => {
             format!("hand over to {}", to.iter().map(NodeId::as_str).collect::<Vec<_>>().join(" "))
         }
     }
@@ -83,7 +83,7 @@ fn one_that_was_silent_for_a_moment_is_not() {
 
 #[test]
 fn a_member_whose_store_is_lost_is_replaced_at_once_by_the_same_node_if_need_be() {
-    let lost = Member { health: Health::Replaced, ..member(3) };
+    let lost = Member { health: MemberHealth::Replaced, ..member(3) };
     let view =
         fleet(with(well(1..=3), 3, lost), vec![], vec![(9, Member { node: NodeId::new("n3").unwrap(), ..member(9) })]);
     assert_eq!(gist(decide(&view)), "observe 9");
@@ -136,20 +136,20 @@ fn voters_grow_to_an_odd_number() {
 
 #[test]
 fn more_than_are_aimed_at_go_one_by_one() {
-    let view = View { target: 3, ..fleet(with(well(1..=5), 2, mobile(2)), vec![], vec![]) };
+    let view = AutopilotInput { target_voters: 3, ..fleet(with(well(1..=5), 2, mobile(2)), vec![], vec![]) };
     assert_eq!(gist(decide(&view)), "vote 1 3 4 5");
 }
 
 #[test]
 fn one_that_stays_takes_the_place_of_one_that_moves_when_both_have_settled() {
     let voters = with(well(1..=3), 2, mobile(2));
-    let view = View { target: 3, ..fleet(voters, vec![], well([4])) };
+    let view = AutopilotInput { target_voters: 3, ..fleet(voters, vec![], well([4])) };
     assert_eq!(gist(decide(&view)), "observe 4");
-    let view = View { candidates: BTreeMap::new(), observers: numbered(well([4])), ..view };
+    let view = AutopilotInput { candidates: BTreeMap::new(), learners: numbered(well([4])), ..view };
     assert_eq!(gist(decide(&view)), "vote 1 3 4");
-    assert_eq!(gist(decide(&View { quiet: Duration::ZERO, ..view.clone() })), "nothing");
-    let fresh = Member { health: Health::Well { since: Duration::from_secs(1) }, ..member(4) };
-    assert_eq!(gist(decide(&View { observers: numbered(vec![(4, fresh)]), ..view })), "nothing");
+    assert_eq!(gist(decide(&AutopilotInput { unchanged_for: Duration::ZERO, ..view.clone() })), "nothing");
+    let fresh = Member { health: MemberHealth::Healthy { since: Duration::from_secs(1) }, ..member(4) };
+    assert_eq!(gist(decide(&AutopilotInput { learners: numbered(vec![(4, fresh)]), ..view })), "nothing");
 }
 
 #[test]
@@ -161,43 +161,43 @@ fn observers_that_nothing_is_planned_with_are_forgotten() {
 #[test]
 fn what_a_dead_leader_began_is_completed() {
     let mut view = fleet(well(1..=6), vec![], well([7]));
-    view.changing_to = Some([1, 2, 4, 5, 6].map(RaftId).into());
+    view.pending_voters = Some([1, 2, 4, 5, 6].map(RaftId).into());
     assert_eq!(gist(decide(&view)), "vote 1 2 4 5 6");
 }
 
 fn any_member(number: u64) -> impl Strategy<Value = Member> {
     let health = prop_oneof![
-        4 => (0u64..30).prop_map(|s| Health::Well { since: Duration::from_secs(s) }),
-        1 => (0u64..30).prop_map(|s| Health::Silent { since: Duration::from_secs(s) }),
-        1 => Just(Health::Replaced),
+        4 => (0u64..30).prop_map(|s| MemberHealth::Healthy { since: Duration::from_secs(s) }),
+        1 => (0u64..30).prop_map(|s| MemberHealth::Unresponsive { since: Duration::from_secs(s) }),
+        1 => Just(MemberHealth::Replaced),
     ];
     let lag = prop_oneof![4 => Just(Some(0)), 1 => Just(None), 1 => Just(Some(500u64))];
     (health, any::<bool>(), prop::bool::weighted(0.1), lag).prop_map(move |(health, fixed, leaving, lag)| Member {
         health,
-        fixed,
+        preferred: fixed,
         leaving,
         lag,
         ..member(number)
     })
 }
 
-fn any_view() -> impl Strategy<Value = View> {
+fn any_view() -> impl Strategy<Value = AutopilotInput> {
     let places = prop::collection::vec(0u8..3, 1..12);
     places.prop_flat_map(|places| {
         let members: Vec<_> = (1u64..).take(places.len()).map(any_member).collect();
         (Just(places), members, 1usize..6, any::<bool>()).prop_map(|(places, members, half, quiet)| {
             let mut view = fleet(vec![], vec![], vec![]);
-            view.target = half * 2 - 1;
-            view.quiet = if quiet { LONG } else { Duration::ZERO };
+            view.target_voters = half * 2 - 1;
+            view.unchanged_for = if quiet { LONG } else { Duration::ZERO };
             for (number, (place, mut member)) in (1u64..).zip(places.into_iter().zip(members)) {
                 let id = RaftId(number);
                 match place {
                     _ if number == 1 => {
-                        member.health = Health::Well { since: LONG };
+                        member.health = MemberHealth::Healthy { since: LONG };
                         view.voters.insert(id, member);
                     }
                     0 => drop(view.voters.insert(id, member)),
-                    1 => drop(view.observers.insert(id, member)),
+                    1 => drop(view.learners.insert(id, member)),
                     _ => drop(view.candidates.insert(id, member)),
                 }
             }
@@ -207,32 +207,32 @@ fn any_view() -> impl Strategy<Value = View> {
 }
 
 /// What the fleet looks like after a change.
-fn after(view: &View, change: &Change) -> View {
+fn after(view: &AutopilotInput, change: &AutopilotAction) -> AutopilotInput {
     let mut next = view.clone();
     match change {
-        Change::Observe { id, .. } => {
+        AutopilotAction::AddLearner { id, .. } => {
             let member = next.candidates.remove(id).expect("a candidate");
-            next.observers.insert(*id, member);
+            next.learners.insert(*id, member);
         }
-        Change::Vote { voters, .. } => {
+        AutopilotAction::SetVoters { voters, .. } => {
             let (mut all, former) = (next.voters.clone(), next.voters.len());
-            all.append(&mut next.observers);
+            all.append(&mut next.learners);
             for (id, member) in all {
                 if voters.contains(&id) {
                     next.voters.insert(id, member);
                 } else if next.voters.remove(&id).is_some() {
                     next.candidates.insert(id, member);
                 } else {
-                    next.observers.insert(id, member);
+                    next.learners.insert(id, member);
                 }
             }
             assert!(former > 0);
         }
-        Change::Forget { id, .. } => {
-            let member = next.observers.remove(id).expect("an observer");
+        AutopilotAction::RemoveLearner { id, .. } => {
+            let member = next.learners.remove(id).expect("an observer");
             next.candidates.insert(*id, member);
         }
-        Change::HandOver { to, .. } => {
+        AutopilotAction::TransferLeadership { to, .. } => {
             let successor = next.voters.iter().find(|(_, member)| to.contains(&member.node));
             next.me = *successor.expect("a voter").0;
         }
@@ -246,10 +246,10 @@ proptest! {
     #[test]
     fn no_change_endangers_the_quorum(view in any_view()) {
         let Some(change) = decide(&view) else { return Ok(()) };
-        let Change::Vote { voters, .. } = &change else { return Ok(()) };
+        let AutopilotAction::SetVoters { voters, .. } = &change else { return Ok(()) };
         let answers = |id: &RaftId| {
-            let member = view.voters.get(id).or_else(|| view.observers.get(id));
-            member.is_some_and(|member| matches!(member.health, Health::Well { .. }))
+            let member = view.voters.get(id).or_else(|| view.learners.get(id));
+            member.is_some_and(|member| matches!(member.health, MemberHealth::Healthy { .. }))
         };
         let now: BTreeSet<RaftId> = view.voters.keys().copied().collect();
         for set in [&now, voters] {
@@ -258,18 +258,18 @@ proptest! {
         }
         // The leader stays, nobody votes that was not replicated to, and those who go are few.
         prop_assert!(voters.contains(&view.me));
-        prop_assert!(voters.iter().all(|id| now.contains(id) || view.observers.contains_key(id)));
+        prop_assert!(voters.iter().all(|id| now.contains(id) || view.learners.contains_key(id)));
         let removed: Vec<_> = now.difference(voters).collect();
         prop_assert!(removed.len() <= 1, "{change:?}");
         // One that answers and stays goes only for a better one, or because there are too many.
         for id in removed {
             let former = &view.voters[id];
-            if former.fit() && voters.len() <= view.target.min(now.len() - 1) {
-                prop_assert!(now.len() > view.target, "{change:?}");
+            if former.fit() && voters.len() <= view.target_voters.min(now.len() - 1) {
+                prop_assert!(now.len() > view.target_voters, "{change:?}");
             }
             if former.fit() && voters.len() == now.len() {
-                let better = voters.difference(&now).all(|id| view.observers[id].fixed);
-                prop_assert!(!former.fixed && better, "{change:?}");
+                let better = voters.difference(&now).all(|id| view.learners[id].preferred);
+                prop_assert!(!former.preferred && better, "{change:?}");
             }
         }
     }
@@ -289,7 +289,7 @@ proptest! {
 
 #[test]
 fn a_leader_that_moves_hands_over_to_voters_that_stay_once_they_have_been_there_for_long() {
-    let recent = |number| Member { health: Health::Well { since: DEAD / 2 }, ..member(number) };
+    let recent = |number| Member { health: MemberHealth::Healthy { since: DEAD / 2 }, ..member(number) };
     let behind = |number| Member { lag: Some(LAG_MAX + 1), ..member(number) };
     let unheard = |number| Member { lag: None, ..member(number) };
     let among = |voters: Vec<(u64, Member)>| fleet(voters, vec![], vec![]);
@@ -319,11 +319,12 @@ fn a_leader_that_moves_hands_over_to_voters_that_stay_once_they_have_been_there_
 fn a_leader_that_moves_hands_over_at_most_every_five_minutes_and_only_when_all_is_quiet() {
     let voters = vec![(1, mobile(1)), (2, member(2)), (3, member(3))];
     let calm = fleet(voters, vec![], vec![]);
-    let after = |ago| View { yielded: Some(Duration::from_secs(ago)), ..calm.clone() };
+    let after = |ago| AutopilotInput { since_transfer: Some(Duration::from_secs(ago)), ..calm.clone() };
     assert_eq!(gist(decide(&after(299))), "nothing");
     assert_eq!(gist(decide(&after(300))), "hand over to n2 n3");
-    assert_eq!(gist(decide(&View { quiet: DEAD / 2, ..calm.clone() })), "nothing");
+    assert_eq!(gist(decide(&AutopilotInput { unchanged_for: DEAD / 2, ..calm.clone() })), "nothing");
     // Whatever is due besides comes first.
-    let busy = View { voters: numbered(vec![(1, mobile(1)), (2, member(2)), (3, silent(3, 11))]), ..calm.clone() };
+    let busy =
+        AutopilotInput { voters: numbered(vec![(1, mobile(1)), (2, member(2)), (3, silent(3, 11))]), ..calm.clone() };
     assert!(gist(decide(&busy)).starts_with("vote"), "{:?}", decide(&busy));
 }

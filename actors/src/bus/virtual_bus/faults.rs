@@ -19,7 +19,7 @@ pub(super) struct Faults {
 
 impl Faults {
     /// Whether what `from` says never reaches `to`.
-    pub(super) fn sever(&self, from: &NodeId, to: &NodeId) -> bool {
+    pub(super) fn blocks(&self, from: &NodeId, to: &NodeId) -> bool {
         from != to
             && (self.muted.contains(from)
                 || self.deafened.contains(to)
@@ -39,15 +39,15 @@ impl Faults {
         self.cuts.insert((from, to));
     }
 
-    pub(super) fn mend(&mut self, from: NodeId, to: NodeId) {
+    pub(super) fn restore(&mut self, from: NodeId, to: NodeId) {
         self.cuts.remove(&(from, to));
     }
 
-    pub(super) fn mute(&mut self, node: NodeId) {
+    pub(super) fn block_outgoing(&mut self, node: NodeId) {
         self.muted.insert(node);
     }
 
-    pub(super) fn deafen(&mut self, node: NodeId) {
+    pub(super) fn block_incoming(&mut self, node: NodeId) {
         self.deafened.insert(node);
     }
 

@@ -42,7 +42,7 @@ impl LinkModel {
     }
 
     /// Only our own tests state link models: one that makes no sense is refused loudly.
-    pub(super) fn checked(self) -> LinkModel {
+    pub(super) fn validated(self) -> LinkModel {
         assert!(self.latency_min <= self.latency_max, "the shortest latency exceeds the longest: {self:?}");
         for share in [self.loss, self.duplication, self.reordering] {
             assert!((0.0..=1.0).contains(&share), "a share lies between 0 and 1: {self:?}");
@@ -61,7 +61,7 @@ impl Default for LinkModel {
 ///
 /// `sent + duplicated = delivered + dropped`, plus what is still under way or held up.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
-pub struct Counters {
+pub struct NetworkCounters {
     /// Set out towards one node each.
     pub sent: u64,
     /// Set out a second time because the link repeats itself.

@@ -25,16 +25,17 @@ mod responder;
 mod tests;
 mod trace;
 
-pub use link::{Counters, LinkModel, Traffic, TrafficByKind};
+pub use link::{LinkModel, NetworkCounters, Traffic, TrafficByKind};
 
 use super::{
-    Bus, BusError, Delivery, Encoding, Link, MESSAGE_MAX, Presence, Query, Reply, Sample, Stream, Token, Whom, keys,
+    Bus, BusError, Delivery, Encoding, Link, MESSAGE_MAX, Presence, PresenceToken, Query, Reply, Sample,
+    ServiceSelection, Stream, keys,
 };
 use async_trait::async_trait;
 use bytes::Bytes;
 use consort_protocol::ids::NodeId;
-use network::{Life, Network, Number, Question};
-use responder::Leg;
+use network::{EntityId, Incarnation, Network, QueryRequest};
+use responder::QueryPart;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
 use std::time::Duration;
 use tokio::sync::{Notify, mpsc};
@@ -108,26 +109,26 @@ impl VirtualNetwork {
     }
 
     /// Ends a [`cut`](Self::cut).
-    pub fn mend(&self, from: NodeId, to: NodeId) {
-        self.shared.with(|network| network.change_faults(|faults| faults.mend(from, to)));
+    pub fn restore(&self, from: NodeId, to: NodeId) {
+        self.shared.with(|network| network.change_faults(|faults| faults.restore(from, to)));
     }
 
     /// Nobody else hears this node any more; it still hears the others.
-    pub fn mute(&self, node: NodeId) {
-        self.shared.with(|network| network.change_faults(|faults| faults.mute(node)));
+    pub fn block_outgoing(&self, node: NodeId) {
+        self.shared.with(|network| network.change_faults(|faults| faults.block_outgoing(node)));
     }
 
     /// This node hears nobody else any more; the others still hear it.
-    pub fn deafen(&self, node: NodeId) {
-        self.shared.with(|network| network.change_faults(|faults| faults.deafen(node)));
+    pub fn block_incoming(&self, node: NodeId) {
+        self.shared.with(|network| network.change_faults(|faults| faults.block_incoming(node)));
     }
 
     /// Cuts this node off in both directions.
     pub fn isolate(&self, node: NodeId) {
         self.shared.with(|network| {
             network.change_faults(|faults| {
-                faults.mute(node.clone());
-                faults.deafen(node);
+                faults.block_outgoing(node.clone());
+                faults.block_incoming(node);
             });
         });
     }
@@ -155,7 +156,7 @@ impl VirtualNetwork {
     }
 
     /// What was carried so far.
-    pub fn counters(&self) -> Counters {
+    pub fn counters(&self) -> NetworkCounters {
         self.shared.with(|network| network.counters)
     }
 
@@ -176,7 +177,7 @@ impl VirtualNetwork {
 pub struct VirtualBus {
     shared: Arc<Shared>,
     node: NodeId,
-    life: Life,
+    life: Incarnation,
 }
 
 impl VirtualBus {
@@ -188,16 +189,16 @@ impl VirtualBus {
     /// Acts on the network, unless the node has crashed.
     fn act<R>(&self, what: &str, act: impl FnOnce(&mut Network) -> R) -> Result<R, BusError> {
         self.shared.with(|network| {
-            if !network.lives(self.life) {
+            if !network.is_running(self.life) {
                 let problem = format!("node {} has crashed", self.node);
-                return Err(BusError::Failed { what: what.to_owned(), problem });
+                return Err(BusError::Failed { operation: what.to_owned(), problem });
             }
             Ok(act(network))
         })
     }
 
     fn answer(&self, key_expr: &str, complete: bool) -> Result<Stream<Query>, BusError> {
-        let wanted = keys::expression(key_expr)?;
+        let wanted = keys::key_expression(key_expr)?;
         let (mailbox, receiver) = mpsc::unbounded_channel();
         let number = self.act("serve", |network| network.serve(self.life, wanted, complete, mailbox))?;
         Ok(self.stream(receiver, number, Network::stop_serving))
@@ -206,8 +207,8 @@ impl VirtualBus {
     fn stream<T: 'static>(
         &self,
         receiver: mpsc::UnboundedReceiver<T>,
-        number: Number,
-        end: fn(&mut Network, Number),
+        number: EntityId,
+        end: fn(&mut Network, EntityId),
     ) -> Stream<T> {
         Stream::new(receiver, Box::new(Guard { home: Arc::downgrade(&self.shared), number, end }))
     }
@@ -215,7 +216,7 @@ impl VirtualBus {
 
 #[async_trait]
 impl Bus for VirtualBus {
-    async fn publish_with(
+    async fn publish_with_attachment(
         &self,
         key: &str,
         payload: Bytes,
@@ -223,38 +224,39 @@ impl Bus for VirtualBus {
         encoding: Encoding,
         _delivery: Delivery,
     ) -> Result<(), BusError> {
-        keys::fits("publish", &payload, MESSAGE_MAX)?;
+        keys::check_payload_size("publish", &payload, MESSAGE_MAX)?;
         self.act("publish", |network| {
-            let known = match network.known_key(key) {
+            let known = match network.cached_key(key) {
                 Some(known) => known,
-                None => keys::single(key)?,
+                None => keys::single_key(key)?,
             };
-            network.publish(self.life, &known, Sample { key: key.to_owned(), payload, encoding, beside });
+            network.publish(self.life, &known, Sample { key: key.to_owned(), payload, encoding, attachment: beside });
             Ok(())
         })?
     }
 
     async fn subscribe(&self, key_expr: &str) -> Result<Stream<Sample>, BusError> {
-        let wanted = keys::expression(key_expr)?;
+        let wanted = keys::key_expression(key_expr)?;
         let (mailbox, receiver) = mpsc::unbounded_channel();
         let number = self.act("subscribe", |network| network.subscribe(self.life, wanted, mailbox))?;
         Ok(self.stream(receiver, number, Network::unsubscribe))
     }
 
-    async fn ask(
+    async fn query_with(
         &self,
         key_expr: &str,
         payload: Bytes,
         beside: Bytes,
         limit: Duration,
-        whom: Whom,
+        whom: ServiceSelection,
     ) -> Result<Stream<Reply>, BusError> {
         let (wanted, parameters) = keys::selector(key_expr)?;
-        keys::fits("query", &payload, MESSAGE_MAX)?;
-        let question = Question { wanted, parameters: parameters.to_owned(), payload, beside };
+        keys::check_payload_size("query", &payload, MESSAGE_MAX)?;
+        let question =
+            QueryRequest { key_expr: wanted, parameters: parameters.to_owned(), payload, attachment: beside };
         let (replies, receiver) = mpsc::unbounded_channel();
-        let number = self.act("query", |network| network.ask(self.life, question, limit, whom, replies))?;
-        Ok(self.stream(receiver, number, Network::stop_asking))
+        let number = self.act("query", |network| network.query(self.life, question, limit, whom, replies))?;
+        Ok(self.stream(receiver, number, Network::cancel_query))
     }
 
     async fn serve(&self, key_expr: &str) -> Result<Stream<Query>, BusError> {
@@ -265,14 +267,18 @@ impl Bus for VirtualBus {
         self.answer(key_expr, true)
     }
 
-    async fn announce(&self, key: &str) -> Result<Token, BusError> {
-        let key = keys::single(key)?;
+    async fn announce(&self, key: &str) -> Result<PresenceToken, BusError> {
+        let key = keys::single_key(key)?;
         let number = self.act("announce", |network| network.announce(self.life, key))?;
-        Ok(Token::new(Box::new(Guard { home: Arc::downgrade(&self.shared), number, end: Network::renounce })))
+        Ok(PresenceToken::new(Box::new(Guard {
+            home: Arc::downgrade(&self.shared),
+            number,
+            end: Network::withdraw_token,
+        })))
     }
 
     async fn watch(&self, key_expr: &str) -> Result<Stream<Presence>, BusError> {
-        let wanted = keys::expression(key_expr)?;
+        let wanted = keys::key_expression(key_expr)?;
         let (mailbox, receiver) = mpsc::unbounded_channel();
         let number = self.act("watch", |network| network.watch(self.life, wanted, mailbox))?;
         Ok(self.stream(receiver, number, Network::stop_watching))
@@ -281,7 +287,7 @@ impl Bus for VirtualBus {
     async fn links(&self) -> Vec<Link> {
         self.act("list its links", |network| {
             let link = |peer: &NodeId| Link { peer: peer.to_string(), kind: "router".to_owned() };
-            network.neighbours(self.life.place).map(link).collect()
+            network.neighbours(self.life.index).map(link).collect()
         })
         .unwrap_or_default()
     }
@@ -290,8 +296,8 @@ impl Bus for VirtualBus {
 /// Ends a declaration or a query when it is dropped.
 struct Guard {
     home: Weak<Shared>,
-    number: Number,
-    end: fn(&mut Network, Number),
+    number: EntityId,
+    end: fn(&mut Network, EntityId),
 }
 
 impl Drop for Guard {
@@ -309,7 +315,7 @@ struct Shared {
     network: Mutex<Network>,
     driver: Mutex<Driver>,
     /// Parts of queries whose services have just let go of them.
-    finished: Mutex<Vec<Leg>>,
+    finished: Mutex<Vec<QueryPart>>,
     wake: Arc<Notify>,
 }
 
@@ -330,7 +336,7 @@ impl Shared {
     /// Does something with the network at this instant, and sees to it that what follows from it will happen.
     fn with<R>(self: &Arc<Self>, act: impl FnOnce(&mut Network) -> R) -> R {
         let mut network = lock(&self.network);
-        network.tell(Instant::now());
+        network.advance_to(Instant::now());
         let result = act(&mut network);
         if let Some(due) = network.next_due() {
             self.drive(due);
@@ -353,7 +359,7 @@ impl Shared {
         }
     }
 
-    fn finished(&self, leg: Leg) {
+    fn finished(&self, leg: QueryPart) {
         lock(&self.finished).push(leg);
         self.wake.notify_one();
     }
@@ -361,7 +367,7 @@ impl Shared {
     /// Carries out what is due; returns when there is more.
     fn run(&self) -> Option<Instant> {
         let mut network = lock(&self.network);
-        network.tell(Instant::now());
+        network.advance_to(Instant::now());
         loop {
             network.run();
             let finished = std::mem::take(&mut *lock(&self.finished));
@@ -369,7 +375,7 @@ impl Shared {
                 break;
             }
             for leg in finished {
-                network.finish(leg);
+                network.finish_part(leg);
             }
         }
         let next = network.next_due();

@@ -69,7 +69,7 @@ async fn a_publication_takes_the_time_of_its_link_and_none_at_home() {
     assert_eq!(sent.elapsed(), Duration::ZERO);
     at_bob.recv().await.unwrap();
     assert_eq!(sent.elapsed(), Duration::from_millis(20));
-    assert_eq!(network.counters(), Counters { sent: 2, delivered: 2, ..Counters::default() });
+    assert_eq!(network.counters(), NetworkCounters { sent: 2, delivered: 2, ..NetworkCounters::default() });
 }
 
 #[tokio::test(start_paused = true)]
@@ -197,7 +197,7 @@ async fn a_cut_is_one_way() {
     say(&ada, "a", "unheard").await;
     say(&bob, "b", "heard").await;
     assert_eq!((heard(&mut at_ada).await, heard(&mut at_bob).await), (vec!["heard".to_owned()], vec![]));
-    network.mend(node("ada"), node("bob"));
+    network.restore(node("ada"), node("bob"));
     say(&ada, "a", "mended").await;
     assert_eq!(heard(&mut at_bob).await, ["mended"]);
 }

@@ -1,6 +1,6 @@
 //! A digest of all that was delivered, so that two runs can be compared without keeping them.
 
-use super::network::Place;
+use super::network::NodeIndex;
 use tokio::time::Instant;
 
 /// Grows a number out of every delivery: when, from whom, to whom, under which name and with which content.
@@ -14,7 +14,7 @@ impl Trace {
         Trace { start, digest: 0 }
     }
 
-    pub(super) fn note(&mut self, now: Instant, from: Place, to: Place, name: u64, content: &[u8]) {
+    pub(super) fn record(&mut self, now: Instant, from: NodeIndex, to: NodeIndex, name: u64, content: &[u8]) {
         let elapsed = u64::try_from((now - self.start).as_nanos()).unwrap_or(u64::MAX);
         for word in [elapsed, from as u64, to as u64, name, content.len() as u64] {
             self.mix(word);

@@ -4,19 +4,20 @@
 //! limit. A query goes to all matching services, and its replies are not consolidated, unless the nearest is asked; every
 //! query has its own limit.
 
-mod current;
-mod hearing;
+mod current_session;
+mod link_check;
 mod session;
 mod settings;
 
 pub use settings::{LinkTrust, Mode, ZenohSettings};
 
 use super::{
-    Bus, BusError, Delivery, Encoding, Link, Presence, Query, Replier, Reply, Sample, Stream, Token, Whom, keys,
+    Bus, BusError, Delivery, Encoding, Link, Presence, PresenceToken, Query, Replier, Reply, Sample, ServiceSelection,
+    Stream, keys,
 };
 use async_trait::async_trait;
 use bytes::Bytes;
-use session::{Declaration, Life};
+use session::{Declaration, SessionManager};
 use std::collections::BTreeSet;
 use std::sync::Arc;
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
@@ -37,7 +38,7 @@ const LOOK_AGAIN: Duration = Duration::from_millis(10);
 /// closes with the last of them.
 #[derive(Clone)]
 pub struct ZenohBus {
-    life: Arc<Life>,
+    life: Arc<SessionManager>,
 }
 
 impl ZenohBus {
@@ -53,7 +54,7 @@ impl ZenohBus {
         if !multi_threaded {
             return Err(failed("open", "Zenoh needs a multi-threaded tokio runtime"));
         }
-        Ok(ZenohBus { life: Life::begin(settings).await? })
+        Ok(ZenohBus { life: SessionManager::open(settings).await? })
     }
 
     /// This node's id on the bus, as its neighbours see it in [`Bus::links`]. It changes when a session is opened anew.
@@ -62,8 +63,8 @@ impl ZenohBus {
     }
 
     /// Where this node listens, with the ports it was given.
-    pub async fn listening(&self) -> Vec<String> {
-        session::listening(&self.life.session()).await
+    pub async fn listen_addresses(&self) -> Vec<String> {
+        session::listen_addresses(&self.life.session()).await
     }
 
     /// Waits until there is a neighbour, at most for `limit`; returns all there are. None is no error: this node goes on
@@ -89,11 +90,11 @@ impl ZenohBus {
 }
 
 fn failed(what: impl Into<String>, problem: impl ToString) -> BusError {
-    BusError::Failed { what: what.into(), problem: problem.to_string() }
+    BusError::Failed { operation: what.into(), problem: problem.to_string() }
 }
 
 /// Zenoh's errors name its source lines; people want to know which address is the matter.
-fn why_not_opened(settings: &ZenohSettings, problem: &str) -> BusError {
+fn open_error(settings: &ZenohSettings, problem: &str) -> BusError {
     let problem = problem.split(" at /").next().unwrap_or_default().trim_end();
     let of = |addresses: &[String]| addresses.iter().find(|address| problem.contains(address.as_str())).cloned();
     if settings.mode == Mode::Client {
@@ -125,7 +126,7 @@ fn from_zenoh(encoding: &ZenohEncoding) -> Encoding {
     if json { Encoding::Json } else { Encoding::Wire }
 }
 
-fn content(payload: &ZBytes) -> Bytes {
+fn to_bytes(payload: &ZBytes) -> Bytes {
     match payload.to_bytes() {
         std::borrow::Cow::Borrowed(bytes) => Bytes::copy_from_slice(bytes),
         std::borrow::Cow::Owned(bytes) => Bytes::from(bytes),
@@ -133,8 +134,8 @@ fn content(payload: &ZBytes) -> Bytes {
 }
 
 /// What is said beside a payload.
-fn attached(attachment: Option<&ZBytes>) -> Bytes {
-    attachment.map(content).unwrap_or_default()
+fn attachment_bytes(attachment: Option<&ZBytes>) -> Bytes {
+    attachment.map(to_bytes).unwrap_or_default()
 }
 
 /// What is sent beside a payload; nothing, if there is nothing to be said.
@@ -153,29 +154,29 @@ fn reply(from: zenoh::query::Reply, asked: &OwnedKeyExpr) -> Option<Reply> {
     match from.into_result() {
         Ok(sample) => Some(Reply {
             key: sample.key_expr().to_string(),
-            payload: Ok(content(sample.payload())),
-            beside: attached(sample.attachment()),
+            payload: Ok(to_bytes(sample.payload())),
+            attachment: attachment_bytes(sample.attachment()),
         }),
         Err(error) if is_the_limit(&error) => None,
         Err(error) => {
             let reason = String::from_utf8_lossy(&error.payload().to_bytes()).into_owned();
-            Some(Reply { key: asked.to_string(), payload: Err(reason), beside: Bytes::new() })
+            Some(Reply { key: asked.to_string(), payload: Err(reason), attachment: Bytes::new() })
         }
     }
 }
 
 impl ZenohBus {
     async fn answer(&self, key_expr: &str, complete: bool) -> Result<Stream<Query>, BusError> {
-        let wanted = keys::expression(key_expr)?;
+        let wanted = keys::key_expression(key_expr)?;
         let (mailbox, receiver) = mpsc::unbounded_channel();
-        let declared = self.life.declare(Declaration::Questions { key: wanted, mailbox, complete }).await?;
+        let declared = self.life.declare(Declaration::Queryable { key: wanted, mailbox, complete }).await?;
         Ok(Stream::new(receiver, Box::new(declared)))
     }
 }
 
 #[async_trait]
 impl Bus for ZenohBus {
-    async fn publish_with(
+    async fn publish_with_attachment(
         &self,
         key: &str,
         payload: Bytes,
@@ -183,8 +184,8 @@ impl Bus for ZenohBus {
         encoding: Encoding,
         delivery: Delivery,
     ) -> Result<(), BusError> {
-        let key = keys::single(key)?;
-        keys::fits("publish", &payload, self.life.settings().message_max)?;
+        let key = keys::single_key(key)?;
+        keys::check_payload_size("publish", &payload, self.life.settings().message_max)?;
         let control = match delivery {
             Delivery::Drop => CongestionControl::Drop,
             Delivery::Block => CongestionControl::Block,
@@ -195,25 +196,25 @@ impl Bus for ZenohBus {
     }
 
     async fn subscribe(&self, key_expr: &str) -> Result<Stream<Sample>, BusError> {
-        let wanted = keys::expression(key_expr)?;
+        let wanted = keys::key_expression(key_expr)?;
         let (mailbox, receiver) = mpsc::unbounded_channel();
-        let declared = self.life.declare(Declaration::Samples(wanted, mailbox)).await?;
+        let declared = self.life.declare(Declaration::Subscriber(wanted, mailbox)).await?;
         Ok(Stream::new(receiver, Box::new(declared)))
     }
 
-    async fn ask(
+    async fn query_with(
         &self,
         key_expr: &str,
         payload: Bytes,
         beside: Bytes,
         limit: Duration,
-        whom: Whom,
+        whom: ServiceSelection,
     ) -> Result<Stream<Reply>, BusError> {
         let (asked, parameters) = keys::selector(key_expr)?;
-        keys::fits("query", &payload, self.life.settings().message_max)?;
+        keys::check_payload_size("query", &payload, self.life.settings().message_max)?;
         let (target, consolidation) = match whom {
-            Whom::All => (QueryTarget::All, ConsolidationMode::None),
-            Whom::Nearest => (QueryTarget::BestMatching, ConsolidationMode::Latest),
+            ServiceSelection::All => (QueryTarget::All, ConsolidationMode::None),
+            ServiceSelection::Nearest => (QueryTarget::BestMatching, ConsolidationMode::Latest),
         };
         let (mailbox, receiver) = mpsc::unbounded_channel();
         let key = asked.clone();
@@ -239,15 +240,15 @@ impl Bus for ZenohBus {
         self.answer(key_expr, true).await
     }
 
-    async fn announce(&self, key: &str) -> Result<Token, BusError> {
-        let declared = self.life.declare(Declaration::Token(keys::single(key)?)).await?;
-        Ok(Token::new(Box::new(declared)))
+    async fn announce(&self, key: &str) -> Result<PresenceToken, BusError> {
+        let declared = self.life.declare(Declaration::Token(keys::single_key(key)?)).await?;
+        Ok(PresenceToken::new(Box::new(declared)))
     }
 
     async fn watch(&self, key_expr: &str) -> Result<Stream<Presence>, BusError> {
-        let wanted = keys::expression(key_expr)?;
+        let wanted = keys::key_expression(key_expr)?;
         let (mailbox, receiver) = mpsc::unbounded_channel();
-        let declared = self.life.declare(Declaration::Presence(wanted, mailbox, Arc::default())).await?;
+        let declared = self.life.declare(Declaration::PresenceSubscriber(wanted, mailbox, Arc::default())).await?;
         Ok(Stream::new(receiver, Box::new(declared)))
     }
 
@@ -259,7 +260,7 @@ impl Bus for ZenohBus {
 }
 
 /// What Zenoh calls with questions: they go into a mailbox. `own` is the id of the session.
-fn questions(
+fn query_callback(
     mailbox: mpsc::UnboundedSender<Query>,
     own: ZenohId,
     message_max: usize,
@@ -271,8 +272,8 @@ fn questions(
         let _ = mailbox.send(Query {
             key: query.key_expr().to_string(),
             parameters: query.parameters().to_string(),
-            payload: query.payload().map(content).unwrap_or_default(),
-            beside: attached(query.attachment()),
+            payload: query.payload().map(to_bytes).unwrap_or_default(),
+            attachment: attachment_bytes(query.attachment()),
             replier: Box::new(ZenohReplier {
                 asked: OwnedKeyExpr::from(query.key_expr().clone()),
                 query,
@@ -295,9 +296,15 @@ struct ZenohReplier {
 
 #[async_trait]
 impl Replier for ZenohReplier {
-    async fn reply_with(&self, key: &str, payload: Bytes, beside: Bytes, encoding: Encoding) -> Result<(), BusError> {
-        let key = keys::answer(key, &self.asked)?;
-        keys::fits("answer a query", &payload, self.message_max)?;
+    async fn reply_with_attachment(
+        &self,
+        key: &str,
+        payload: Bytes,
+        beside: Bytes,
+        encoding: Encoding,
+    ) -> Result<(), BusError> {
+        let key = keys::reply_key(key, &self.asked)?;
+        keys::check_payload_size("answer a query", &payload, self.message_max)?;
         let reply = self.query.reply(key, payload).encoding(to_zenoh(encoding)).timestamp(self.at);
         reply.attachment(attach(beside)).await.map_err(|problem| failed("answer a query", problem))
     }

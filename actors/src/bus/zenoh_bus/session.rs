@@ -1,7 +1,9 @@
 //! A session that can be opened anew, with everything that was declared on it.
 
-use super::current::Current;
-use super::{Mode, ZenohSettings, attached, content, failed, from_zenoh, hearing, questions, why_not_opened};
+use super::current_session::CurrentSession;
+use super::{
+    Mode, ZenohSettings, attachment_bytes, failed, from_zenoh, link_check, open_error, query_callback, to_bytes,
+};
 use crate::bus::{BusError, Presence, Query, Sample};
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
@@ -26,13 +28,13 @@ const TRIES: u32 = 30;
 #[derive(Clone)]
 pub(super) enum Declaration {
     /// Samples are heard.
-    Samples(OwnedKeyExpr, UnboundedSender<Sample>),
+    Subscriber(OwnedKeyExpr, UnboundedSender<Sample>),
     /// Questions are answered, by one who knows all there is below the key or by one of several.
-    Questions { key: OwnedKeyExpr, mailbox: UnboundedSender<Query>, complete: bool },
+    Queryable { key: OwnedKeyExpr, mailbox: UnboundedSender<Query>, complete: bool },
     /// Presence is told.
     Token(OwnedKeyExpr),
     /// Presence is heard; what is present is remembered, since Zenoh repeats itself when links come and go.
-    Presence(OwnedKeyExpr, UnboundedSender<Presence>, Arc<Mutex<BTreeSet<String>>>),
+    PresenceSubscriber(OwnedKeyExpr, UnboundedSender<Presence>, Arc<Mutex<BTreeSet<String>>>),
 }
 
 /// A declaration, and what Zenoh gave for it while there is a session.
@@ -42,9 +44,9 @@ struct Entry {
 }
 
 /// A session and its declarations. The session closes when this is dropped.
-pub(super) struct Life {
+pub(super) struct SessionManager {
     settings: ZenohSettings,
-    current: Arc<Current>,
+    current: Arc<CurrentSession>,
     entries: Mutex<Entries>,
     /// Held while something is declared, or everything anew.
     declaring: tokio::sync::Mutex<()>,
@@ -59,12 +61,12 @@ struct Entries {
 }
 
 /// Ends a declaration when dropped.
-pub(super) struct Declared {
+pub(super) struct DeclarationGuard {
     id: u64,
-    life: Weak<Life>,
+    life: Weak<SessionManager>,
 }
 
-impl Drop for Declared {
+impl Drop for DeclarationGuard {
     fn drop(&mut self) {
         if let Some(life) = self.life.upgrade() {
             let ended = life.entries().all.remove(&self.id);
@@ -78,11 +80,11 @@ async fn open(settings: &ZenohSettings) -> Result<Session, BusError> {
         sleep(AWAY).await;
     }
     let opened = zenoh::open(settings.config()?).await;
-    opened.map_err(|problem| why_not_opened(settings, &problem.to_string()))
+    opened.map_err(|problem| open_error(settings, &problem.to_string()))
 }
 
 /// Where a session listens, with the ports it was given.
-pub(super) async fn listening(session: &Session) -> Vec<String> {
+pub(super) async fn listen_addresses(session: &Session) -> Vec<String> {
     session.info().locators().await.iter().map(ToString::to_string).collect()
 }
 
@@ -100,32 +102,32 @@ fn with_ports(listen: &[String], given: &[String]) -> Vec<String> {
 impl Declaration {
     async fn declare(&self, session: &Session, message_max: usize) -> Result<Box<dyn Send + Sync>, BusError> {
         match self {
-            Declaration::Samples(key, mailbox) => {
+            Declaration::Subscriber(key, mailbox) => {
                 let mailbox = mailbox.clone();
                 let hear = move |sample: zenoh::sample::Sample| {
                     if sample.kind() == SampleKind::Put {
                         // Nobody hears it any more: the declaration is about to end.
                         let _ = mailbox.send(Sample {
                             key: sample.key_expr().to_string(),
-                            payload: content(sample.payload()),
+                            payload: to_bytes(sample.payload()),
                             encoding: from_zenoh(sample.encoding()),
-                            beside: attached(sample.attachment()),
+                            attachment: attachment_bytes(sample.attachment()),
                         });
                     }
                 };
                 let declared = session.declare_subscriber(key.clone()).callback(hear).await;
                 Ok(Box::new(declared.map_err(|problem| failed("subscribe", problem))?))
             }
-            Declaration::Questions { key, mailbox, complete } => {
+            Declaration::Queryable { key, mailbox, complete } => {
                 let declared = session.declare_queryable(key.clone()).complete(*complete);
-                let declared = declared.callback(questions(mailbox.clone(), session.zid(), message_max)).await;
+                let declared = declared.callback(query_callback(mailbox.clone(), session.zid(), message_max)).await;
                 Ok(Box::new(declared.map_err(|problem| failed("serve", problem))?))
             }
             Declaration::Token(key) => {
                 let declared = session.liveliness().declare_token(key.clone()).await;
                 Ok(Box::new(declared.map_err(|problem| failed("announce", problem))?))
             }
-            Declaration::Presence(key, mailbox, present) => {
+            Declaration::PresenceSubscriber(key, mailbox, present) => {
                 let (mailbox, present) = (mailbox.clone(), present.clone());
                 let hear = move |sample: zenoh::sample::Sample| {
                     let key = sample.key_expr().to_string();
@@ -144,7 +146,7 @@ impl Declaration {
 
     /// Without a session nobody is known to be present.
     fn lose_sight(&self) {
-        if let Declaration::Presence(_, mailbox, present) = self {
+        if let Declaration::PresenceSubscriber(_, mailbox, present) = self {
             for key in std::mem::take(&mut *present.lock().unwrap_or_else(PoisonError::into_inner)) {
                 let _ = mailbox.send(Presence { key, alive: false });
             }
@@ -152,19 +154,19 @@ impl Declaration {
     }
 }
 
-impl Life {
+impl SessionManager {
     /// Opens a session.
-    pub(super) async fn begin(mut settings: ZenohSettings) -> Result<Arc<Life>, BusError> {
+    pub(super) async fn open(mut settings: ZenohSettings) -> Result<Arc<SessionManager>, BusError> {
         let session = open(&settings).await?;
-        settings.listen = with_ports(&settings.listen, &listening(&session).await);
-        let (current, mut asked) = Current::new(session);
-        let life = Arc::new(Life {
+        settings.listen = with_ports(&settings.listen, &listen_addresses(&session).await);
+        let (current, mut asked) = CurrentSession::new(session);
+        let life = Arc::new(SessionManager {
             settings,
             current: Arc::new(current),
             entries: Mutex::default(),
             declaring: tokio::sync::Mutex::default(),
         });
-        hearing::attend(&life.current, &life.settings).await?;
+        link_check::start(&life.current, &life.settings).await?;
         let weak = Arc::downgrade(&life);
         tokio::spawn(async move {
             while let Some(stale) = asked.recv().await {
@@ -191,7 +193,7 @@ impl Life {
     }
 
     /// Declares something until what is returned is dropped; it outlives the session.
-    pub(super) async fn declare(self: &Arc<Self>, declaration: Declaration) -> Result<Declared, BusError> {
+    pub(super) async fn declare(self: &Arc<Self>, declaration: Declaration) -> Result<DeclarationGuard, BusError> {
         let _declaring = self.declaring.lock().await;
         let declared = declaration.declare(&self.session(), self.settings.message_max).await?;
         let mut entries = self.entries();
@@ -201,7 +203,7 @@ impl Life {
         let id = entries.next;
         entries.next += 1;
         entries.all.insert(id, Entry { declaration, declared: Some(declared) });
-        Ok(Declared { id, life: Arc::downgrade(self) })
+        Ok(DeclarationGuard { id, life: Arc::downgrade(self) })
     }
 
     /// Declares everything on a new session.
@@ -275,14 +277,14 @@ impl Life {
             warn!(%problem, "the session cannot be opened anew; tries again");
             sleep(TRY_AGAIN).await;
         };
-        self.current.put(session.clone());
+        self.current.set(session.clone());
         if self.entries().closed {
             // Nobody closed this one.
             let _ = session.close().await;
             return;
         }
         info!(id = %session.zid(), "opened its session anew");
-        if let Err(problem) = hearing::attend(&self.current, &self.settings).await {
+        if let Err(problem) = link_check::start(&self.current, &self.settings).await {
             warn!(%problem, "does not notice if it is not heard");
         }
     }

@@ -1,10 +1,10 @@
 //! How a node takes its place on a Zenoh network.
 
-use super::hearing::HEARING;
+use super::link_check::LINK_CHECK;
 use crate::bus::{BusError, MESSAGE_MAX};
 use crate::trust::TrustFiles;
 use consort_protocol::ids::FleetId;
-use consort_protocol::trust::access::{Grant, Passing, grants};
+use consort_protocol::trust::access::{Grant, LinkMessage, grants};
 use serde_json::{Value, json};
 use std::time::Duration;
 
@@ -54,7 +54,7 @@ pub struct ZenohSettings {
     /// How long the opening of one link may take.
     pub open_timeout: Duration,
     /// How links prove who is at their ends. Addresses are then written `tls/192.0.2.7:7447`.
-    pub links: Option<LinkTrust>,
+    pub link_trust: Option<LinkTrust>,
     /// Further settings of Zenoh's own, as path and JSON5 value (`transport/link/tls/...`); they prevail.
     pub overrides: Vec<(String, String)>,
 }
@@ -77,7 +77,7 @@ impl Default for ZenohSettings {
             lease: Duration::from_secs(2),
             message_max: MESSAGE_MAX,
             open_timeout: Duration::from_secs(5),
-            links: None,
+            link_trust: None,
             overrides: Vec::new(),
         }
     }
@@ -91,7 +91,7 @@ impl ZenohSettings {
         for (path, value) in self.entries()?.into_iter().map(|(path, value)| (path.to_owned(), value)).chain(overrides)
         {
             config.insert_json5(&path, &value).map_err(|problem| BusError::Failed {
-                what: format!("take {value} for Zenoh's setting {path}"),
+                operation: format!("take {value} for Zenoh's setting {path}"),
                 problem: problem.to_string(),
             })?;
         }
@@ -100,14 +100,14 @@ impl ZenohSettings {
 
     fn entries(&self) -> Result<Vec<(&'static str, String)>, BusError> {
         let mut entries = self.link_entries()?;
-        entries.extend(self.links.iter().flat_map(LinkTrust::entries));
+        entries.extend(self.link_trust.iter().flat_map(LinkTrust::entries));
         Ok(entries)
     }
 
     fn link_entries(&self) -> Result<Vec<(&'static str, String)>, BusError> {
         if self.message_max > MESSAGE_MAX {
             return Err(BusError::Failed {
-                what: "open".to_owned(),
+                operation: "open".to_owned(),
                 problem: format!("a message limit of {} bytes exceeds {MESSAGE_MAX}", self.message_max),
             });
         }
@@ -153,7 +153,7 @@ impl LinkTrust {
             ("transport/link/tls/verify_name_on_connect", json!(false)),
             ("transport/link/tls/close_link_on_expiration", json!(true)),
             ("transport/link/protocols", json!(["tls"])),
-            ("access_control", access_control(&grants(&self.fleet, &[&format!("{HEARING}/*")]))),
+            ("access_control", access_control(&grants(&self.fleet, &[&format!("{LINK_CHECK}/*")]))),
         ];
         own.into_iter().map(|(path, value)| (path, value.to_string())).collect()
     }
@@ -164,12 +164,12 @@ impl LinkTrust {
 fn access_control(grants: &[Grant]) -> Value {
     let mut rules = vec![json!({
         "id": "out", "permission": "allow", "flows": ["egress"], "key_exprs": ["**"],
-        "messages": messages(&Passing::ALL),
+        "messages": messages(&LinkMessage::ALL),
     })];
     let (mut subjects, mut policies) = (Vec::new(), Vec::new());
-    for Grant { common_name, lets_in } in grants {
+    for Grant { common_name, permits } in grants {
         let mut own = vec!["out".to_owned()];
-        for (number, (passings, keys)) in lets_in.iter().enumerate() {
+        for (number, (passings, keys)) in permits.iter().enumerate() {
             let id = format!("{common_name}-{number}");
             rules.push(json!({
                 "id": id, "permission": "allow", "flows": ["ingress"], "key_exprs": keys, "messages": messages(passings),
@@ -184,8 +184,8 @@ fn access_control(grants: &[Grant]) -> Value {
     })
 }
 
-fn messages(passings: &[Passing]) -> Vec<&'static str> {
-    passings.iter().map(|passing| passing.word()).collect()
+fn messages(passings: &[LinkMessage]) -> Vec<&'static str> {
+    passings.iter().map(|passing| passing.as_str()).collect()
 }
 
 #[cfg(test)]
@@ -201,7 +201,7 @@ mod tests {
             revoked: None,
         };
         let links = Some(LinkTrust { files, fleet: FleetId::new("ward").unwrap() });
-        let config = ZenohSettings { links, ..Default::default() }.config().unwrap();
+        let config = ZenohSettings { link_trust: links, ..Default::default() }.config().unwrap();
         let read = |path| config.get_json(path).unwrap();
         assert_eq!(read("transport/link/tls/root_ca_certificate"), r#""certs/ca.pem""#);
         assert_eq!(read("transport/link/tls/enable_mtls"), "true");

@@ -2,7 +2,7 @@ use super::*;
 use consort_protocol::auction::{AuctionId, AuctionRecord};
 use consort_protocol::ids::{RequestId, RoleId};
 use consort_protocol::lease::Epoch;
-use consort_protocol::ledger::{Recovery, Submission};
+use consort_protocol::ledger::{RecoveryBranch, Submission};
 use consort_protocol::message::TaskFailure;
 use consort_protocol::mission::{Domain, Format, MissionTemplate};
 use consort_protocol::plan::divide_and_check;
@@ -27,9 +27,9 @@ fn nurse() -> RoleId {
 /// The mission under way; `lost` with the sample in the drawer of `r1`.
 fn ledger(lost: bool) -> (Ledger, MissionId) {
     let template = MissionTemplate::parse(MISSION, Format::Json).unwrap();
-    let (mission, recovery) = template.instantiate_both(&BTreeMap::new(), &Domain::hospital()).unwrap();
+    let (mission, recovery) = template.instantiate_with_recovery(&BTreeMap::new(), &Domain::hospital()).unwrap();
     let division = divide_and_check(&mission).unwrap();
-    let recovery = recovery.map(|mission| Recovery { division: divide_and_check(&mission).unwrap(), mission });
+    let recovery = recovery.map(|mission| RecoveryBranch { division: divide_and_check(&mission).unwrap(), mission });
     let mut ledger = Ledger::default();
     let submission = Submission { recovery, ..Submission::of(RequestId::new("a").unwrap(), mission, division) };
     let at = |index| Epoch { term: 1, index };
@@ -42,12 +42,18 @@ fn ledger(lost: bool) -> (Ledger, MissionId) {
     let holders = BTreeMap::from([(r1.clone(), amber)]);
     assert_eq!(
         ledger.apply(at(2), Command::Award { mission: mission.clone(), branch: Branch::Main, holders, auction }),
-        Outcome::Awarded { epoch: at(2) }
+        CommandOutcome::Awarded { epoch: at(2) }
     );
     if lost {
         let (incarnation, resumes) = (1, false);
-        let accept = Command::Accept { mission: mission.clone(), role: r1.clone(), epoch: at(2), incarnation, resumes };
-        assert_eq!(ledger.apply(at(3), accept), Outcome::Done);
+        let accept = Command::Accept {
+            mission: mission.clone(),
+            role: r1.clone(),
+            epoch: at(2),
+            incarnation,
+            from_checkpoint: resumes,
+        };
+        assert_eq!(ledger.apply(at(3), accept), CommandOutcome::Done);
         let said = |role, epoch, ended: &[u32]| Command::Progress {
             mission: mission.clone(),
             role,
@@ -55,11 +61,11 @@ fn ledger(lost: bool) -> (Ledger, MissionId) {
             branch: Branch::Main,
             ended: ended.iter().copied().collect(),
         };
-        assert_eq!(ledger.apply(at(3), said(r1.clone(), at(2), &[0, 1, 2])), Outcome::Done);
+        assert_eq!(ledger.apply(at(3), said(r1.clone(), at(2), &[0, 1, 2])), CommandOutcome::Done);
         let (cause, place) = ("silent".to_owned(), None);
         let release =
-            Command::Release { mission: mission.clone(), role: r1, epoch: at(2), cause, blamed: false, place };
-        assert_eq!(ledger.apply(at(4), release), Outcome::Done);
+            Command::Release { mission: mission.clone(), role: r1, epoch: at(2), cause, robot_failed: false, place };
+        assert_eq!(ledger.apply(at(4), release), CommandOutcome::Done);
         assert_eq!(ledger.mission(&mission).unwrap().branch, Branch::Recovery);
     }
     (ledger, mission)
@@ -74,9 +80,9 @@ fn report(mission: &MissionId, branch: Branch, ended: &[u32]) -> Report {
         epoch: Epoch::default(),
         branch,
         ended: BTreeSet::from_iter(ended.iter().copied()),
-        at: None,
+        current_task: None,
         place: None,
-        resumes: false,
+        from_checkpoint: false,
         failure: None,
     }
 }
@@ -86,8 +92,8 @@ fn answer(ledger: &Ledger, report: &Report) -> Step {
 }
 
 fn over() -> Step {
-    let (epoch, reason) = (Epoch::default(), Ending::Replaced);
-    Step::Answer(ReportAnswer::Ended { epoch, reason, current: None })
+    let (epoch, reason) = (Epoch::default(), EndReason::Replaced);
+    Step::Answer(ReportReply::Ended { epoch, reason, current: None })
 }
 
 #[test]
@@ -125,6 +131,6 @@ fn a_failure_ends_the_mission_only_in_the_branch_of_which_it_is_said() {
 #[test]
 fn a_coordinator_that_has_yet_to_learn_of_the_recovery_branch_says_so() {
     let (ledger, mission) = ledger(false);
-    let behind = Step::Answer(ReportAnswer::NotCoordinator { coordinator: None });
+    let behind = Step::Answer(ReportReply::NotCoordinator { coordinator: None });
     assert_eq!(answer(&ledger, &report(&mission, Branch::Recovery, &[0])), behind);
 }

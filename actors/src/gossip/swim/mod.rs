@@ -11,7 +11,7 @@ use foca::{
     AccumulatingRuntime, Codec as _, Foca, Header, Identity as _, Member, Message, NoCustomBroadcast,
     OwnedNotification, State,
 };
-use packet::Packets;
+use packet::PacketCodec;
 pub(super) use packet::SwimId;
 use rand_chacha::ChaCha8Rng;
 use std::collections::{BTreeMap, BTreeSet};
@@ -26,7 +26,7 @@ pub(super) enum SwimAction {
     /// Hand a packet to a node.
     Send(NodeId, Bytes),
     /// Give the timer back after this time.
-    After(Duration, Timer),
+    SetTimer(Duration, Timer),
     /// A node is alive as of now.
     Up(NodeId),
     /// A node is down as of now.
@@ -36,7 +36,7 @@ pub(super) enum SwimAction {
     /// A node has answered a suspicion.
     Cleared(NodeId),
     /// This node was judged down wrongly, and has come back under a new identity.
-    Returned,
+    Rejoined,
 }
 
 /// Whom to judge down, unless it has answered the suspicion by then.
@@ -48,8 +48,8 @@ pub(super) struct Suspicion {
 
 impl Suspicion {
     /// How much longer than others it may take to answer.
-    pub(super) fn patience(&self) -> u32 {
-        patience(self.id.returns)
+    pub(super) fn timeout_factor(&self) -> u32 {
+        patience(self.id.rejoins)
     }
 }
 
@@ -65,13 +65,13 @@ pub(super) fn patience(returns: u32) -> u32 {
 
 fn patient(after: Duration, timer: &Timer) -> Duration {
     match timer {
-        foca::Timer::ChangeSuspectToDown { member_id, .. } => after * patience(member_id.returns),
+        foca::Timer::ChangeSuspectToDown { member_id, .. } => after * patience(member_id.rejoins),
         _ => after,
     }
 }
 
 pub(super) struct Swim {
-    foca: Foca<SwimId, Packets, ChaCha8Rng, NoCustomBroadcast>,
+    foca: Foca<SwimId, PacketCodec, ChaCha8Rng, NoCustomBroadcast>,
     /// Who is suspected now.
     suspects: BTreeSet<NodeId>,
     /// Which of its own last probes were answered: a bit each, the latest lowest.
@@ -99,7 +99,7 @@ impl Swim {
     pub(super) fn new(node: NodeId, incarnation: u64, config: foca::Config, rng: ChaCha8Rng) -> Swim {
         let (probe_period, put_off_max) = (config.probe_period, config.suspect_to_down_after * PUT_OFF_MAX);
         Swim {
-            foca: Foca::new(SwimId { node, incarnation, returns: 0 }, config, rng, Packets),
+            foca: Foca::new(SwimId { node, incarnation, rejoins: 0 }, config, rng, PacketCodec),
             suspects: BTreeSet::new(),
             answered: u8::MAX,
             answer: true,
@@ -111,12 +111,12 @@ impl Swim {
     }
 
     /// A packet came in. Gives who sent it.
-    pub(super) fn hear(&mut self, bytes: &[u8]) -> Result<(NodeId, Vec<SwimAction>), String> {
+    pub(super) fn receive(&mut self, bytes: &[u8]) -> Result<(NodeId, Vec<SwimAction>), String> {
         let (version, packet) = bytes.split_first().ok_or("empty packet")?;
-        if *version != codec::FIRST {
-            return Err(format!("wire version {version}, where {} is read", codec::FIRST));
+        if *version != codec::FIRST_VERSION {
+            return Err(format!("wire version {version}, where {} is read", codec::FIRST_VERSION));
         }
-        let header = Packets.decode_header(packet).map_err(|e| e.to_string())?;
+        let header = PacketCodec.decode_header(packet).map_err(|e| e.to_string())?;
         self.answer |= match header.message {
             Message::Ack(probe) => probe != TOLD,
             Message::ForwardedAck { .. } => true,
@@ -130,7 +130,11 @@ impl Swim {
     /// A timer is due. An error is ordinary after the process was frozen for a while; foca goes on.
     ///
     /// `speaks` tells whether somebody was heard lately, in whatever way.
-    pub(super) fn wake(&mut self, timer: Timer, speaks: impl Fn(&NodeId) -> bool) -> Result<Vec<SwimAction>, String> {
+    pub(super) fn fire_timer(
+        &mut self,
+        timer: Timer,
+        speaks: impl Fn(&NodeId) -> bool,
+    ) -> Result<Vec<SwimAction>, String> {
         let mut actions = vec![];
         match &timer {
             foca::Timer::ChangeSuspectToDown { member_id, incarnation, .. } => {
@@ -142,11 +146,11 @@ impl Swim {
                     return Ok(actions);
                 }
                 if self.puts_off(&member_id.node, speaks(&member_id.node)) {
-                    return Ok(vec![SwimAction::After(self.probe_period, timer)]);
+                    return Ok(vec![SwimAction::SetTimer(self.probe_period, timer)]);
                 }
                 if self.unanswered_probes() > 1 && self.called.insert(member_id.node.clone()) {
                     let mut what = self.ask_all()?;
-                    what.push(SwimAction::After(self.probe_period, timer));
+                    what.push(SwimAction::SetTimer(self.probe_period, timer));
                     return Ok(what);
                 }
                 self.put_off.remove(&member_id.node);
@@ -167,7 +171,7 @@ impl Swim {
 
     /// Whether fewer than half of its own last probes were answered: it is rather this node that is not heard or does not
     /// hear than that most others died (local health awareness, as in Lifeguard: Dadgar, Phillips, Currey 2018).
-    pub(super) fn doubts_itself(&self) -> bool {
+    pub(super) fn is_unhealthy(&self) -> bool {
         self.unanswered_probes() * 2 > PROBES
     }
 
@@ -184,7 +188,7 @@ impl Swim {
     /// Whether to wait for another probe before a verdict: while this node doubts itself, for as long as the suspect
     /// speaks; if it does not, for some time.
     fn puts_off(&mut self, suspect: &NodeId, speaks: bool) -> bool {
-        if !self.doubts_itself() {
+        if !self.is_unhealthy() {
             return false;
         }
         if speaks {
@@ -196,8 +200,8 @@ impl Swim {
     }
 
     /// Makes itself known to a node, which answers with whom it knows.
-    pub(super) fn greet(&mut self, node: &NodeId) -> Result<Vec<SwimAction>, String> {
-        self.act(|foca, runtime| foca.announce(SwimId::least(node.clone()), runtime))
+    pub(super) fn announce_to(&mut self, node: &NodeId) -> Result<Vec<SwimAction>, String> {
+        self.act(|foca, runtime| foca.announce(SwimId::lowest(node.clone()), runtime))
     }
 
     /// Suspects a member for a reason of our own, and spreads the suspicion so that the member can answer it.
@@ -209,7 +213,7 @@ impl Swim {
     }
 
     /// Judges a suspect down, unless it has answered.
-    pub(super) fn condemn(&mut self, suspicion: &Suspicion) -> Result<Vec<SwimAction>, String> {
+    pub(super) fn declare_down(&mut self, suspicion: &Suspicion) -> Result<Vec<SwimAction>, String> {
         if !self.unanswered(&suspicion.id, suspicion.incarnation) {
             return Ok(vec![]);
         }
@@ -217,7 +221,7 @@ impl Swim {
     }
 
     /// Somebody remembers a later life of this node than its own count says: it takes the count over.
-    pub(super) fn overtake(&mut self, incarnation: u64) -> Result<Vec<SwimAction>, String> {
+    pub(super) fn adopt_incarnation(&mut self, incarnation: u64) -> Result<Vec<SwimAction>, String> {
         let mine = self.foca.identity();
         let next = SwimId { incarnation, ..mine.clone() };
         match next.renew() {
@@ -247,7 +251,7 @@ impl Swim {
     fn act(
         &mut self,
         verb: impl FnOnce(
-            &mut Foca<SwimId, Packets, ChaCha8Rng, NoCustomBroadcast>,
+            &mut Foca<SwimId, PacketCodec, ChaCha8Rng, NoCustomBroadcast>,
             &mut AccumulatingRuntime<SwimId>,
         ) -> Result<(), foca::Error>,
     ) -> Result<Vec<SwimAction>, String> {
@@ -260,7 +264,7 @@ impl Swim {
         &mut self,
         actions: &mut Vec<SwimAction>,
         verb: impl FnOnce(
-            &mut Foca<SwimId, Packets, ChaCha8Rng, NoCustomBroadcast>,
+            &mut Foca<SwimId, PacketCodec, ChaCha8Rng, NoCustomBroadcast>,
             &mut AccumulatingRuntime<SwimId>,
         ) -> Result<(), foca::Error>,
     ) -> Result<(), String> {
@@ -270,7 +274,7 @@ impl Swim {
             match notification {
                 OwnedNotification::MemberUp(id) => actions.push(SwimAction::Up(id.node)),
                 OwnedNotification::MemberDown(id) => actions.push(SwimAction::Down(id.node)),
-                OwnedNotification::Rejoin(_) => actions.push(SwimAction::Returned),
+                OwnedNotification::Rejoin(_) => actions.push(SwimAction::Rejoined),
                 // A restart that was quicker than the verdict; whether anybody is there; that we are leaving.
                 OwnedNotification::Rename(..)
                 | OwnedNotification::Active
@@ -281,7 +285,7 @@ impl Swim {
         self.compare_suspects(actions);
         while let Some((to, packet)) = runtime.to_send() {
             let mut bytes = Vec::with_capacity(packet.len() + 1);
-            bytes.push(codec::FIRST);
+            bytes.push(codec::FIRST_VERSION);
             bytes.extend(packet);
             actions.push(SwimAction::Send(to.node, bytes.into()));
         }
@@ -293,7 +297,7 @@ impl Swim {
                 let all: Vec<SwimId> = all.map(|member| member.id().clone()).collect();
                 actions.extend(all.iter().filter_map(|to| self.tell(to, member_id)));
             }
-            actions.push(SwimAction::After(patient(after, &timer), timer));
+            actions.push(SwimAction::SetTimer(patient(after, &timer), timer));
         }
         result
     }
@@ -316,10 +320,10 @@ impl Swim {
             // No probe of foca's own, which does not miss the answer: all that counts is who sends it.
             message: Message::Ping(TOLD),
         };
-        let mut bytes = vec![codec::FIRST];
-        Packets.encode_header(&header, &mut bytes).ok()?;
+        let mut bytes = vec![codec::FIRST_VERSION];
+        PacketCodec.encode_header(&header, &mut bytes).ok()?;
         bytes.put_u16(1);
-        Packets.encode_member(suspect, &mut bytes).ok()?;
+        PacketCodec.encode_member(suspect, &mut bytes).ok()?;
         Some(SwimAction::Send(to.node.clone(), bytes.into()))
     }
 

@@ -13,13 +13,13 @@ pub(in crate::gossip) struct SwimId {
     /// Which start of the node.
     pub(in crate::gossip) incarnation: u64,
     /// How often it came back after having been judged down wrongly.
-    pub(in crate::gossip) returns: u32,
+    pub(in crate::gossip) rejoins: u32,
 }
 
 impl SwimId {
     /// The least identity of a node: enough to greet one of whom only the name is known.
-    pub(in crate::gossip) fn least(node: NodeId) -> SwimId {
-        SwimId { node, incarnation: 0, returns: 0 }
+    pub(in crate::gossip) fn lowest(node: NodeId) -> SwimId {
+        SwimId { node, incarnation: 0, rejoins: 0 }
     }
 
     fn size(&self) -> usize {
@@ -31,8 +31,8 @@ impl foca::Identity for SwimId {
     type Addr = NodeId;
 
     fn renew(&self) -> Option<SwimId> {
-        let returns = self.returns.checked_add(1)?;
-        Some(SwimId { returns, ..self.clone() })
+        let returns = self.rejoins.checked_add(1)?;
+        Some(SwimId { rejoins: returns, ..self.clone() })
     }
 
     fn addr(&self) -> NodeId {
@@ -40,7 +40,7 @@ impl foca::Identity for SwimId {
     }
 
     fn win_addr_conflict(&self, other: &SwimId) -> bool {
-        (self.incarnation, self.returns) > (other.incarnation, other.returns)
+        (self.incarnation, self.rejoins) > (other.incarnation, other.rejoins)
     }
 }
 
@@ -49,28 +49,28 @@ impl foca::Identity for SwimId {
 pub(in crate::gossip) enum PacketError {
     /// Ordinary: foca sends what fits.
     #[error("no room left in the packet")]
-    Full,
+    BufferFull,
     /// Somebody else writes on our keys.
     #[error("packet ends too early")]
-    Short,
+    Truncated,
     /// As above.
     #[error("packet holds no {0} where one is due")]
-    Wrong(&'static str),
+    Invalid(&'static str),
 }
 
 #[derive(Debug, Clone, Copy)]
-pub(in crate::gossip) struct Packets;
+pub(in crate::gossip) struct PacketCodec;
 
 fn put_id(id: &SwimId, buf: &mut impl BufMut) {
     let name = id.node.as_str().as_bytes();
     buf.put_u8(u8::try_from(name.len()).expect("a node's name is at most 64 bytes long"));
     buf.put_slice(name);
     buf.put_u64(id.incarnation);
-    buf.put_u32(id.returns);
+    buf.put_u32(id.rejoins);
 }
 
 fn need(buf: &impl Buf, bytes: usize) -> Result<(), PacketError> {
-    if buf.remaining() < bytes { Err(PacketError::Short) } else { Ok(()) }
+    if buf.remaining() < bytes { Err(PacketError::Truncated) } else { Ok(()) }
 }
 
 fn get_u8(buf: &mut impl Buf) -> Result<u8, PacketError> {
@@ -88,9 +88,9 @@ fn get_id(buf: &mut impl Buf) -> Result<SwimId, PacketError> {
     need(buf, length + 12)?;
     let mut name = vec![0; length];
     buf.copy_to_slice(&mut name);
-    let name = String::from_utf8(name).map_err(|_| PacketError::Wrong("name"))?;
-    let node = NodeId::new(name).map_err(|_| PacketError::Wrong("name"))?;
-    Ok(SwimId { node, incarnation: buf.get_u64(), returns: buf.get_u32() })
+    let name = String::from_utf8(name).map_err(|_| PacketError::Invalid("name"))?;
+    let node = NodeId::new(name).map_err(|_| PacketError::Invalid("name"))?;
+    Ok(SwimId { node, incarnation: buf.get_u64(), rejoins: buf.get_u32() })
 }
 
 /// What a message consists of: its number, and whom and which probe it concerns.
@@ -123,11 +123,11 @@ fn get_message(buf: &mut impl Buf) -> Result<Message<SwimId>, PacketError> {
         8 => Message::Gossip,
         9 => Message::Broadcast,
         10 => Message::TurnUndead,
-        _ => return Err(PacketError::Wrong("message")),
+        _ => return Err(PacketError::Invalid("message")),
     })
 }
 
-impl Codec<SwimId> for Packets {
+impl Codec<SwimId> for PacketCodec {
     type Error = PacketError;
 
     fn encode_header(&mut self, header: &Header<SwimId>, mut buf: impl BufMut) -> Result<(), PacketError> {
@@ -135,7 +135,7 @@ impl Codec<SwimId> for Packets {
         let size =
             header.src.size() + 2 + header.dst.size() + 1 + whom.map_or(0, SwimId::size) + usize::from(probe.is_some());
         if buf.remaining_mut() < size {
-            return Err(PacketError::Full);
+            return Err(PacketError::BufferFull);
         }
         put_id(&header.src, &mut buf);
         buf.put_u16(header.src_incarnation);
@@ -161,7 +161,7 @@ impl Codec<SwimId> for Packets {
 
     fn encode_member(&mut self, member: &Member<SwimId>, mut buf: impl BufMut) -> Result<(), PacketError> {
         if buf.remaining_mut() < member.id().size() + 3 {
-            return Err(PacketError::Full);
+            return Err(PacketError::BufferFull);
         }
         put_id(member.id(), &mut buf);
         buf.put_u16(member.incarnation());
@@ -179,7 +179,7 @@ impl Codec<SwimId> for Packets {
             0 => State::Alive,
             1 => State::Suspect,
             2 => State::Down,
-            _ => return Err(PacketError::Wrong("state")),
+            _ => return Err(PacketError::Invalid("state")),
         };
         Ok(Member::new(id, incarnation, state))
     }
@@ -191,7 +191,7 @@ mod tests {
     use proptest::prelude::*;
 
     fn id(name: &str) -> SwimId {
-        SwimId { node: NodeId::new(name).unwrap(), incarnation: 1 << 40, returns: 3 }
+        SwimId { node: NodeId::new(name).unwrap(), incarnation: 1 << 40, rejoins: 3 }
     }
 
     #[test]
@@ -212,26 +212,26 @@ mod tests {
         for message in messages {
             let header = Header { src: id("ada"), src_incarnation: 7, dst: id("bob"), message };
             let mut bytes = Vec::new();
-            Packets.encode_header(&header, &mut bytes).unwrap();
-            assert_eq!(Packets.decode_header(&bytes[..]), Ok(header.clone()));
-            assert_eq!(Packets.decode_header(&bytes[..bytes.len() - 1]), Err(PacketError::Short));
+            PacketCodec.encode_header(&header, &mut bytes).unwrap();
+            assert_eq!(PacketCodec.decode_header(&bytes[..]), Ok(header.clone()));
+            assert_eq!(PacketCodec.decode_header(&bytes[..bytes.len() - 1]), Err(PacketError::Truncated));
             let mut tight = Vec::new().limit(bytes.len() - 1);
-            assert_eq!(Packets.encode_header(&header, &mut tight), Err(PacketError::Full));
+            assert_eq!(PacketCodec.encode_header(&header, &mut tight), Err(PacketError::BufferFull));
             assert!(tight.get_ref().is_empty());
         }
         for state in [State::Alive, State::Suspect, State::Down] {
             let member = Member::new(id("ada"), 9, state);
             let mut bytes = Vec::new();
-            Packets.encode_member(&member, &mut bytes).unwrap();
-            assert_eq!(Packets.decode_member(&bytes[..]), Ok(member));
+            PacketCodec.encode_member(&member, &mut bytes).unwrap();
+            assert_eq!(PacketCodec.decode_member(&bytes[..]), Ok(member));
         }
     }
 
     proptest! {
         #[test]
         fn no_bytes_are_too_strange_to_refuse(bytes in prop::collection::vec(any::<u8>(), 0..200)) {
-            drop(Packets.decode_header(&bytes[..]));
-            drop(Packets.decode_member(&bytes[..]));
+            drop(PacketCodec.decode_header(&bytes[..]));
+            drop(PacketCodec.decode_member(&bytes[..]));
         }
     }
 
@@ -240,7 +240,7 @@ mod tests {
         use foca::Identity;
         let first = id("ada");
         let back = first.renew().unwrap();
-        let restarted = SwimId { incarnation: first.incarnation + 1, returns: 0, node: first.node.clone() };
+        let restarted = SwimId { incarnation: first.incarnation + 1, rejoins: 0, node: first.node.clone() };
         assert!(back.win_addr_conflict(&first) && restarted.win_addr_conflict(&back));
         assert!(!first.win_addr_conflict(&back) && !back.win_addr_conflict(&restarted));
     }

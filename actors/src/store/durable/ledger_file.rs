@@ -4,8 +4,8 @@
 //! whole of it is on disk; after a crash it is there as a whole or not at all. `redb` keeps a checksum of every page in
 //! the page above it; opening compares them all.
 
-use super::Owner;
-use crate::replica::{Recorded, StoreIdentity};
+use super::StoreOwner;
+use crate::raft::{PersistentState, StoreIdentity};
 use consort_protocol::ids::{FleetId, NodeId};
 use redb::{Database, ReadableDatabase, ReadableTable, StorageBackend, Table, TableDefinition};
 use std::io;
@@ -43,7 +43,7 @@ const COMPACT_RATIO: u64 = 4;
 
 /// Something to be written.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub(super) enum Change {
+pub(super) enum LedgerWrite {
     Vote(Vec<u8>),
     Committed(Option<Vec<u8>>),
     Append(Vec<(u64, Vec<u8>)>),
@@ -52,23 +52,23 @@ pub(super) enum Change {
     /// Removes all entries up to this index, and remembers the last of them.
     Purge(u64, Vec<u8>),
     Snapshot(Vec<u8>),
-    Page(Option<Vec<u8>>),
+    Checkpoint(Option<Vec<u8>>),
     Incarnation(u64),
     /// Puts all this in the place of the log, vote and snapshot.
-    Replace(Box<Recorded>),
+    Replace(Box<PersistentState>),
 }
 
 /// The open file.
 #[derive(Debug)]
 pub(super) struct LedgerFile {
     database: Database,
-    owner: Owner,
+    owner: StoreOwner,
     identity: StoreIdentity,
     commits: u64,
 }
 
 /// Why the file cannot be opened.
-pub(super) enum Trouble {
+pub(super) enum LedgerFileError {
     /// It does not hold what it once held.
     Damaged(String),
     /// It is of another release.
@@ -76,11 +76,11 @@ pub(super) enum Trouble {
     Io(io::Error),
 }
 
-impl From<io::Error> for Trouble {
-    fn from(problem: io::Error) -> Trouble {
+impl From<io::Error> for LedgerFileError {
+    fn from(problem: io::Error) -> LedgerFileError {
         match problem.kind() {
-            io::ErrorKind::InvalidData | io::ErrorKind::UnexpectedEof => Trouble::Damaged(problem.to_string()),
-            _ => Trouble::Io(problem),
+            io::ErrorKind::InvalidData | io::ErrorKind::UnexpectedEof => LedgerFileError::Damaged(problem.to_string()),
+            _ => LedgerFileError::Io(problem),
         }
     }
 }
@@ -104,7 +104,11 @@ fn malformed(what: &str) -> io::Error {
 
 impl LedgerFile {
     /// Makes one in an empty file, and brings it to disk.
-    pub(super) fn create(file: impl StorageBackend, owner: &Owner, identity: StoreIdentity) -> io::Result<LedgerFile> {
+    pub(super) fn create(
+        file: impl StorageBackend,
+        owner: &StoreOwner,
+        identity: StoreIdentity,
+    ) -> io::Result<LedgerFile> {
         let mut builder = Database::builder();
         let database = builder.set_cache_size(CACHE_BYTES).create_with_backend(file).map_err(failed)?;
         let mut ledger = LedgerFile { database, owner: owner.clone(), identity, commits: 0 };
@@ -119,22 +123,24 @@ impl LedgerFile {
     }
 
     /// Opens one, compares all checksums, and gives back space that is no longer used.
-    pub(super) fn open(file: impl StorageBackend) -> Result<LedgerFile, Trouble> {
+    pub(super) fn open(file: impl StorageBackend) -> Result<LedgerFile, LedgerFileError> {
         // redb 4.4 panics over some damage to its header.
         let opened = catch_unwind(AssertUnwindSafe(|| LedgerFile::open_sound(file)));
-        opened.unwrap_or_else(|_| Err(Trouble::Damaged("it makes no sense to the program that reads it".to_owned())))
+        opened.unwrap_or_else(|_| {
+            Err(LedgerFileError::Damaged("it makes no sense to the program that reads it".to_owned()))
+        })
     }
 
-    fn open_sound(file: impl StorageBackend) -> Result<LedgerFile, Trouble> {
+    fn open_sound(file: impl StorageBackend) -> Result<LedgerFile, LedgerFileError> {
         let bytes = file.len()?;
         if bytes == 0 {
-            return Err(Trouble::Damaged("it is empty".to_owned()));
+            return Err(LedgerFileError::Damaged("it is empty".to_owned()));
         }
         // redb would take a file without its first bytes for one whose creation was interrupted. Ours are created under
         // another name.
         let mut first = [0; 4];
         if bytes < first.len() as u64 || file.read(0, &mut first).is_err() || first != *b"redb" {
-            return Err(Trouble::Damaged("it does not begin as a ledger does".to_owned()));
+            return Err(LedgerFileError::Damaged("it does not begin as a ledger does".to_owned()));
         }
         let mut builder = Database::builder();
         let mut database = builder.set_cache_size(CACHE_BYTES).create_with_backend(file).map_err(failed)?;
@@ -157,10 +163,10 @@ impl LedgerFile {
         };
         let format = number(IS_FORMAT, &one(IS_FORMAT)?)?;
         if format != FORMAT {
-            return Err(Trouble::Format(format));
+            return Err(LedgerFileError::Format(format));
         }
         let text = |name: &str| one(name).and_then(|bytes| String::from_utf8(bytes).map_err(|_| malformed(name)));
-        let owner = Owner {
+        let owner = StoreOwner {
             fleet: FleetId::new(&text(IS_FLEET)?).map_err(|_| malformed(IS_FLEET))?,
             node: NodeId::new(&text(IS_NODE)?).map_err(|_| malformed(IS_NODE))?,
         };
@@ -170,7 +176,7 @@ impl LedgerFile {
         Ok(LedgerFile { database, owner, identity: StoreIdentity(u128::from_be_bytes(identity)), commits })
     }
 
-    pub(super) fn owner(&self) -> &Owner {
+    pub(super) fn owner(&self) -> &StoreOwner {
         &self.owner
     }
 
@@ -184,14 +190,14 @@ impl LedgerFile {
     }
 
     /// All that the journal recorded.
-    pub(super) fn recorded(&self) -> io::Result<Recorded> {
+    pub(super) fn persistent_state(&self) -> io::Result<PersistentState> {
         let reading = self.database.begin_read().map_err(failed)?;
         let log = reading.open_table(LOG).map_err(failed)?;
         let entries = log.iter().map_err(failed)?.map(|entry| {
             let (index, bytes) = entry.map_err(failed)?;
             Ok((index.value(), bytes.value().to_vec()))
         });
-        Ok(Recorded {
+        Ok(PersistentState {
             vote: self.one(IS_VOTE)?,
             committed: self.one(IS_COMMITTED)?,
             purged: self.one(IS_PURGED)?,
@@ -201,7 +207,7 @@ impl LedgerFile {
     }
 
     /// The notebook's page.
-    pub(super) fn page(&self) -> io::Result<Option<Vec<u8>>> {
+    pub(super) fn checkpoint(&self) -> io::Result<Option<Vec<u8>>> {
         self.one(IS_PAGE)
     }
 
@@ -211,7 +217,7 @@ impl LedgerFile {
     }
 
     /// Carries out all changes, in order, in one transaction. When it returns `Ok`, they are on disk.
-    pub(super) fn write(&mut self, changes: &[Change]) -> io::Result<()> {
+    pub(super) fn write(&mut self, changes: &[LedgerWrite]) -> io::Result<()> {
         self.transact(|ones, log| changes.iter().try_for_each(|change| apply(change, ones, log)))
     }
 
@@ -245,20 +251,20 @@ fn number(name: &str, bytes: &[u8]) -> io::Result<u64> {
     bytes.try_into().map(u64::from_be_bytes).map_err(|_| malformed(name))
 }
 
-fn apply(change: &Change, ones: &mut Table<'_, &str, &[u8]>, log: &mut Table<'_, u64, &[u8]>) -> io::Result<()> {
+fn apply(change: &LedgerWrite, ones: &mut Table<'_, &str, &[u8]>, log: &mut Table<'_, u64, &[u8]>) -> io::Result<()> {
     match change {
-        Change::Vote(vote) => put(ones, IS_VOTE, Some(vote)),
-        Change::Committed(committed) => put(ones, IS_COMMITTED, committed.as_deref()),
-        Change::Append(entries) => append(log, entries.iter().map(|(index, entry)| (*index, &entry[..]))),
-        Change::Truncate(from) => log.retain_in(*from.., |_, _| false).map_err(failed),
-        Change::Purge(through, last) => {
+        LedgerWrite::Vote(vote) => put(ones, IS_VOTE, Some(vote)),
+        LedgerWrite::Committed(committed) => put(ones, IS_COMMITTED, committed.as_deref()),
+        LedgerWrite::Append(entries) => append(log, entries.iter().map(|(index, entry)| (*index, &entry[..]))),
+        LedgerWrite::Truncate(from) => log.retain_in(*from.., |_, _| false).map_err(failed),
+        LedgerWrite::Purge(through, last) => {
             log.retain_in(..=*through, |_, _| false).map_err(failed)?;
             put(ones, IS_PURGED, Some(last))
         }
-        Change::Snapshot(snapshot) => put(ones, IS_SNAPSHOT, Some(snapshot)),
-        Change::Page(page) => put(ones, IS_PAGE, page.as_deref()),
-        Change::Incarnation(incarnation) => put(ones, IS_INCARNATION, Some(&incarnation.to_be_bytes())),
-        Change::Replace(recorded) => {
+        LedgerWrite::Snapshot(snapshot) => put(ones, IS_SNAPSHOT, Some(snapshot)),
+        LedgerWrite::Checkpoint(page) => put(ones, IS_PAGE, page.as_deref()),
+        LedgerWrite::Incarnation(incarnation) => put(ones, IS_INCARNATION, Some(&incarnation.to_be_bytes())),
+        LedgerWrite::Replace(recorded) => {
             put(ones, IS_VOTE, recorded.vote.as_deref())?;
             put(ones, IS_COMMITTED, recorded.committed.as_deref())?;
             put(ones, IS_PURGED, recorded.purged.as_deref())?;

@@ -16,20 +16,20 @@
 //!   finished.
 //! - A directory that once held a ledger is never taken for a new one.
 
-mod folder;
+mod commit_marker;
+mod directory;
 mod ledger_file;
 mod open;
-mod seal;
 
-use super::{Notebook, Store};
-use crate::replica::{Journal, Recorded, StoreIdentity};
+use super::{CheckpointStore, NodeStore};
+use crate::raft::{LogStore, PersistentState, StoreIdentity};
 use async_trait::async_trait;
+use commit_marker::CommitMarker;
 use consort_protocol::ids::{FleetId, NodeId};
-use folder::FolderLock;
-use ledger_file::{Change, LedgerFile};
-pub use open::{ADVICE, OpenError};
+use directory::DirectoryLock;
+use ledger_file::{LedgerFile, LedgerWrite};
+pub use open::{OpenError, REPAIR_ADVICE};
 pub use redb::StorageBackend;
-use seal::Seal;
 use std::fmt;
 use std::io;
 use std::path::{Path, PathBuf};
@@ -41,13 +41,13 @@ use tokio::task::{JoinError, spawn_blocking};
 use tracing::warn;
 
 /// The ledger's file in a data directory.
-pub const LEDGER: &str = "ledger.redb";
+pub const LEDGER_FILE: &str = "ledger.redb";
 
 /// The seal beside it.
-pub const SEAL: &str = "ledger.seal";
+pub const COMMIT_MARKER_FILE: &str = "ledger.seal";
 
 /// The lock beside it.
-pub const LOCK: &str = "lock";
+pub const LOCK_FILE: &str = "lock";
 
 /// So long after the last write what may lag is brought to disk as well. A guess: long beside a write, short beside an
 /// operator's hand.
@@ -55,14 +55,14 @@ const SETTLE: Duration = Duration::from_millis(50);
 
 /// Whose store it is.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Owner {
+pub struct StoreOwner {
     /// The fleet.
     pub fleet: FleetId,
     /// Its node.
     pub node: NodeId,
 }
 
-impl fmt::Display for Owner {
+impl fmt::Display for StoreOwner {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "node {} of fleet {}", self.node, self.fleet)
     }
@@ -77,7 +77,7 @@ pub struct DurableStore {
 #[derive(Debug)]
 struct Shared {
     path: PathBuf,
-    owner: Owner,
+    owner: StoreOwner,
     identity: StoreIdentity,
     queue: Mutex<Queue>,
     files: Mutex<Files>,
@@ -85,13 +85,13 @@ struct Shared {
     writes: AtomicU64,
     settling: AtomicBool,
     /// Given back last.
-    _lock: Option<FolderLock>,
+    _lock: Option<DirectoryLock>,
 }
 
 /// What is to be written, in order.
 #[derive(Debug, Default)]
 struct Queue {
-    changes: Vec<(Change, oneshot::Sender<io::Result<()>>)>,
+    changes: Vec<(LedgerWrite, oneshot::Sender<io::Result<()>>)>,
     /// The committed position, if it is not written yet: it goes with the next write.
     committed: Option<Option<Vec<u8>>>,
 }
@@ -99,7 +99,7 @@ struct Queue {
 #[derive(Debug)]
 struct Files {
     ledger: LedgerFile,
-    seal: Seal,
+    seal: CommitMarker,
     /// Why nothing more may be written, if so.
     failed: Option<String>,
 }
@@ -109,7 +109,7 @@ fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
 }
 
 impl DurableStore {
-    fn new(ledger: LedgerFile, seal: Seal, path: &Path, folder_lock: Option<FolderLock>) -> DurableStore {
+    fn new(ledger: LedgerFile, seal: CommitMarker, path: &Path, folder_lock: Option<DirectoryLock>) -> DurableStore {
         let shared = Shared {
             path: path.to_owned(),
             owner: ledger.owner().clone(),
@@ -124,7 +124,7 @@ impl DurableStore {
     }
 
     /// Whose store it is.
-    pub fn owner(&self) -> &Owner {
+    pub fn owner(&self) -> &StoreOwner {
         &self.shared.owner
     }
 
@@ -134,9 +134,9 @@ impl DurableStore {
     }
 
     /// A node's memory on this store.
-    pub fn into_store(self) -> Store {
+    pub fn into_node_store(self) -> NodeStore {
         let store = Arc::new(self);
-        Store { journal: Arc::clone(&store) as _, notebook: store }
+        NodeStore { log_store: Arc::clone(&store) as _, checkpoints: store }
     }
 
     /// Begins a life of the node, and gives its incarnation: `wall_ms`, the wall clock's milliseconds since 1970, or one
@@ -144,10 +144,10 @@ impl DurableStore {
     ///
     /// # Errors
     /// The store cannot be written.
-    pub fn begin_life(&self, wall_ms: u64) -> io::Result<u64> {
+    pub fn begin_incarnation(&self, wall_ms: u64) -> io::Result<u64> {
         let last = lock(&self.shared.files).ledger.incarnation()?;
         let incarnation = wall_ms.max(last.saturating_add(1));
-        self.shared.write(&[Change::Incarnation(incarnation)])?;
+        self.shared.write(&[LedgerWrite::Incarnation(incarnation)])?;
         Ok(incarnation)
     }
 
@@ -155,16 +155,16 @@ impl DurableStore {
     ///
     /// # Errors
     /// The store cannot be read.
-    pub fn recorded(&self) -> io::Result<Recorded> {
-        lock(&self.shared.files).ledger.recorded()
+    pub fn persistent_state(&self) -> io::Result<PersistentState> {
+        lock(&self.shared.files).ledger.persistent_state()
     }
 
     /// Puts `recorded` in the place of log, vote and snapshot, all at once; blocks until it is on disk.
     ///
     /// # Errors
     /// The store cannot be written; what was there is still there.
-    pub fn replace(&self, recorded: Recorded) -> io::Result<()> {
-        self.shared.write(&[Change::Replace(Box::new(recorded))])
+    pub fn replace(&self, recorded: PersistentState) -> io::Result<()> {
+        self.shared.write(&[LedgerWrite::Replace(Box::new(recorded))])
     }
 
     /// Copies the ledger's file and its seal to files beside them, which have `ending` added to their names; blocks until
@@ -172,15 +172,16 @@ impl DurableStore {
     ///
     /// # Errors
     /// A file of that name is there already, or cannot be written.
-    pub fn back_up(&self, ending: &str) -> io::Result<Vec<PathBuf>> {
+    pub fn copy_files(&self, ending: &str) -> io::Result<Vec<PathBuf>> {
         // Nobody writes meanwhile.
         let _files = lock(&self.shared.files);
-        let seal = self.shared.path.with_file_name(SEAL);
-        let copies = [&self.shared.path, &seal].map(|file| folder::copy(file, &folder::beside(file, ending)));
+        let seal = self.shared.path.with_file_name(COMMIT_MARKER_FILE);
+        let copies =
+            [&self.shared.path, &seal].map(|file| directory::copy(file, &directory::with_suffix(file, ending)));
         copies.into_iter().collect()
     }
 
-    async fn submit(&self, change: Change) -> io::Result<()> {
+    async fn submit(&self, change: LedgerWrite) -> io::Result<()> {
         let (done, heard) = oneshot::channel();
         lock(&self.shared.queue).changes.push((change, done));
         let shared = Arc::clone(&self.shared);
@@ -235,7 +236,7 @@ impl Shared {
             std::mem::take(&mut *queue)
         };
         let (mut changes, done): (Vec<_>, Vec<_>) = changes.into_iter().unzip();
-        changes.extend(committed.map(Change::Committed));
+        changes.extend(committed.map(LedgerWrite::Committed));
         let outcome = files.write(&changes);
         self.writes.fetch_add(1, Ordering::SeqCst);
         drop(files);
@@ -246,7 +247,7 @@ impl Shared {
     }
 
     /// Writes this before anything that waits; for when nobody else writes.
-    fn write(&self, changes: &[Change]) -> io::Result<()> {
+    fn write(&self, changes: &[LedgerWrite]) -> io::Result<()> {
         let outcome = lock(&self.files).write(changes);
         self.told(&outcome)
     }
@@ -256,7 +257,7 @@ impl Shared {
         let mut files = lock(&self.files);
         let committed = lock(&self.queue).committed.take();
         if let Some(committed) = committed {
-            files.write(&[Change::Committed(committed)])?;
+            files.write(&[LedgerWrite::Committed(committed)])?;
         }
         files.seal.sync()
     }
@@ -283,7 +284,7 @@ impl Drop for Shared {
 }
 
 impl Files {
-    fn write(&mut self, changes: &[Change]) -> io::Result<()> {
+    fn write(&mut self, changes: &[LedgerWrite]) -> io::Result<()> {
         if let Some(former) = &self.failed {
             return Err(io::Error::other(format!("an earlier write has failed: {former}")));
         }
@@ -296,59 +297,59 @@ impl Files {
 }
 
 #[async_trait]
-impl Journal for DurableStore {
+impl LogStore for DurableStore {
     fn identity(&self) -> StoreIdentity {
         self.shared.identity
     }
 
-    fn place(&self) -> String {
+    fn location(&self) -> String {
         self.shared.path.display().to_string()
     }
 
-    fn advice(&self) -> Option<&'static str> {
-        Some(ADVICE)
+    fn repair_advice(&self) -> Option<&'static str> {
+        Some(REPAIR_ADVICE)
     }
 
-    async fn load(&self) -> io::Result<Recorded> {
+    async fn load(&self) -> io::Result<PersistentState> {
         let store = self.clone();
-        spawn_blocking(move || store.recorded()).await.map_err(died)?
+        spawn_blocking(move || store.persistent_state()).await.map_err(died)?
     }
 
-    async fn record_vote(&self, vote: Vec<u8>) -> io::Result<()> {
-        self.submit(Change::Vote(vote)).await
+    async fn save_vote(&self, vote: Vec<u8>) -> io::Result<()> {
+        self.submit(LedgerWrite::Vote(vote)).await
     }
 
-    async fn record_committed(&self, committed: Option<Vec<u8>>) -> io::Result<()> {
+    async fn save_committed(&self, committed: Option<Vec<u8>>) -> io::Result<()> {
         lock(&self.shared.queue).committed = Some(committed);
         self.settle_soon();
         Ok(())
     }
 
     async fn append(&self, entries: Vec<(u64, Vec<u8>)>) -> io::Result<()> {
-        self.submit(Change::Append(entries)).await
+        self.submit(LedgerWrite::Append(entries)).await
     }
 
     async fn truncate(&self, index: u64) -> io::Result<()> {
-        self.submit(Change::Truncate(index)).await
+        self.submit(LedgerWrite::Truncate(index)).await
     }
 
     async fn purge(&self, index: u64, last: Vec<u8>) -> io::Result<()> {
-        self.submit(Change::Purge(index, last)).await
+        self.submit(LedgerWrite::Purge(index, last)).await
     }
 
-    async fn keep_snapshot(&self, snapshot: Vec<u8>) -> io::Result<()> {
-        self.submit(Change::Snapshot(snapshot)).await
+    async fn save_snapshot(&self, snapshot: Vec<u8>) -> io::Result<()> {
+        self.submit(LedgerWrite::Snapshot(snapshot)).await
     }
 }
 
 #[async_trait]
-impl Notebook for DurableStore {
+impl CheckpointStore for DurableStore {
     async fn read(&self) -> io::Result<Option<Vec<u8>>> {
         let shared = Arc::clone(&self.shared);
-        spawn_blocking(move || lock(&shared.files).ledger.page()).await.map_err(died)?
+        spawn_blocking(move || lock(&shared.files).ledger.checkpoint()).await.map_err(died)?
     }
 
     async fn write(&self, page: Option<Vec<u8>>) -> io::Result<()> {
-        self.submit(Change::Page(page)).await
+        self.submit(LedgerWrite::Checkpoint(page)).await
     }
 }

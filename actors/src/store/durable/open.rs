@@ -1,17 +1,17 @@
 //! Opening a store: what is there is taken up whole, or not at all.
 
-use super::folder::{self, FolderLock};
-use super::ledger_file::{LedgerFile, Trouble};
-use super::seal::{Claim, Seal};
-use super::{DurableStore, LEDGER, Owner, SEAL};
-use crate::replica::StoreIdentity;
+use super::commit_marker::{CommitMarker, MarkerRecord};
+use super::directory::{self, DirectoryLock};
+use super::ledger_file::{LedgerFile, LedgerFileError};
+use super::{COMMIT_MARKER_FILE, DurableStore, LEDGER_FILE, StoreOwner};
+use crate::raft::StoreIdentity;
 use redb::StorageBackend;
 use std::fs;
 use std::io;
 use std::path::{Path, PathBuf};
 
 /// What may be done about a store that is not whole.
-pub const ADVICE: &str = "as long as a majority of the other voters lives, move the data directory out of the way, and \
+pub const REPAIR_ADVICE: &str = "as long as a majority of the other voters lives, move the data directory out of the way, and \
     the node joins anew, as an empty member; if no majority is left, run `consort recover --from DATA_DIR` on the data \
     directory of a node whose store is whole; a copy of this one may be put back only if it was made after the node had \
     run for the last time";
@@ -27,23 +27,23 @@ pub enum OpenError {
         folder: PathBuf,
     },
     /// There is none, where there must be one.
-    #[error("{}: there is no ledger here; it would be the file {LEDGER}", .folder.display())]
-    Absent {
+    #[error("{}: there is no ledger here; it would be the file {LEDGER_FILE}", .folder.display())]
+    NotFound {
         /// The directory.
         folder: PathBuf,
     },
     /// A mistake in the configuration.
-    #[error("{}: this is the store of {found}, not of {asked}; each node needs a data directory of its own", .file.display())]
-    NotOurs {
+    #[error("{}: this is the store of {found}, not of {expected}; each node needs a data directory of its own", .file.display())]
+    WrongOwner {
         /// The ledger's file.
         file: PathBuf,
         /// Whose it is.
-        found: Owner,
+        found: StoreOwner,
         /// Who asked.
-        asked: Owner,
+        expected: StoreOwner,
     },
     /// Somebody or something has removed or damaged a file.
-    #[error("{}: {what}; {ADVICE}", .file.display())]
+    #[error("{}: {what}; {REPAIR_ADVICE}", .file.display())]
     Damaged {
         /// Which file.
         file: PathBuf,
@@ -77,11 +77,11 @@ impl OpenError {
         OpenError::Damaged { file: file.to_owned(), what: what.into() }
     }
 
-    fn of(file: &Path, trouble: Trouble) -> OpenError {
+    fn of(file: &Path, trouble: LedgerFileError) -> OpenError {
         match trouble {
-            Trouble::Damaged(what) => OpenError::damaged(file, format!("it is damaged: {what}")),
-            Trouble::Format(found) => OpenError::Format { file: file.to_owned(), found },
-            Trouble::Io(problem) => OpenError::io(file, problem),
+            LedgerFileError::Damaged(what) => OpenError::damaged(file, format!("it is damaged: {what}")),
+            LedgerFileError::Format(found) => OpenError::Format { file: file.to_owned(), found },
+            LedgerFileError::Io(problem) => OpenError::io(file, problem),
         }
     }
 }
@@ -92,11 +92,11 @@ impl DurableStore {
     ///
     /// # Errors
     /// [`OpenError`]; a store that is not whole is never replaced by an empty one.
-    pub fn open(folder: &Path, owner: &Owner, fresh: StoreIdentity) -> Result<DurableStore, OpenError> {
+    pub fn open(folder: &Path, owner: &StoreOwner, fresh: StoreIdentity) -> Result<DurableStore, OpenError> {
         fs::create_dir_all(folder).map_err(|problem| OpenError::io(folder, problem))?;
-        let lock = FolderLock::take(folder)?;
-        if !there(&folder.join(LEDGER))? && !there(&folder.join(SEAL))? {
-            folder::create(folder, owner, fresh)?;
+        let lock = DirectoryLock::acquire(folder)?;
+        if !there(&folder.join(LEDGER_FILE))? && !there(&folder.join(COMMIT_MARKER_FILE))? {
+            directory::create(folder, owner, fresh)?;
         }
         let store = DurableStore::open_locked(folder, lock)?;
         store.check_owner(owner)?;
@@ -108,10 +108,10 @@ impl DurableStore {
     /// # Errors
     /// [`OpenError`]; nothing is created.
     pub fn open_existing(folder: &Path) -> Result<DurableStore, OpenError> {
-        if !there(&folder.join(LEDGER))? && !there(&folder.join(SEAL))? {
-            return Err(OpenError::Absent { folder: folder.to_owned() });
+        if !there(&folder.join(LEDGER_FILE))? && !there(&folder.join(COMMIT_MARKER_FILE))? {
+            return Err(OpenError::NotFound { folder: folder.to_owned() });
         }
-        DurableStore::open_locked(folder, FolderLock::take(folder)?)
+        DurableStore::open_locked(folder, DirectoryLock::acquire(folder)?)
     }
 
     /// Opens the store of `owner` on a disk of another kind, as tests simulate them: one file for the ledger, one for its
@@ -122,16 +122,16 @@ impl DurableStore {
     pub fn open_on(
         ledger: impl StorageBackend,
         seal: impl StorageBackend,
-        owner: &Owner,
+        owner: &StoreOwner,
         fresh: StoreIdentity,
     ) -> Result<DurableStore, OpenError> {
-        let (ledger_path, seal_path) = (Path::new(LEDGER), Path::new(SEAL));
+        let (ledger_path, seal_path) = (Path::new(LEDGER_FILE), Path::new(COMMIT_MARKER_FILE));
         let length = |path, file: &dyn StorageBackend| file.len().map_err(|problem| OpenError::io(path, problem));
         let is_new = length(ledger_path, &ledger)? == 0 && length(seal_path, &seal)? == 0;
         let (file, seal) = if is_new {
             let file = LedgerFile::create(ledger, owner, fresh);
             let file = file.map_err(|problem| OpenError::io(ledger_path, problem))?;
-            let seal = Seal::create(Box::new(seal), Claim { identity: fresh, commits: file.commits() });
+            let seal = CommitMarker::create(Box::new(seal), MarkerRecord { identity: fresh, commits: file.commits() });
             (file, seal.map_err(|problem| OpenError::io(seal_path, problem))?)
         } else {
             let file = LedgerFile::open(ledger).map_err(|trouble| OpenError::of(ledger_path, trouble))?;
@@ -143,13 +143,13 @@ impl DurableStore {
         Ok(store)
     }
 
-    fn open_locked(folder: &Path, lock: FolderLock) -> Result<DurableStore, OpenError> {
-        let (ledger_path, seal_path) = (folder.join(LEDGER), folder.join(SEAL));
+    fn open_locked(folder: &Path, lock: DirectoryLock) -> Result<DurableStore, OpenError> {
+        let (ledger_path, seal_path) = (folder.join(LEDGER_FILE), folder.join(COMMIT_MARKER_FILE));
         if !there(&ledger_path)? {
-            let what = format!("it is gone, though {SEAL} beside it says that there was one");
+            let what = format!("it is gone, though {COMMIT_MARKER_FILE} beside it says that there was one");
             return Err(OpenError::damaged(&ledger_path, what));
         }
-        let file = folder::backend(&ledger_path, false).map_err(|problem| OpenError::io(&ledger_path, problem))?;
+        let file = directory::backend(&ledger_path, false).map_err(|problem| OpenError::io(&ledger_path, problem))?;
         let file = LedgerFile::open(file).map_err(|trouble| OpenError::of(&ledger_path, trouble))?;
         if !there(&seal_path)? {
             // The creation was interrupted, or somebody has removed it.
@@ -159,21 +159,21 @@ impl DurableStore {
                     "it is gone, though the ledger beside it has been written to",
                 ));
             }
-            folder::create_seal(folder, Claim { identity: file.identity(), commits: 1 })?;
+            directory::create_commit_marker(folder, MarkerRecord { identity: file.identity(), commits: 1 })?;
         }
-        let seal = folder::backend(&seal_path, false).map_err(|problem| OpenError::io(&seal_path, problem))?;
+        let seal = directory::backend(&seal_path, false).map_err(|problem| OpenError::io(&seal_path, problem))?;
         let seal = open_seal(&seal_path, seal)?;
         check_seal(&file, &seal, &ledger_path)?;
         Ok(DurableStore::new(file, seal, &ledger_path, Some(lock)))
     }
 
-    fn check_owner(&self, asked: &Owner) -> Result<(), OpenError> {
+    fn check_owner(&self, asked: &StoreOwner) -> Result<(), OpenError> {
         let found = self.owner();
         if found == asked {
             return Ok(());
         }
         let file = self.path().to_owned();
-        Err(OpenError::NotOurs { file, found: found.clone(), asked: asked.clone() })
+        Err(OpenError::WrongOwner { file, found: found.clone(), expected: asked.clone() })
     }
 }
 
@@ -181,21 +181,21 @@ fn there(path: &Path) -> Result<bool, OpenError> {
     path.try_exists().map_err(|problem| OpenError::io(path, problem))
 }
 
-fn open_seal(path: &Path, file: impl StorageBackend) -> Result<Seal, OpenError> {
-    let seal = Seal::open(Box::new(file)).map_err(|problem| OpenError::io(path, problem))?;
+fn open_seal(path: &Path, file: impl StorageBackend) -> Result<CommitMarker, OpenError> {
+    let seal = CommitMarker::open(Box::new(file)).map_err(|problem| OpenError::io(path, problem))?;
     seal.ok_or_else(|| OpenError::damaged(path, "it is damaged: neither of its two lines is whole"))
 }
 
-fn check_seal(file: &LedgerFile, seal: &Seal, path: &Path) -> Result<(), OpenError> {
-    let claim = seal.claim();
+fn check_seal(file: &LedgerFile, seal: &CommitMarker, path: &Path) -> Result<(), OpenError> {
+    let claim = seal.record();
     if claim.identity != file.identity() {
-        let what = format!("it is of another store than {SEAL} beside it");
+        let what = format!("it is of another store than {COMMIT_MARKER_FILE} beside it");
         return Err(OpenError::damaged(path, what));
     }
     if file.commits() < claim.commits {
         let (found, claimed) = (file.commits(), claim.commits);
         let what = format!(
-            "it ends with write {found}, though {SEAL} beside it says that write {claimed} was acknowledged: it is \
+            "it ends with write {found}, though {COMMIT_MARKER_FILE} beside it says that write {claimed} was acknowledged: it is \
              damaged, or is an older copy"
         );
         return Err(OpenError::damaged(path, what));

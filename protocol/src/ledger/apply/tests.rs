@@ -1,7 +1,7 @@
 use super::*;
 use crate::auction::AuctionId;
 use crate::ids::{TaskId, TaskType};
-use crate::mission::{Body, Method, Mission, Order, Role, TaskNode, TaskSpec};
+use crate::mission::{Method, Mission, Role, TaskBody, TaskNode, TaskOrder, TaskSpec};
 use crate::plan::{Division, LocalPlan, Signal, SignalKind, Step, StepAction};
 
 fn role(name: &str) -> RoleId {
@@ -18,13 +18,13 @@ fn submission(request: &str) -> Box<Submission> {
     let spec = TaskSpec::of(TaskType::new("pick_up").unwrap(), vec![role("lab_arm")]);
     let signal = Signal { kind: SignalKind::Done, task: task.clone(), from: role("lab_arm"), to: role("r1") };
     let managed = Role::of(RoleKind::Managed);
-    let method = Method::of(Order::Sequential, vec![1]);
+    let method = Method::of(TaskOrder::Sequential, vec![1]);
     let mission = Mission {
         name: TaskId::new("unload").unwrap(),
         roles: BTreeMap::from([(role("lab_arm"), managed.clone()), (role("r1"), managed)]),
         tasks: vec![
-            TaskNode { id: TaskId::new("root").unwrap(), body: Body::Abstract(method) },
-            TaskNode { id: task.clone(), body: Body::Elementary(spec.clone()) },
+            TaskNode { id: TaskId::new("root").unwrap(), body: TaskBody::Abstract(method) },
+            TaskNode { id: task.clone(), body: TaskBody::Elementary(spec.clone()) },
         ],
     };
     let arm = vec![
@@ -51,7 +51,7 @@ impl Log {
         Log(Ledger::default(), 1)
     }
 
-    fn apply(&mut self, command: Command) -> Outcome {
+    fn apply(&mut self, command: Command) -> CommandOutcome {
         let at = Epoch { term: 1, index: self.1 };
         self.1 += 1;
         self.0.apply(at, command)
@@ -59,26 +59,26 @@ impl Log {
 
     fn submit(&mut self, request: &str) -> MissionId {
         match self.apply(Command::Submit(submission(request))) {
-            Outcome::Submitted { mission, .. } => mission,
+            CommandOutcome::Submitted { mission, .. } => mission,
             other => panic!("{other:?}"),
         }
     }
 
-    fn award(&mut self, mission: &MissionId, arm: &str, r1: &str) -> Outcome {
+    fn award(&mut self, mission: &MissionId, arm: &str, r1: &str) -> CommandOutcome {
         let holders = BTreeMap::from([(role("lab_arm"), robot(arm)), (role("r1"), robot(r1))]);
         self.apply(Command::Award { mission: mission.clone(), branch: Branch::Main, holders, auction: record() })
     }
 
-    fn ended(&mut self, mission: &MissionId, who: &str, epoch: Epoch, ended: &[StepIndex]) -> Outcome {
+    fn ended(&mut self, mission: &MissionId, who: &str, epoch: Epoch, ended: &[StepIndex]) -> CommandOutcome {
         let ended = ended.iter().copied().collect();
         let (mission, role, branch) = (mission.clone(), role(who), Branch::Main);
         self.apply(Command::Progress { mission, role, epoch, branch, ended })
     }
 
-    fn release(&mut self, mission: &MissionId, who: &str, epoch: Epoch) -> Outcome {
+    fn release(&mut self, mission: &MissionId, who: &str, epoch: Epoch) -> CommandOutcome {
         let cause = "silent for 7 s".to_owned();
         let (mission, role) = (mission.clone(), role(who));
-        self.apply(Command::Release { mission, role, epoch, cause, blamed: false, place: None })
+        self.apply(Command::Release { mission, role, epoch, cause, robot_failed: false, place: None })
     }
 
     fn state(&self, mission: &MissionId) -> &MissionState {
@@ -95,7 +95,7 @@ fn a_request_sent_twice_is_answered_twice_and_done_once() {
     let mut log = Log::new();
     let first = log.submit("a");
     assert_eq!(first.as_str(), "unload-1");
-    let again = Outcome::Submitted { mission: first, again: true };
+    let again = CommandOutcome::Submitted { mission: first, again: true };
     assert_eq!(log.apply(Command::Submit(submission("a"))), again);
     assert_eq!(log.submit("b").as_str(), "unload-2");
 }
@@ -104,10 +104,10 @@ fn a_request_sent_twice_is_answered_twice_and_done_once() {
 fn a_mission_ends_when_all_its_managed_roles_have() {
     let mut log = Log::new();
     let mission = log.submit("a");
-    assert_eq!(log.award(&mission, "arm", "ada"), Outcome::Awarded { epoch: epoch(2) });
-    assert_eq!(log.ended(&mission, "lab_arm", epoch(2), &[0, 1]), Outcome::Done);
+    assert_eq!(log.award(&mission, "arm", "ada"), CommandOutcome::Awarded { epoch: epoch(2) });
+    assert_eq!(log.ended(&mission, "lab_arm", epoch(2), &[0, 1]), CommandOutcome::Done);
     assert_eq!(log.state(&mission), &MissionState::Running);
-    assert_eq!(log.ended(&mission, "r1", epoch(2), &[0, 99]), Outcome::Done);
+    assert_eq!(log.ended(&mission, "r1", epoch(2), &[0, 99]), CommandOutcome::Done);
     assert_eq!(log.state(&mission), &MissionState::Completed);
     assert!(log.0.held_by(&robot("ada")).is_none());
 }
@@ -117,7 +117,11 @@ fn no_robot_holds_two_roles() {
     let mut log = Log::new();
     let (first, second) = (log.submit("a"), log.submit("b"));
     let two = |mission: &MissionId, held| {
-        Outcome::Refused(Refused::TwoRoles { robot: robot("ada"), mission: mission.clone(), role: role(held) })
+        CommandOutcome::Refused(CommandError::TwoRoles {
+            robot: robot("ada"),
+            mission: mission.clone(),
+            role: role(held),
+        })
     };
     assert_eq!(log.award(&first, "ada", "ada"), two(&first, "lab_arm"));
     log.award(&first, "arm", "ada");
@@ -133,9 +137,9 @@ fn all_open_roles_are_filled_or_none() {
     let outcome =
         log.apply(Command::Award { mission: mission.clone(), branch: Branch::Main, holders, auction: record() });
     let open = BTreeSet::from([role("lab_arm"), role("r1")]);
-    assert_eq!(outcome, Outcome::Refused(Refused::NotOpen { mission: mission.clone(), open }));
+    assert_eq!(outcome, CommandOutcome::Refused(CommandError::NotOpen { mission: mission.clone(), open }));
     log.award(&mission, "arm", "ada");
-    assert!(matches!(log.award(&mission, "bob", "cyd"), Outcome::Refused(Refused::NotOpen { .. })));
+    assert!(matches!(log.award(&mission, "bob", "cyd"), CommandOutcome::Refused(CommandError::NotOpen { .. })));
 }
 
 #[test]
@@ -144,15 +148,16 @@ fn a_released_role_is_given_anew_under_a_later_epoch_and_the_former_holder_is_no
     let mission = log.submit("a");
     log.award(&mission, "arm", "ada");
     log.ended(&mission, "lab_arm", epoch(2), &[0]);
-    assert_eq!(log.release(&mission, "lab_arm", epoch(2)), Outcome::Done);
+    assert_eq!(log.release(&mission, "lab_arm", epoch(2)), CommandOutcome::Done);
     assert_eq!(log.state(&mission), &MissionState::Pending);
     assert_eq!(log.0.mission(&mission).unwrap().open_roles(), BTreeSet::from([role("lab_arm")]));
 
     let holders = BTreeMap::from([(role("lab_arm"), robot("bob"))]);
     let award = Command::Award { mission: mission.clone(), branch: Branch::Main, holders, auction: record() };
-    assert_eq!(log.apply(award), Outcome::Awarded { epoch: epoch(5) });
+    assert_eq!(log.apply(award), CommandOutcome::Awarded { epoch: epoch(5) });
     let held = Some(epoch(5));
-    let stale = Outcome::Refused(Refused::Epoch { mission: mission.clone(), role: role("lab_arm"), held });
+    let stale =
+        CommandOutcome::Refused(CommandError::StaleEpoch { mission: mission.clone(), role: role("lab_arm"), held });
     assert_eq!(log.ended(&mission, "lab_arm", epoch(2), &[0, 1]), stale);
     assert_eq!(log.release(&mission, "lab_arm", epoch(2)), stale);
     assert!(log.0.mission(&mission).unwrap().roles[&role("lab_arm")].ended.is_empty());
@@ -186,17 +191,17 @@ fn a_robot_that_started_anew_does_not_go_on_with_what_it_has_forgotten() {
     log.award(&mission, "arm", "ada");
     let accept = |incarnation, resumes| {
         let (mission, role) = (mission.clone(), role("r1"));
-        Command::Accept { mission, role, epoch: epoch(2), incarnation, resumes }
+        Command::Accept { mission, role, epoch: epoch(2), incarnation, from_checkpoint: resumes }
     };
-    assert_eq!(log.apply(accept(1, false)), Outcome::Done);
-    assert_eq!(log.apply(accept(1, false)), Outcome::Done);
-    assert!(matches!(log.apply(accept(2, false)), Outcome::Refused(Refused::Restarted { .. })));
-    assert_eq!(log.apply(accept(1, false)), Outcome::Done);
+    assert_eq!(log.apply(accept(1, false)), CommandOutcome::Done);
+    assert_eq!(log.apply(accept(1, false)), CommandOutcome::Done);
+    assert!(matches!(log.apply(accept(2, false)), CommandOutcome::Refused(CommandError::Restarted { .. })));
+    assert_eq!(log.apply(accept(1, false)), CommandOutcome::Done);
     // One that took the plan up goes on, and what its former life had sent is not listened to any more.
-    assert_eq!(log.apply(accept(3, true)), Outcome::Done);
-    assert_eq!(log.apply(accept(3, true)), Outcome::Done);
-    assert!(matches!(log.apply(accept(1, false)), Outcome::Refused(Refused::FormerLife { .. })));
-    assert!(matches!(log.apply(accept(2, true)), Outcome::Refused(Refused::FormerLife { .. })));
+    assert_eq!(log.apply(accept(3, true)), CommandOutcome::Done);
+    assert_eq!(log.apply(accept(3, true)), CommandOutcome::Done);
+    assert!(matches!(log.apply(accept(1, false)), CommandOutcome::Refused(CommandError::StaleIncarnation { .. })));
+    assert!(matches!(log.apply(accept(2, true)), CommandOutcome::Refused(CommandError::StaleIncarnation { .. })));
 }
 
 #[test]
@@ -206,11 +211,14 @@ fn a_canceled_mission_frees_its_robots_and_takes_no_more() {
     log.award(&mission, "arm", "ada");
     assert_eq!(
         log.apply(Command::Cancel { mission: mission.clone(), by: "a nurse".to_owned(), places: BTreeMap::new() }),
-        Outcome::Done
+        CommandOutcome::Done
     );
     assert!(log.0.held_by(&robot("ada")).is_none());
-    assert!(matches!(log.ended(&mission, "r1", epoch(2), &[0]), Outcome::Refused(Refused::Over { .. })));
-    assert!(log.0.live().is_empty());
+    assert!(matches!(
+        log.ended(&mission, "r1", epoch(2), &[0]),
+        CommandOutcome::Refused(CommandError::MissionEnded { .. })
+    ));
+    assert!(log.0.active_missions().is_empty());
 }
 
 #[test]
@@ -222,18 +230,18 @@ fn only_so_many_ended_missions_are_kept() {
         log.apply(Command::Fail { mission, cause: "test".to_owned(), branch: None, places });
     }
     assert_eq!(log.0.missions().count(), HISTORY_MAX);
-    assert!(log.0.requested(&RequestId::new("request0").unwrap()).is_none());
-    assert!(log.0.requested(&RequestId::new("request3").unwrap()).is_some());
+    assert!(log.0.mission_of_request(&RequestId::new("request0").unwrap()).is_none());
+    assert!(log.0.mission_of_request(&RequestId::new("request3").unwrap()).is_some());
 }
 
 #[test]
 fn a_ledger_is_founded_once() {
     let mut log = Log::new();
     assert_eq!(log.0.cluster(), None);
-    assert_eq!(log.apply(Command::Found { cluster: ClusterId(1) }), Outcome::Done);
-    assert_eq!(log.apply(Command::Found { cluster: ClusterId(2) }), Outcome::Done);
+    assert_eq!(log.apply(Command::Bootstrap { cluster: ClusterId(1) }), CommandOutcome::Done);
+    assert_eq!(log.apply(Command::Bootstrap { cluster: ClusterId(2) }), CommandOutcome::Done);
     assert_eq!(log.0.cluster(), Some(ClusterId(1)));
-    log.0.refound(ClusterId(3));
-    assert_eq!(log.apply(Command::Found { cluster: ClusterId(1) }), Outcome::Done);
+    log.0.replace_cluster(ClusterId(3));
+    assert_eq!(log.apply(Command::Bootstrap { cluster: ClusterId(1) }), CommandOutcome::Done);
     assert_eq!(log.0.cluster(), Some(ClusterId(3)));
 }

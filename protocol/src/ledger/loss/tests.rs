@@ -1,8 +1,8 @@
-use super::super::entry::{Branch, Recovery, Submission};
+use super::super::entry::{Branch, RecoveryBranch, Submission};
 use super::*;
 use crate::auction::{AuctionId, AuctionRecord};
 use crate::ids::RequestId;
-use crate::lease::Holding;
+use crate::lease::RoleHolder;
 use crate::ledger::{Command, HISTORY_MAX};
 use crate::mission::{Domain, Format, MissionTemplate, shipped};
 use crate::plan::{StepIndex, divide_and_check};
@@ -40,9 +40,9 @@ fn with_recovery() -> MissionTemplate {
 }
 
 fn submission(request: &str, template: &MissionTemplate) -> Submission {
-    let (mission, recovery) = template.instantiate_both(&BTreeMap::new(), &Domain::hospital()).unwrap();
+    let (mission, recovery) = template.instantiate_with_recovery(&BTreeMap::new(), &Domain::hospital()).unwrap();
     let division = divide_and_check(&mission).unwrap();
-    let recovery = recovery.map(|mission| Recovery { division: divide_and_check(&mission).unwrap(), mission });
+    let recovery = recovery.map(|mission| RecoveryBranch { division: divide_and_check(&mission).unwrap(), mission });
     Submission { recovery, ..Submission::of(RequestId::new(request).unwrap(), mission, division) }
 }
 
@@ -66,7 +66,7 @@ impl Log {
         log
     }
 
-    fn apply(&mut self, command: Command) -> Outcome {
+    fn apply(&mut self, command: Command) -> CommandOutcome {
         let at = epoch(self.1);
         self.1 += 1;
         self.0.apply(at, command)
@@ -74,17 +74,17 @@ impl Log {
 
     fn submit(&mut self, request: &str, template: &MissionTemplate) -> MissionId {
         match self.apply(Command::Submit(Box::new(submission(request, template)))) {
-            Outcome::Submitted { mission, .. } => mission,
+            CommandOutcome::Submitted { mission, .. } => mission,
             other => panic!("{other:?}"),
         }
     }
 
-    fn award(&mut self, holders: &[(&str, &str)]) -> Outcome {
+    fn award(&mut self, holders: &[(&str, &str)]) -> CommandOutcome {
         let branch = self.entry().branch;
         self.award_in(branch, holders)
     }
 
-    fn award_in(&mut self, branch: Branch, holders: &[(&str, &str)]) -> Outcome {
+    fn award_in(&mut self, branch: Branch, holders: &[(&str, &str)]) -> CommandOutcome {
         let (mission, auction) = (self.2.clone(), self.record());
         let holders = holders.iter().map(|(of, who)| (role(of), robot(who))).collect();
         self.apply(Command::Award { mission, branch, holders, auction })
@@ -97,12 +97,12 @@ impl Log {
     }
 
     fn hold(&mut self, holders: &[(&str, &str)]) -> Epoch {
-        let Outcome::Awarded { epoch } = self.award(holders) else { panic!("not awarded") };
+        let CommandOutcome::Awarded { epoch } = self.award(holders) else { panic!("not awarded") };
         for (name, _) in holders {
             let (mission, role) = (self.2.clone(), role(name));
             assert_eq!(
-                self.apply(Command::Accept { mission, role, epoch, incarnation: 1, resumes: false }),
-                Outcome::Done
+                self.apply(Command::Accept { mission, role, epoch, incarnation: 1, from_checkpoint: false }),
+                CommandOutcome::Done
             );
         }
         epoch
@@ -110,18 +110,24 @@ impl Log {
 
     fn ended(&mut self, who: &str, epoch: Epoch, steps: std::ops::Range<StepIndex>) {
         let branch = self.entry().branch;
-        assert_eq!(self.ended_in(branch, who, epoch, steps), Outcome::Done);
+        assert_eq!(self.ended_in(branch, who, epoch, steps), CommandOutcome::Done);
     }
 
-    fn ended_in(&mut self, branch: Branch, who: &str, epoch: Epoch, steps: std::ops::Range<StepIndex>) -> Outcome {
+    fn ended_in(
+        &mut self,
+        branch: Branch,
+        who: &str,
+        epoch: Epoch,
+        steps: std::ops::Range<StepIndex>,
+    ) -> CommandOutcome {
         let (mission, role) = (self.2.clone(), role(who));
         self.apply(Command::Progress { mission, role, epoch, branch, ended: steps.collect() })
     }
 
     fn lose(&mut self, who: &str, epoch: Epoch, blamed: bool) {
         let (mission, role, cause) = (self.2.clone(), role(who), "silent for 7 s".to_owned());
-        let release = Command::Release { mission, role, epoch, cause, blamed, place: Some(place()) };
-        assert_eq!(self.apply(release), Outcome::Done);
+        let release = Command::Release { mission, role, epoch, cause, robot_failed: blamed, place: Some(place()) };
+        assert_eq!(self.apply(release), CommandOutcome::Done);
     }
 
     fn entry(&self) -> &MissionEntry {
@@ -130,7 +136,7 @@ impl Log {
 
     /// `amber!` for an item that amber has, `amber?` for one that it may have.
     fn keepers(&self) -> Vec<String> {
-        let sign = |kept: &Stranded| format!("{}{}", kept.robot, if kept.certain { '!' } else { '?' });
+        let sign = |kept: &HeldItem| format!("{}{}", kept.robot, if kept.certain { '!' } else { '?' });
         self.entry().custody().iter().map(sign).collect()
     }
 
@@ -186,7 +192,7 @@ fn a_carrier_lost_with_the_sample_needs_rescue_and_is_kept_until_somebody_closes
         log.lose("r1", epoch(2), false);
         let said = format!("amber was lost as r1 and {has} the sample: silent for 7 s");
         assert_eq!(log.rescue(), (said.as_str(), vec![("amber", Some(&place()), certain)]));
-        assert!(log.entry().state.is_end());
+        assert!(log.entry().state.is_final());
         for number in 0..HISTORY_MAX + 3 {
             let mission = log.submit(&format!("more{number}"), &shipped()["lab-samples"]);
             let (cause, places) = ("test".to_owned(), BTreeMap::new());
@@ -198,19 +204,19 @@ fn a_carrier_lost_with_the_sample_needs_rescue_and_is_kept_until_somebody_closes
         let waiting = log.2.clone();
         log.2 = log.submit("next", &shipped()["lab-samples"]);
         let full = log.award(&[("r1", "amber"), ("lab_arm", "arm")]);
-        assert!(matches!(full, Outcome::Refused(Refused::HandsFull { .. })), "{full:?}");
+        assert!(matches!(full, CommandOutcome::Refused(CommandError::CarriesItem { .. })), "{full:?}");
         let by = "Nia".to_owned();
-        assert_eq!(log.apply(Command::Rescued { mission: waiting.clone(), by: by.clone() }), Outcome::Done);
+        assert_eq!(log.apply(Command::Resolve { mission: waiting.clone(), by: by.clone() }), CommandOutcome::Done);
         let cause = format!("{said}; rescued by Nia");
         assert_eq!(log.0.mission(&waiting).map(|entry| &entry.state), Some(&MissionState::Failed { cause }));
         assert_eq!(
-            log.apply(Command::Rescued { mission: waiting.clone(), by }),
-            Outcome::Done,
+            log.apply(Command::Resolve { mission: waiting.clone(), by }),
+            CommandOutcome::Done,
             "heard, and asked again"
         );
-        let again = log.apply(Command::Rescued { mission: waiting, by: "Tom".to_owned() });
-        assert!(matches!(again, Outcome::Refused(Refused::NoRescue { .. })), "{again:?}");
-        assert!(matches!(log.award(&[("r1", "amber"), ("lab_arm", "arm")]), Outcome::Awarded { .. }));
+        let again = log.apply(Command::Resolve { mission: waiting, by: "Tom".to_owned() });
+        assert!(matches!(again, CommandOutcome::Refused(CommandError::NoInterventionNeeded { .. })), "{again:?}");
+        assert!(matches!(log.award(&[("r1", "amber"), ("lab_arm", "arm")]), CommandOutcome::Awarded { .. }));
     }
 }
 
@@ -227,7 +233,7 @@ fn a_mission_canceled_or_failed_with_the_sample_in_a_drawer_needs_rescue() {
     for (canceled, cause) in [(true, "canceled by Nia"), (false, "past its deadline")] {
         let mut log = Log::lab_samples();
         log.ended("r1", epoch(2), 0..8);
-        assert_eq!(log.apply(end(&log, canceled)), Outcome::Done);
+        assert_eq!(log.apply(end(&log, canceled)), CommandOutcome::Done);
         let cause = format!("{cause}; the sample is with amber at IC Room 6");
         assert_eq!(log.rescue(), (cause.as_str(), vec![("amber", Some(&place()), true)]));
     }
@@ -275,7 +281,7 @@ fn whoever_has_the_item_may_take_part_in_getting_it_back() {
     log.hold(&[("r1", "amber"), ("lab_arm", "arm")]);
     log.ended("r1", epoch(2), 0..8);
     log.lose("r1", epoch(2), false);
-    assert!(matches!(log.award(&[("helper", "amber")]), Outcome::Awarded { .. }));
+    assert!(matches!(log.award(&[("helper", "amber")]), CommandOutcome::Awarded { .. }));
 }
 
 #[test]
@@ -284,10 +290,10 @@ fn a_withdrawal_that_is_asked_for_again_has_been_heard() {
     let cancel =
         |log: &Log, by: &str| Command::Cancel { mission: log.2.clone(), by: by.to_owned(), places: BTreeMap::new() };
     for _ in 0..2 {
-        assert_eq!(log.apply(cancel(&log, "Nia")), Outcome::Done);
+        assert_eq!(log.apply(cancel(&log, "Nia")), CommandOutcome::Done);
     }
     let other = log.apply(cancel(&log, "Tom"));
-    assert!(matches!(other, Outcome::Refused(Refused::Over { .. })), "{other:?}");
+    assert!(matches!(other, CommandOutcome::Refused(CommandError::MissionEnded { .. })), "{other:?}");
 }
 
 #[test]
@@ -302,18 +308,18 @@ fn a_mission_with_a_recovery_branch_goes_on_with_it() {
     let (_, spec) = entry.plan(&role("helper")).unwrap().tasks().next().unwrap();
     assert_eq!(spec.parameters["to"], "IC Room 6");
     assert!(log.0.held_by(&robot("arm")).is_none(), "the others are free");
-    let arm = Holding { robot: robot("arm"), epoch: epoch(2) };
-    assert_eq!(entry.former, [arm], "and may still be at work");
+    let arm = RoleHolder { robot: robot("arm"), epoch: epoch(2) };
+    assert_eq!(entry.former_holders, [arm], "and may still be at work");
 
     // Whoever has the sample does nothing else meanwhile, should it come back.
     let recovering = log.2.clone();
     log.2 = log.submit("next", &shipped()["lab-samples"]);
     let full = log.award(&[("r1", "amber"), ("lab_arm", "arm")]);
-    assert!(matches!(full, Outcome::Refused(Refused::HandsFull { .. })), "{full:?}");
+    assert!(matches!(full, CommandOutcome::Refused(CommandError::CarriesItem { .. })), "{full:?}");
     log.2 = recovering;
 
     let then = log.hold(&[("helper", "birch")]);
-    assert_eq!(log.entry().former, []);
+    assert_eq!(log.entry().former_holders, []);
     log.ended("helper", then, 0..1);
     let (cause, items) = log.rescue();
     assert_eq!(cause, "the recovery branch was carried out; the sample is with amber at IC Room 6");
@@ -331,7 +337,7 @@ fn who_is_lost_in_the_recovery_branch_is_replaced_while_it_has_nothing_in_hand()
     let entry = log.entry();
     assert_eq!((entry.branch, &entry.state), (Branch::Recovery, &MissionState::Pending));
     assert_eq!(entry.open_roles(), [role("helper")].into());
-    assert_eq!((log.keepers(), entry.released), (vec!["amber!".to_owned()], 2), "the sample is where it was");
+    assert_eq!((log.keepers(), entry.release_count), (vec!["amber!".to_owned()], 2), "the sample is where it was");
     // Who is lost last of all leaves the mission to a person, and the first loss is not forgotten.
     for name in ["cedar", "dogwood", "elm"] {
         let then = log.hold(&[("helper", name)]);
@@ -364,7 +370,7 @@ fn a_branch_that_asks_for_a_place_that_nobody_knows_is_not_taken() {
     log.hold(&[("r1", "amber"), ("lab_arm", "arm")]);
     log.ended("r1", epoch(2), 0..8);
     let (mission, role, cause) = (log.2.clone(), role("r1"), "silent".to_owned());
-    log.apply(Command::Release { mission, role, epoch: epoch(2), cause, blamed: false, place: None });
+    log.apply(Command::Release { mission, role, epoch: epoch(2), cause, robot_failed: false, place: None });
     assert_eq!(log.rescue().1, [("amber", None, true)]);
 }
 
@@ -398,7 +404,9 @@ fn whoever_failed_at_a_role_is_not_asked_for_it_again_and_in_the_end_the_mission
 fn a_robot_that_never_confirmed_counts_for_little() {
     let mut log = Log::of(&shipped()["lab-samples"]);
     for _ in 0..3 * RELEASES_MAX {
-        let Outcome::Awarded { epoch } = log.award(&[("r1", "amber"), ("lab_arm", "arm")]) else { panic!("no award") };
+        let CommandOutcome::Awarded { epoch } = log.award(&[("r1", "amber"), ("lab_arm", "arm")]) else {
+            panic!("no award")
+        };
         log.lose("r1", epoch, false);
         log.lose("lab_arm", epoch, false);
     }
@@ -415,7 +423,7 @@ fn a_role_that_others_have_acted_on_is_begun_anew_if_the_mission_says_so() {
         log.ended("a", epoch(2), 0..2);
         log.ended("b", epoch(2), 0..1);
         log.lose("a", epoch(2), false);
-        assert_eq!(log.entry().state.word(), expected, "{:?}", log.entry().state);
+        assert_eq!(log.entry().state.as_str(), expected, "{:?}", log.entry().state);
     }
 }
 
@@ -426,7 +434,7 @@ fn a_role_without_items_may_have_its_purpose_in_its_last_step() {
     log.ended("a", epoch(2), 0..2);
     log.ended("b", epoch(2), 0..2);
     log.lose("a", epoch(2), false);
-    assert_eq!(log.entry().state.word(), "failed");
+    assert_eq!(log.entry().state.as_str(), "failed");
 }
 
 #[test]
@@ -441,13 +449,14 @@ fn what_a_person_did_in_the_mission_is_not_counted_in_its_recovery_branch() {
     log.lose("r1", epoch(2), false);
     let before = log.0.clone();
     let late = log.ended_in(Branch::Main, "nurse", Epoch::default(), 0..3);
-    let refused = Outcome::Refused(Refused::Branch { mission: log.2.clone(), taken: Branch::Recovery });
+    let refused =
+        CommandOutcome::Refused(CommandError::WrongBranch { mission: log.2.clone(), taken: Branch::Recovery });
     assert_eq!(late, refused);
     let (mission, cause, places) = (log.2.clone(), "the nurse has none".to_owned(), BTreeMap::new());
     let late = log.apply(Command::Fail { mission, cause, branch: Some(Branch::Main), places });
     assert_eq!(late, refused);
     assert_eq!(log.0, before, "and nothing has changed");
-    assert_eq!(log.ended_in(Branch::Recovery, "nurse", Epoch::default(), 0..1), Outcome::Done);
+    assert_eq!(log.ended_in(Branch::Recovery, "nurse", Epoch::default(), 0..1), CommandOutcome::Done);
     assert_eq!(log.entry().roles[&role("nurse")].ended, [0].into());
 }
 
@@ -474,7 +483,7 @@ fn what_an_auction_of_the_mission_came_to_is_not_counted_in_its_recovery_branch_
     let refuses = |log: &mut Log, branch, taken| {
         let before = log.0.clone();
         for command in auction(log, branch) {
-            let refused = Outcome::Refused(Refused::Branch { mission: log.2.clone(), taken });
+            let refused = CommandOutcome::Refused(CommandError::WrongBranch { mission: log.2.clone(), taken });
             assert_eq!(log.apply(command.clone()), refused, "{command:?}");
             assert_eq!(log.0, before, "and nothing has changed");
         }
@@ -492,7 +501,7 @@ fn what_an_auction_of_the_mission_came_to_is_not_counted_in_its_recovery_branch_
     let [award, defer, fail] = auction(&log, Branch::Recovery);
     for command in [defer, award, fail] {
         let outcome = log.apply(command);
-        assert!(!matches!(outcome, Outcome::Refused(_)), "{outcome:?}");
+        assert!(!matches!(outcome, CommandOutcome::Refused(_)), "{outcome:?}");
     }
-    assert_eq!(log.entry().state.word(), "needs_rescue");
+    assert_eq!(log.entry().state.as_str(), "needs_rescue");
 }

@@ -2,7 +2,7 @@
 
 use crate::ids::{RoleId, TaskId, TaskType};
 use crate::mission::domain::ValueKind;
-use crate::mission::model::{ATTEMPTS_MAX, OnLoss, Order, RoleKind};
+use crate::mission::model::{ATTEMPTS_MAX, OnLoss, RoleKind, TaskOrder};
 use schemars::JsonSchema;
 use serde::de::{Deserializer, Error as _, MapAccess, Unexpected, Visitor};
 use serde::{Deserialize, Serialize};
@@ -57,10 +57,10 @@ pub(super) struct MissionFile {
     #[serde(default)]
     pub(super) title: String,
     /// What a request fills in, by name.
-    #[serde(default, deserialize_with = "each_key_once")]
+    #[serde(default, deserialize_with = "unique_keys")]
     pub(super) parameters: BTreeMap<String, TemplateParameter>,
     /// Who takes part, by name; at least one is managed.
-    #[serde(deserialize_with = "each_key_once")]
+    #[serde(deserialize_with = "unique_keys")]
     pub(super) roles: BTreeMap<String, RoleFile>,
     /// What is done.
     pub(super) root: TaskFile,
@@ -98,7 +98,7 @@ pub(super) struct TaskFile {
     pub(super) task: String,
     /// Of an abstract task: whether its tasks depend on one another.
     #[serde(default)]
-    pub(super) method: Option<Order>,
+    pub(super) method: Option<TaskOrder>,
     /// Of an abstract task: what it comes down to.
     #[serde(default)]
     pub(super) tasks: Option<Vec<TaskFile>>,
@@ -111,13 +111,13 @@ pub(super) struct TaskFile {
     #[schemars(with = "Option<Vec<RoleId>>")]
     pub(super) roles: Option<Vec<String>>,
     /// What the skill is told, by name. `${name}` stands for a parameter of the mission.
-    #[serde(default, deserialize_with = "each_key_once")]
+    #[serde(default, deserialize_with = "unique_keys")]
     pub(super) parameters: BTreeMap<String, String>,
     /// What is so once the task has ended, as `location: ${room}`.
-    #[serde(default, deserialize_with = "each_key_once")]
+    #[serde(default, deserialize_with = "unique_keys")]
     pub(super) reaches: BTreeMap<String, String>,
     /// Which role has which item once the task has ended.
-    #[serde(default, deserialize_with = "each_key_once")]
+    #[serde(default, deserialize_with = "unique_keys")]
     pub(super) acquires: BTreeMap<String, String>,
     /// Items that nobody of the mission has any more once the task has ended.
     #[serde(default)]
@@ -137,7 +137,7 @@ pub(super) struct TaskFile {
 #[serde(deny_unknown_fields)]
 pub(super) struct MethodFile {
     /// `sequential`.
-    pub(super) method: Order,
+    pub(super) method: TaskOrder,
     /// Elementary tasks.
     pub(super) tasks: Vec<TaskFile>,
 }
@@ -151,7 +151,7 @@ impl TaskFile {
 }
 
 /// A map in which a key that stands twice is an error; JSON readers otherwise keep the last and say nothing.
-pub(in crate::mission) fn each_key_once<'de, D, V>(reader: D) -> Result<BTreeMap<String, V>, D::Error>
+pub(in crate::mission) fn unique_keys<'de, D, V>(reader: D) -> Result<BTreeMap<String, V>, D::Error>
 where
     D: Deserializer<'de>,
     V: Deserialize<'de>,

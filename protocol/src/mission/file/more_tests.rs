@@ -2,7 +2,7 @@
 
 use super::*;
 use crate::ids::{ItemId, RoleId};
-use crate::mission::{ATTEMPTS, Body, Lost, OnLoss, TaskSpec};
+use crate::mission::{ATTEMPTS, LostItem, OnLoss, TaskBody, TaskSpec};
 
 /// A robot fetches a key and hands it to another; if it is lost with it, the other goes there.
 const FILE: &str = r#"
@@ -37,7 +37,7 @@ fn problems(text: &str) -> Vec<String> {
     let template = MissionTemplate::parse(text, Format::Yaml).unwrap();
     match template.instantiate(&BTreeMap::new(), &Domain::hospital()) {
         Ok(_) => vec![],
-        Err(errors) => errors.problems.iter().map(ToString::to_string).collect(),
+        Err(errors) => errors.diagnostics.iter().map(ToString::to_string).collect(),
     }
 }
 
@@ -50,7 +50,7 @@ fn said(from: &str, to: &str) -> Vec<String> {
 #[test]
 fn all_that_a_file_says_is_in_the_mission_and_in_its_recovery_branch() {
     let template = MissionTemplate::parse(FILE, Format::Yaml).unwrap();
-    let (mission, recovery) = template.instantiate_both(&BTreeMap::new(), &Domain::hospital()).unwrap();
+    let (mission, recovery) = template.instantiate_with_recovery(&BTreeMap::new(), &Domain::hospital()).unwrap();
     let on_loss = |role: &str| mission.roles[&RoleId::new(role).unwrap()].on_loss;
     assert_eq!((on_loss("r1"), on_loss("r2")), (OnLoss::Restart, OnLoss::Fail));
     let specs: BTreeMap<&str, &TaskSpec> =
@@ -61,7 +61,7 @@ fn all_that_a_file_says_is_in_the_mission_and_in_its_recovery_branch() {
     assert_eq!((gets("take"), gets("pass_on"), gets("lay_down")), (Some("r1"), Some("r2"), None));
     assert_eq!((specs["pass_on"].releases.len(), specs["lay_down"].releases.contains(&key)), (0, true));
 
-    let Body::Abstract(method) = &mission.tasks[1].body else { panic!("find is abstract") };
+    let TaskBody::Abstract(method) = &mission.tasks[1].body else { panic!("find is abstract") };
     let ways = method.alternatives.iter().map(|other| {
         let tasks = other.tasks.iter().map(|(id, spec)| (id.as_str(), spec.attempts));
         tasks.collect::<Vec<_>>()
@@ -70,8 +70,8 @@ fn all_that_a_file_says_is_in_the_mission_and_in_its_recovery_branch() {
 
     let recovery = recovery.expect("it has one");
     assert_eq!(recovery.roles.keys().map(RoleId::as_str).collect::<Vec<_>>(), ["r2"], "those who take part in it");
-    let lost = Lost { place: Some("Dock".parse().unwrap()), item: key, robot: "ada".parse().unwrap() };
-    let filled = lost.fill_mission(recovery).expect("all is known");
+    let lost = LostItem { place: Some("Dock".parse().unwrap()), item: key, robot: "ada".parse().unwrap() };
+    let filled = lost.substitute_mission(recovery).expect("all is known");
     let specs = filled.elementary();
     assert_eq!((specs[0].1.parameters["to"].as_str(), specs[1].1.reaches["watched"].as_str()), ("Dock", "key of ada"));
     assert_eq!(problems(FILE), [""; 0]);

@@ -1,5 +1,5 @@
 use super::*;
-use crate::mission::{Body, Method, Order, TaskSpec};
+use crate::mission::{Method, TaskBody, TaskOrder, TaskSpec};
 
 const FILE: &str = r#"
 mission: inspect-room
@@ -29,7 +29,7 @@ fn problems(text: &str, values: &[(&str, &str)]) -> Vec<String> {
     let template = MissionTemplate::parse(text, Format::of(None, text)).unwrap();
     match template.instantiate(&given(values), &Domain::hospital()) {
         Ok(_) => vec![],
-        Err(errors) => errors.problems.iter().map(ToString::to_string).collect(),
+        Err(errors) => errors.diagnostics.iter().map(ToString::to_string).collect(),
     }
 }
 
@@ -44,8 +44,8 @@ fn a_file_becomes_a_mission_with_its_parameters_filled_in() {
     assert_eq!(specs[0].reaches["at"], "in IC Room 6 for $1");
     assert_eq!(specs[1].parameters["seconds"], "4");
     assert_eq!(specs[2].parameters["seconds"], "2.50");
-    let Body::Abstract(method) = &mission.tasks[2].body else { panic!("meet is abstract") };
-    assert_eq!(method, &Method::of(Order::Unordered, vec![3, 4]));
+    let TaskBody::Abstract(method) = &mission.tasks[2].body else { panic!("meet is abstract") };
+    assert_eq!(method, &Method::of(TaskOrder::Unordered, vec![3, 4]));
 }
 
 #[test]
@@ -54,10 +54,10 @@ fn a_place_that_is_on_no_map_is_told_once_of_what_names_it() {
     let domain = Domain::hospital().with_places(places);
     let said = |text: &str, values: &[(&str, &str)]| match MissionTemplate::parse(text, Format::of(None, text))
         .unwrap()
-        .instantiate_both(&given(values), &domain)
+        .instantiate_with_recovery(&given(values), &domain)
     {
         Ok(_) => vec![],
-        Err(errors) => errors.problems.iter().map(ToString::to_string).collect(),
+        Err(errors) => errors.diagnostics.iter().map(ToString::to_string).collect(),
     };
     assert_eq!(said(FILE, &[("pause", "4")]), Vec::<String>::new());
     let allowed = "which is not on the fleet's map; allowed: Dock, IC Room 5, IC Room 6";
@@ -76,7 +76,7 @@ fn a_place_that_is_on_no_map_is_told_once_of_what_names_it() {
         let everywhere = mission.parameters().values().filter_map(|parameter| parameter.default.clone());
         let known = ["Laboratory", "Dock", "Kitchen", "Nurse Station"].map(str::to_owned).into_iter().chain(everywhere);
         let domain = Domain::hospital().with_places(known.filter_map(|name| crate::ids::PlaceId::new(name).ok()));
-        mission.instantiate_both(&BTreeMap::new(), &domain).unwrap_or_else(|problems| panic!("{problems}"));
+        mission.instantiate_with_recovery(&BTreeMap::new(), &domain).unwrap_or_else(|problems| panic!("{problems}"));
     }
 }
 
@@ -154,7 +154,7 @@ fn unknown_fields_and_repeated_keys_are_refused_with_their_place() {
 #[test]
 fn hostile_files_are_refused_quickly() {
     let large = format!("mission: m\ntitle: {}\n", "x".repeat(FILE_BYTES_MAX));
-    assert!(matches!(MissionTemplate::parse(&large, Format::Yaml), Err(FileError::TooLarge { .. })));
+    assert!(matches!(MissionTemplate::parse(&large, Format::Yaml), Err(MissionFileError::TooLarge { .. })));
     let bomb = "mission: &a [x,x,x,x,x,x,x,x]\ntitle: &b [*a,*a,*a,*a,*a,*a,*a,*a]\nroot: [*b,*b,*b,*b,*b,*b]\n";
     assert!(MissionTemplate::parse(bomb, Format::Yaml).is_err());
     let alias = "mission: &a m\ntitle: *a\nroles: {}\nroot: { task: t }\n";

@@ -1,9 +1,9 @@
 use super::*;
 use crate::auction::AuctionId;
 use crate::ids::RobotId;
-use crate::knowledge::{Knowledge, Record, Stamp};
-use crate::versions::Versions;
-use Act::{Answer, Ask, Publish};
+use crate::knowledge::{Knowledge, Record, RecordStamp};
+use crate::versions::VersionRange;
+use Operation::{Publish, Query, Reply};
 use serde::Serialize;
 
 /// Who is tried: a letter, and whose certificate that is.
@@ -69,11 +69,11 @@ fn wire<T: Serialize>(said: &T) -> Vec<u8> {
 }
 
 fn within<T: Serialize>(said: &T) -> Vec<u8> {
-    wire(&Within { cluster: None, said: wire(said) })
+    wire(&ClusterEnvelope { cluster: None, payload: wire(said) })
 }
 
 /// What somebody of this name says on a key, where what is said names its author.
-fn said(key: &str, act: Act, name: &str) -> Option<Vec<u8>> {
+fn said(key: &str, act: Operation, name: &str) -> Option<Vec<u8>> {
     let (node, robot) = (NodeId::new(name).unwrap(), RobotId::new(name).unwrap());
     let (mission, role) = ("lab-1".parse().unwrap(), "r1".parse().unwrap());
     Some(match (key.split('/').nth(1)?, act) {
@@ -85,18 +85,20 @@ fn said(key: &str, act: Act, name: &str) -> Option<Vec<u8>> {
                 replica: None,
                 cluster: None,
                 leaving: false,
-                speaks: Versions::OWN,
-                worker: None,
+                supported_versions: VersionRange::OWN,
+                robot: None,
             };
-            let record = Record { owner: node, stamp: Stamp::default(), knowledge, proof: None };
-            codec::encode_for(2, Statement::Record(record)).unwrap()
+            let record = Record { owner: node, stamp: RecordStamp::default(), knowledge, proof: None };
+            codec::encode_for_version(2, RecordUpdate::Record(record)).unwrap()
         }
-        ("found", Ask) => wire(&Founder { mobile: false, on_battery: false, node }),
+        ("found", Ask) => wire(&BootstrapRequest { mobile: false, on_battery: false, node }),
         ("beacon", Publish) => {
             within(&Beacon { node, term: 1, voters: BTreeSet::new(), since_ms: 0, cluster: None, wire: None })
         }
-        ("changed", Publish) => within(&Changed { node, term: 1 }),
-        ("bid", Answer) => wire(&Tender { robot, auction: AuctionId { mission, term: 1, round: 1 }, answers: vec![] }),
+        ("changed", Publish) => within(&MissionsChanged { node, term: 1 }),
+        ("bid", Answer) => {
+            wire(&BidResponse { robot, auction: AuctionId { mission, term: 1, round: 1 }, replies: vec![] })
+        }
         ("report", Ask) => within(&Report {
             robot,
             incarnation: 1,
@@ -105,9 +107,9 @@ fn said(key: &str, act: Act, name: &str) -> Option<Vec<u8>> {
             epoch: Default::default(),
             branch: Default::default(),
             ended: BTreeSet::new(),
-            at: None,
+            current_task: None,
             place: None,
-            resumes: false,
+            from_checkpoint: false,
             failure: None,
         }),
         _ if key.starts_with("events/") => format!(r#"{{"node": "{name}", "sequence": 1}}"#).into_bytes(),
@@ -123,10 +125,10 @@ fn name(of: &str) -> &str {
 #[test]
 fn everybody_may_say_what_the_table_has_and_nothing_else() {
     for (key, allowed) in TABLE {
-        for (act, allowed) in [Publish, Ask, Answer].into_iter().zip(allowed) {
+        for (act, allowed) in [Publish, Query, Reply].into_iter().zip(allowed) {
             for (letter, of) in BEARERS {
                 let payload = said(key, act, name(of)).unwrap_or_default();
-                let checked = check(&identity(of), act, key, &payload);
+                let checked = authorize(&identity(of), act, key, &payload);
                 assert_eq!(checked.is_ok(), allowed.contains(letter), "{of} {act:?} {key}: {checked:?}");
             }
         }
@@ -137,7 +139,7 @@ fn everybody_may_say_what_the_table_has_and_nothing_else() {
 fn whatever_names_its_author_names_its_bearer() {
     let mut tried = 0;
     for (key, allowed) in TABLE {
-        for (act, allowed) in [Publish, Ask, Answer].into_iter().zip(allowed) {
+        for (act, allowed) in [Publish, Query, Reply].into_iter().zip(allowed) {
             for (letter, of) in BEARERS {
                 let other = if name(of) == "ada" { "bob" } else { "ada" };
                 // Hosts report for people.
@@ -147,10 +149,10 @@ fn whatever_names_its_author_names_its_bearer() {
                     continue;
                 };
                 tried += 1;
-                let denied = check(&identity(of), act, key, &payload).unwrap_err();
-                assert!(matches!(&denied, Denied::Name { name, .. } if name == other), "{denied}");
-                let denied = check(&identity(of), act, key, b"\xff").unwrap_err();
-                assert!(matches!(&denied, Denied::Unreadable { .. }), "{denied}");
+                let denied = authorize(&identity(of), act, key, &payload).unwrap_err();
+                assert!(matches!(&denied, AccessDenied::Impersonation { name, .. } if name == other), "{denied}");
+                let denied = authorize(&identity(of), act, key, b"\xff").unwrap_err();
+                assert!(matches!(&denied, AccessDenied::Unreadable { .. }), "{denied}");
             }
         }
     }
@@ -160,9 +162,9 @@ fn whatever_names_its_author_names_its_bearer() {
 #[test]
 fn what_is_denied_says_who_and_where() {
     let said =
-        |of: &str, act, key: &str, payload: &[u8]| check(&identity(of), act, key, payload).unwrap_err().to_string();
+        |of: &str, act, key: &str, payload: &[u8]| authorize(&identity(of), act, key, payload).unwrap_err().to_string();
     assert_eq!(
-        said("node/eve?roles=robot", Answer, "api/submit", b"{}"),
+        said("node/eve?roles=robot", Reply, "api/submit", b"{}"),
         "node eve (robot) may not answer on api/submit"
     );
     let forged = said("node/ada?roles=robot", Publish, "events/ada", br#"{"node": "bob"}"#);

@@ -1,6 +1,6 @@
 //! What is wrong with a design, each with its key.
 
-use super::{Design, Scenario, Span};
+use super::{Design, Scenario, UniformRange};
 use crate::map::Map;
 use crate::suggest::did_you_mean;
 use crate::world::STOPPING_SHARE;
@@ -19,7 +19,7 @@ const TRIALS_MAX: usize = 1_000_000;
 
 impl Design {
     /// All that is wrong with it beyond its form. Places are looked for by [`misplaced`](Design::misplaced).
-    pub fn problems(&self) -> Vec<String> {
+    pub fn validation_errors(&self) -> Vec<String> {
         let mut problems = vec![];
         let mut check = |sound: bool, problem: String| {
             if !sound {
@@ -51,7 +51,7 @@ impl Design {
         .into_iter()
         .flatten()
         .collect();
-        more.extend(self.travel.problems());
+        more.extend(self.travel.validation_errors());
         more.extend(self.factor_problems());
         more.extend(self.mission_problems());
         let trials = self.trials();
@@ -86,7 +86,7 @@ impl Design {
         levels("discharge", factors.discharge.levels);
         levels("location", factors.location.levels);
         levels("skills", factors.skills.lacking.len());
-        let mut span = |key: &str, span: &Span, least: f64, most: f64| {
+        let mut span = |key: &str, span: &UniformRange, least: f64, most: f64| {
             let (from, to) = span.between;
             if !(least <= from && from <= to && to <= most) {
                 problems.push(format!(
@@ -178,7 +178,7 @@ impl Design {
             .collect();
         match template.instantiate(&parameters, &Domain::hospital()) {
             Ok(mission) => problems.extend(self.role_problems(&mission)),
-            Err(errors) => problems.extend(errors.problems.iter().map(|problem| format!("mission: {problem}"))),
+            Err(errors) => problems.extend(errors.diagnostics.iter().map(|problem| format!("mission: {problem}"))),
         }
         problems
     }
@@ -204,7 +204,7 @@ impl Design {
     }
 
     /// The places of a scenario that are not on a map.
-    pub fn misplaced(&self, scenario: &Scenario, map: &Map) -> Vec<String> {
+    pub fn unknown_places(&self, scenario: &Scenario, map: &Map) -> Vec<String> {
         let mut problems = vec![];
         let mut look = |who: String, place: Result<PlaceId, String>| match place {
             Ok(place) if map.place(&place).is_some() => {}
@@ -232,12 +232,12 @@ impl Design {
 
 #[cfg(test)]
 mod tests {
-    use super::super::{Delivered, Design, shipped};
+    use super::super::{DeliveryGoal, Design, shipped};
 
     fn said(change: impl FnOnce(&mut Design)) -> Vec<String> {
         let mut design = shipped("published").unwrap().unwrap();
         change(&mut design);
-        design.problems()
+        design.validation_errors()
     }
 
     #[test]
@@ -251,7 +251,7 @@ mod tests {
             design.factors.skills.lacking = vec![6];
             design.factors.location.starts.truncate(3);
             design.people[0].place = "@rom".to_owned();
-            design.mission.delivered = Some(Delivered { item: "sampel".to_owned(), to: "lab-arm".to_owned() });
+            design.mission.delivered = Some(DeliveryGoal { item: "sampel".to_owned(), to: "lab-arm".to_owned() });
             design.fixed[0].role = "nurse".parse().unwrap();
         });
         assert_eq!(

@@ -1,7 +1,7 @@
 //! From factors to scenarios: all combinations of their levels.
 
 use super::super::seeds::generator;
-use super::{Design, Lacking, Levels, Location, Scenario, ScenarioRobot, Span};
+use super::{Design, FactorLevels, LocationFactor, Scenario, ScenarioRobot, SkillGaps, UniformRange};
 use consort_protocol::ids::{PlaceId, RobotId, TaskType};
 use rand::RngExt;
 use rand::seq::{IndexedRandom, SliceRandom};
@@ -18,7 +18,7 @@ pub(super) fn level_name(level: usize) -> String {
 pub fn scenarios(design: &Design) -> Vec<Scenario> {
     let rng = |factor: &str, level: usize| generator(design.seed, &[&design.name, factor, &level_name(level)]);
     let robots: usize = design.robots.iter().map(|part| part.count).sum();
-    let spans = |factor: &str, span: &Span| -> Vec<Vec<f64>> {
+    let spans = |factor: &str, span: &UniformRange| -> Vec<Vec<f64>> {
         (0..span.levels).map(|level| numbers(span, robots, &mut rng(factor, level))).collect()
     };
     let factors = &design.factors;
@@ -40,7 +40,7 @@ pub fn scenarios(design: &Design) -> Vec<Scenario> {
                     for (e, skills) in skills.iter().enumerate() {
                         let levels = [a, b, c, d, e].map(level_name);
                         let parts = design.robots.iter().flat_map(|part| std::iter::repeat_n(part, part.count));
-                        let robot = |(index, part): (usize, &super::RobotsPart)| ScenarioRobot {
+                        let robot = |(index, part): (usize, &super::RobotGroup)| ScenarioRobot {
                             name: RobotId::new(format!("r{}", index + 1)).expect("r and a number are a slug"),
                             speed_mps: speed[index],
                             charge: charge[index],
@@ -55,7 +55,7 @@ pub fn scenarios(design: &Design) -> Vec<Scenario> {
                         let [speed_level, charge_level, discharge_level, location, skills_level] = levels;
                         scenarios.push(Scenario {
                             code,
-                            levels: Levels {
+                            levels: FactorLevels {
                                 speed: speed_level,
                                 charge: charge_level,
                                 discharge: discharge_level,
@@ -73,13 +73,13 @@ pub fn scenarios(design: &Design) -> Vec<Scenario> {
     scenarios
 }
 
-fn numbers(span: &Span, robots: usize, rng: &mut ChaCha8Rng) -> Vec<f64> {
+fn numbers(span: &UniformRange, robots: usize, rng: &mut ChaCha8Rng) -> Vec<f64> {
     let (least, most) = span.between;
     (0..robots).map(|_| rng.random_range(least..=most)).collect()
 }
 
 /// For each site its candidates, shuffled: level by level they are taken in turn.
-fn site_orders(location: &Location, rng: &mut ChaCha8Rng) -> BTreeMap<String, Vec<PlaceId>> {
+fn site_orders(location: &LocationFactor, rng: &mut ChaCha8Rng) -> BTreeMap<String, Vec<PlaceId>> {
     let shuffled = |(name, places): (&String, &Vec<PlaceId>)| {
         let mut places = places.clone();
         places.shuffle(rng);
@@ -89,7 +89,7 @@ fn site_orders(location: &Location, rng: &mut ChaCha8Rng) -> BTreeMap<String, Ve
 }
 
 fn locate(
-    location: &Location,
+    location: &LocationFactor,
     orders: &BTreeMap<String, Vec<PlaceId>>,
     level: usize,
     robots: usize,
@@ -110,7 +110,7 @@ fn locate(
     (starts, sites)
 }
 
-fn lack(design: &Design, skills: &Lacking, level: usize, rng: &mut ChaCha8Rng) -> Vec<BTreeSet<TaskType>> {
+fn lack(design: &Design, skills: &SkillGaps, level: usize, rng: &mut ChaCha8Rng) -> Vec<BTreeSet<TaskType>> {
     let mut all: Vec<BTreeSet<TaskType>> =
         design.robots.iter().flat_map(|part| std::iter::repeat_n(part.skills.clone(), part.count)).collect();
     // In each part one is spared.

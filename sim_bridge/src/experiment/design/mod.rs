@@ -50,7 +50,7 @@ pub use shipped::{SHIPPED, shipped};
 use super::outcome::TrialLimits;
 use super::policy::Policy;
 use super::results::Treatment;
-use super::travel::Travel;
+use super::travel::TravelSettings;
 use consort_protocol::ids::{ItemId, PlaceId, RobotId, RoleId, TaskType};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -84,23 +84,23 @@ pub struct Design {
     #[serde(default = "kill_within_s")]
     pub kill_within_s: f64,
     /// The mission.
-    pub mission: MissionPart,
+    pub mission: DesignMission,
     /// When a trial is cut.
     #[serde(default)]
     pub limits: TrialLimits,
     /// Robots that drive.
-    pub robots: Vec<RobotsPart>,
+    pub robots: Vec<RobotGroup>,
     /// Robots that do not.
     #[serde(default)]
-    pub fixed: Vec<FixedPart>,
+    pub fixed: Vec<FixedRobot>,
     /// People.
     #[serde(default)]
-    pub people: Vec<PersonPart>,
+    pub people: Vec<DesignPerson>,
     /// What is varied.
     pub factors: Factors,
     /// How long drives take.
     #[serde(default)]
-    pub travel: Travel,
+    pub travel: TravelSettings,
 }
 
 fn calm() -> Vec<Treatment> {
@@ -118,7 +118,7 @@ fn kill_within_s() -> f64 {
 /// The mission.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
-pub struct MissionPart {
+pub struct DesignMission {
     /// The name of a shipped mission.
     pub name: String,
     /// Its parameters; a value `@site` stands for a place that the factor location draws.
@@ -126,13 +126,13 @@ pub struct MissionPart {
     pub parameters: BTreeMap<String, String>,
     /// What success is; without it, that the mission is completed.
     #[serde(default)]
-    pub delivered: Option<Delivered>,
+    pub delivered: Option<DeliveryGoal>,
 }
 
 /// Something has reached its destination.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
-pub struct Delivered {
+pub struct DeliveryGoal {
     /// The thing: one of a person's items.
     pub item: String,
     /// Where to: a robot of `fixed`, or a place (`@site` or by name).
@@ -142,7 +142,7 @@ pub struct Delivered {
 /// Some robots of one kind.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
-pub struct RobotsPart {
+pub struct RobotGroup {
     /// How many.
     pub count: usize,
     /// What each can do.
@@ -161,7 +161,7 @@ pub struct RobotsPart {
 /// A robot that stays where it is, on mains power.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
-pub struct FixedPart {
+pub struct FixedRobot {
     /// Its name.
     pub name: RobotId,
     /// Where it stands: `@site` or by name.
@@ -175,7 +175,7 @@ pub struct FixedPart {
 /// A person.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
-pub struct PersonPart {
+pub struct DesignPerson {
     /// Her name.
     pub name: String,
     /// Her role in the mission.
@@ -192,21 +192,21 @@ pub struct PersonPart {
 #[serde(deny_unknown_fields)]
 pub struct Factors {
     /// Metres per second.
-    pub speed: Span,
+    pub speed: UniformRange,
     /// Charge at the start, as a share of a full battery.
-    pub charge: Span,
+    pub charge: UniformRange,
     /// Share of a full battery lost per second at work.
-    pub discharge: Span,
+    pub discharge: UniformRange,
     /// Where everybody is.
-    pub location: Location,
+    pub location: LocationFactor,
     /// Who lacks what.
-    pub skills: Lacking,
+    pub skills: SkillGaps,
 }
 
 /// A number for each robot, drawn evenly.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
-pub struct Span {
+pub struct UniformRange {
     /// How many times the robots' numbers are drawn.
     pub levels: usize,
     /// Least and greatest.
@@ -216,7 +216,7 @@ pub struct Span {
 /// Where everybody is.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
-pub struct Location {
+pub struct LocationFactor {
     /// How many times the places are drawn.
     pub levels: usize,
     /// Where robots may start, each in another place.
@@ -230,7 +230,7 @@ pub struct Location {
 /// Who lacks what.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
-pub struct Lacking {
+pub struct SkillGaps {
     /// For each level, how many robots lack one of their skills. Those are drawn, and so is the skill; of each part of
     /// `robots` at least one lacks nothing.
     pub lacking: Vec<usize>,
@@ -242,7 +242,7 @@ pub struct Scenario {
     /// Its name, unique in the design: the levels, a letter each, in the order speed, charge, discharge, location, skills.
     pub code: String,
     /// The levels by which it was made.
-    pub levels: Levels,
+    pub levels: FactorLevels,
     /// The places of the mission, by name.
     pub sites: BTreeMap<String, PlaceId>,
     /// The robots that drive.
@@ -251,7 +251,7 @@ pub struct Scenario {
 
 /// The levels of a scenario, each named; empty for one that was made elsewhere and does not say.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize)]
-pub struct Levels {
+pub struct FactorLevels {
     /// Of the factor speed.
     pub speed: String,
     /// Of the factor charge.
@@ -306,7 +306,7 @@ impl Scenario {
     ///
     /// # Errors
     /// As [`place`](Scenario::place), for values that begin with `@`.
-    pub fn parameters(&self, mission: &MissionPart) -> Result<BTreeMap<String, String>, String> {
+    pub fn parameters(&self, mission: &DesignMission) -> Result<BTreeMap<String, String>, String> {
         let filled = |(name, value): (&String, &String)| {
             let value = if value.starts_with('@') { self.place(value)?.to_string() } else { value.clone() };
             Ok((name.clone(), value))

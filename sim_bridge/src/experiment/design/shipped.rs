@@ -23,10 +23,10 @@ mod tests {
         for (name, _) in SHIPPED {
             let design = shipped(name).unwrap().unwrap_or_else(|error| panic!("{name}: {error}"));
             assert_eq!(design.name, *name);
-            assert_eq!(design.problems(), Vec::<String>::new(), "{name}");
+            assert_eq!(design.validation_errors(), Vec::<String>::new(), "{name}");
             let map = crate::map::shipped(&design.map).unwrap();
             for scenario in super::super::scenarios(&design) {
-                assert_eq!(design.misplaced(&scenario, &map), Vec::<String>::new(), "{name}");
+                assert_eq!(design.unknown_places(&scenario, &map), Vec::<String>::new(), "{name}");
             }
         }
     }

@@ -1,18 +1,18 @@
 //! The rule of MissionControl (thesis 3.7, Algorithm 1).
 
 use super::Coalition;
-use consort_protocol::auction::{Bid, Limits};
+use consort_protocol::auction::{Bid, BidLimits};
 use consort_protocol::ids::RoleId;
 use std::collections::BTreeSet;
 
 /// Role by role, in the order of their names, the fastest viable bid of a robot that has no role yet; of equally fast ones
 /// the first robot by name. `None` where a role gets nobody. Unlike its ancestor it never gives one robot two roles,
 /// for what runs afterwards is the same code for all policies and could not carry that out.
-pub fn greedy(roles: &BTreeSet<RoleId>, bids: &[Bid], limits: &Limits) -> Option<Coalition> {
+pub fn greedy(roles: &BTreeSet<RoleId>, bids: &[Bid], limits: &BidLimits) -> Option<Coalition> {
     let mut chosen = Coalition::new();
     for role in roles {
         let free = |bid: &&Bid| !chosen.values().any(|robot| *robot == bid.robot);
-        let open = bids.iter().filter(|bid| bid.role == *role && bid.viable(limits).is_ok()).filter(free);
+        let open = bids.iter().filter(|bid| bid.role == *role && bid.check_viable(limits).is_ok()).filter(free);
         let best = open.min_by(|a, b| a.time.get().total_cmp(&b.time.get()).then_with(|| a.robot.cmp(&b.robot)))?;
         chosen.insert(role.clone(), best.robot.clone());
     }
@@ -41,7 +41,7 @@ mod tests {
 
     fn chosen(roles: &[&str], bids: &[Bid]) -> Option<Vec<String>> {
         let roles = roles.iter().map(|role| RoleId::new(*role).unwrap()).collect();
-        Some(greedy(&roles, bids, &Limits::default())?.values().map(ToString::to_string).collect())
+        Some(greedy(&roles, bids, &BidLimits::default())?.values().map(ToString::to_string).collect())
     }
 
     #[test]

@@ -1,14 +1,14 @@
 //! Who gets which role, by four rules. `consort` itself is [`consort_protocol::auction::select`]; here are those it is
 //! compared with, as arithmetic on bids.
 
-mod choice;
+mod allocators;
 mod greedy;
 mod optimal;
 mod random;
 
-pub use choice::{ByChance, ByFate, ByGreed};
+pub use allocators::{GreedyAllocator, OracleAllocator, RandomAllocator};
 pub use greedy::greedy;
-pub use optimal::{Prospect, optimal};
+pub use optimal::{SuccessEstimate, optimal};
 pub use random::random;
 
 use consort_protocol::ids::{RobotId, RoleId};

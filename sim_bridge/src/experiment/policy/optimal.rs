@@ -6,7 +6,7 @@ use std::collections::{BTreeMap, BTreeSet};
 
 /// What would come of giving a role to a robot.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct Prospect {
+pub struct SuccessEstimate {
     /// How likely it succeeds: 0 to 1.
     pub success: f64,
     /// How long it takes on average where it does, in seconds.
@@ -16,7 +16,10 @@ pub struct Prospect {
 /// The coalition most likely to succeed, its roles taken as independent; of equally likely ones the quickest, then the first
 /// by the robots' names. All are tried, so this is for few roles: robots to the power of roles. `None` where no coalition
 /// fills every role.
-pub fn optimal(roles: &BTreeSet<RoleId>, prospects: &BTreeMap<(RoleId, RobotId), Prospect>) -> Option<Coalition> {
+pub fn optimal(
+    roles: &BTreeSet<RoleId>,
+    prospects: &BTreeMap<(RoleId, RobotId), SuccessEstimate>,
+) -> Option<Coalition> {
     let mut partial = vec![(Coalition::new(), 1.0_f64, 0.0_f64)];
     for role in roles {
         let offers: Vec<_> = prospects.iter().filter(|((offered, _), _)| offered == role).collect();
@@ -43,7 +46,7 @@ mod tests {
     fn chosen(roles: &[&str], prospects: &[(&str, &str, f64, f64)]) -> Option<Vec<String>> {
         let role = |name: &str| RoleId::new(name).unwrap();
         let known = prospects.iter().map(|(of, robot, success, time_s)| {
-            ((role(of), RobotId::new(*robot).unwrap()), Prospect { success: *success, time_s: *time_s })
+            ((role(of), RobotId::new(*robot).unwrap()), SuccessEstimate { success: *success, time_s: *time_s })
         });
         let coalition = optimal(&roles.iter().map(|name| role(name)).collect(), &known.collect())?;
         Some(coalition.values().map(ToString::to_string).collect())

@@ -4,8 +4,8 @@ use super::super::outcome::EndState;
 use super::super::policy::Policy;
 use super::super::results::{Treatment, TrialRow};
 use super::super::stats::{
-    Alternative, Effect, Interval, Permutation, StatsError, TTest, hedges_g, hedges_g_paired, paired, permute_paired,
-    permute_two_samples, risk_difference, welch, wilson,
+    Alternative, ConfidenceInterval, EffectSize, PermutationTest, StatsError, TTest, hedges_g, hedges_g_paired, paired,
+    permute_paired, permute_two_samples, risk_difference, welch, wilson,
 };
 use serde::Serialize;
 use std::collections::BTreeMap;
@@ -15,7 +15,7 @@ const DRAWS: u32 = 20_000;
 
 /// How trials of one policy under one treatment ended.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct Tally {
+pub struct TrialTally {
     /// The policy.
     pub policy: Policy,
     /// The treatment.
@@ -25,13 +25,13 @@ pub struct Tally {
     /// How many ended in each state, in the order of [`EndState::ALL`].
     pub ended: [usize; 5],
     /// Where the share of successes lies.
-    pub success: Option<Interval>,
+    pub success: Option<ConfidenceInterval>,
     /// Times to conclude, in seconds.
     #[serde(skip)]
     pub ttc_s: Vec<f64>,
 }
 
-impl Tally {
+impl TrialTally {
     /// How many succeeded.
     pub fn successes(&self) -> usize {
         self.ended[0]
@@ -39,13 +39,13 @@ impl Tally {
 }
 
 /// Trials by policy and treatment, in the order in which these first come up.
-pub fn tallies(rows: &[TrialRow]) -> Vec<Tally> {
-    let mut tallies: Vec<Tally> = vec![];
+pub fn tallies(rows: &[TrialRow]) -> Vec<TrialTally> {
+    let mut tallies: Vec<TrialTally> = vec![];
     for row in rows {
         let known = tallies.iter().position(|tally| (tally.policy, tally.treatment) == (row.policy, row.treatment));
         let index = known.unwrap_or_else(|| {
             let (policy, treatment) = (row.policy, row.treatment);
-            tallies.push(Tally { policy, treatment, trials: 0, ended: [0; 5], success: None, ttc_s: vec![] });
+            tallies.push(TrialTally { policy, treatment, trials: 0, ended: [0; 5], success: None, ttc_s: vec![] });
             tallies.len() - 1
         });
         let tally = &mut tallies[index];
@@ -62,7 +62,7 @@ pub fn tallies(rows: &[TrialRow]) -> Vec<Tally> {
 
 /// One question: a t-test, a permutation test beside it, and how large the effect is. What cannot be told says why.
 #[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct Question {
+pub struct HypothesisTests {
     /// What is asked, in words.
     pub asked: &'static str,
     /// The t-test: paired for counts per scenario, Welch's for times.
@@ -70,10 +70,10 @@ pub struct Question {
     pub t: Result<TTest, StatsError>,
     /// The permutation test.
     #[serde(serialize_with = "told")]
-    pub permutation: Result<Permutation, StatsError>,
+    pub permutation: Result<PermutationTest, StatsError>,
     /// The effect size.
     #[serde(serialize_with = "told")]
-    pub effect: Result<Effect, StatsError>,
+    pub effect: Result<EffectSize, StatsError>,
 }
 
 fn told<T: Serialize, S: serde::Serializer>(found: &Result<T, StatsError>, to: S) -> Result<S::Ok, S::Error> {
@@ -91,9 +91,9 @@ pub struct Comparison {
     /// The other.
     pub second: Policy,
     /// Share of successes of the one minus that of the other, and where that lies.
-    pub gain: Option<(f64, Interval)>,
+    pub gain: Option<(f64, ConfidenceInterval)>,
     /// Successes, battery failures, times to conclude.
-    pub questions: Vec<Question>,
+    pub questions: Vec<HypothesisTests>,
 }
 
 /// The first policy against each other one.
@@ -113,7 +113,7 @@ fn compare(rows: &[&TrialRow], first: Policy, second: Policy, seed: u64) -> Comp
     let of = |policy| rows.iter().copied().filter(move |row| row.policy == policy);
     let counts = |state| [first, second].map(|policy| per_scenario(of(policy), state));
     let times = [first, second].map(|policy| of(policy).filter_map(|row| row.ttc_s).collect::<Vec<f64>>());
-    let in_pairs = |asked, [a, b]: [Vec<f64>; 2], alternative| Question {
+    let in_pairs = |asked, [a, b]: [Vec<f64>; 2], alternative| HypothesisTests {
         asked,
         t: paired(&a, &b, alternative),
         permutation: permute_paired(&a, &b, alternative, DRAWS, seed),
@@ -127,7 +127,7 @@ fn compare(rows: &[&TrialRow], first: Policy, second: Policy, seed: u64) -> Comp
     let questions = vec![
         in_pairs("more successes per scenario", counts(EndState::Success), Alternative::Greater),
         in_pairs("fewer battery failures per scenario", counts(EndState::LowBattery), Alternative::Less),
-        Question {
+        HypothesisTests {
             asked: "shorter time to conclude, in seconds",
             t: welch(&a, &b, Alternative::Less),
             permutation: permute_two_samples(&a, &b, Alternative::Less, DRAWS, seed),

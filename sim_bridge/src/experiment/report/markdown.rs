@@ -3,26 +3,26 @@
 use super::super::outcome::EndState;
 use super::super::policy::Policy;
 use super::super::results::{Treatment, TrialRow};
-use super::super::stats::{Interval, Summary, risk_difference};
-use super::analysis::{Comparison, Question, Tally, tallies};
-use super::gain::Gain;
-use super::{Heading, analysis};
+use super::super::stats::{ConfidenceInterval, Summary, risk_difference};
+use super::analysis::{Comparison, HypothesisTests, TrialTally, tallies};
+use super::calibration_gain::CalibrationGain;
+use super::{ReportHeader, analysis};
 use consort_protocol::count::count;
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::Write;
 
 pub(super) fn text(
-    heading: &Heading,
+    heading: &ReportHeader,
     rows: &[TrialRow],
-    tallies: &[Tally],
+    tallies: &[TrialTally],
     comparisons: &[Comparison],
     links: &BTreeMap<String, String>,
-    gain: Option<&Gain>,
+    gain: Option<&CalibrationGain>,
 ) -> String {
     let mut text = String::new();
     let link = |name: &str| links.get(name).cloned().unwrap_or_default();
     let scenarios: BTreeSet<&str> = rows.iter().map(|row| row.scenario.as_str()).collect();
-    let Heading { design, seed, map, travel, world_speed } = heading;
+    let ReportHeader { design, seed, map, travel, world_speed } = heading;
     let mut say = |line: &str| {
         text.push_str(line);
         text.push('\n');
@@ -69,11 +69,11 @@ fn percent(share: f64) -> String {
     format!("{:.1} %", share * 100.0)
 }
 
-fn percents(interval: &Interval) -> String {
+fn percents(interval: &ConfidenceInterval) -> String {
     format!("{:.1} to {:.1} %", interval.low * 100.0, interval.high * 100.0)
 }
 
-fn ends_table(tallies: &[Tally]) -> String {
+fn ends_table(tallies: &[TrialTally]) -> String {
     let mut text = "| policy | treatment | trials |".to_owned();
     for state in EndState::ALL {
         let _ = write!(text, " {state} |");
@@ -91,7 +91,7 @@ fn ends_table(tallies: &[Tally]) -> String {
     text
 }
 
-fn times_table(tallies: &[Tally]) -> String {
+fn times_table(tallies: &[TrialTally]) -> String {
     let mut text =
         "| policy | treatment | successes | mean, s | sd | median | quartiles |\n|---|---|---:|---:|---:|---:|---|\n"
             .to_owned();
@@ -131,7 +131,7 @@ fn comparison_text(comparison: &Comparison) -> String {
     text
 }
 
-fn question_cells(question: &Question) -> String {
+fn question_cells(question: &HypothesisTests) -> String {
     let t = match &question.t {
         Ok(t) => format!(
             "{:.3} ({:.3} to {:.3}) | {:.2} (df {:.1}) | {}",
@@ -152,14 +152,14 @@ fn question_cells(question: &Question) -> String {
     format!("{t} | {permutation} | {effect}")
 }
 
-fn fault_table(tallies: &[Tally]) -> String {
+fn fault_table(tallies: &[TrialTally]) -> String {
     let mut text =
         "| policy | success without | success with | difference, points | interval |\n|---|---:|---:|---:|---|\n"
             .to_owned();
     let of =
         |policy: Policy, treatment| tallies.iter().find(|tally| (tally.policy, tally.treatment) == (policy, treatment));
     for killed in tallies.iter().filter(|tally| tally.treatment == Treatment::CoordinatorKilled) {
-        let share = |tally: &Tally| tally.successes() as f64 / tally.trials.max(1) as f64;
+        let share = |tally: &TrialTally| tally.successes() as f64 / tally.trials.max(1) as f64;
         let calm = of(killed.policy, Treatment::Calm);
         let difference = calm.and_then(|calm| {
             risk_difference((killed.successes(), killed.trials), (calm.successes(), calm.trials)).ok()
@@ -174,12 +174,12 @@ fn fault_table(tallies: &[Tally]) -> String {
     text
 }
 
-fn gain_text(gain: &Gain) -> String {
+fn gain_text(gain: &CalibrationGain) -> String {
     let mut text = format!(
         "Learned from {}; the others, below, were run twice: with the estimates as they were, and with mean times and, \
          for the battery, the {:.0} % quantile of what was seen.\n\n",
         count(gain.trials, "trial", "trials"),
-        gain.learned.quantile * 100.0
+        gain.calibration.quantile * 100.0
     );
     text.push_str("| estimates | trials | success | battery failures | mean TTC, s | error of a drive, s | drives within their energy |\n|---|---:|---:|---:|---:|---:|---:|\n");
     for (name, rows, observed) in
@@ -189,19 +189,19 @@ fn gain_text(gain: &Gain) -> String {
         for tally in tallies(rows) {
             let share = tally.successes() as f64 / tally.trials.max(1) as f64;
             let ttc = Summary::of(&tally.ttc_s).map_or(String::new(), |summary| format!("{:.1}", summary.mean));
-            let (error, _) = Gain::error_s(observed);
+            let (error, _) = CalibrationGain::mean_drive_error_s(observed);
             let _ = writeln!(
                 text,
                 "| {name} | {} | {} | {} | {ttc} | {error:.1} | {} |",
                 tally.trials,
                 percent(share),
                 tally.ended[2],
-                percent(Gain::covered(observed))
+                percent(CalibrationGain::share_within_budget(observed))
             );
         }
     }
     text.push_str("\n| skill | observations | mean factor | sd | upper quantile |\n|---|---:|---:|---:|---:|\n");
-    for (skill, factor) in &gain.learned.skills {
+    for (skill, factor) in &gain.calibration.skills {
         let _ = writeln!(
             text,
             "| {skill} | {} | {:.2} | {:.2} | {:.2} |",
@@ -209,7 +209,7 @@ fn gain_text(gain: &Gain) -> String {
         );
     }
     text.push_str("\n| leg | observations | mean factor | sd | upper quantile |\n|---|---:|---:|---:|---:|\n");
-    for leg in &gain.learned.legs {
+    for leg in &gain.calibration.legs {
         let factor = &leg.factor;
         let _ = writeln!(
             text,

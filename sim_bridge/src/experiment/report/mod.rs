@@ -1,12 +1,12 @@
 //! The report of an evaluation: Markdown, figures, and the statistics as JSON. From rows alone, so it can be made again.
 
 mod analysis;
+mod calibration_gain;
 mod figures;
-mod gain;
 mod markdown;
 
-pub use analysis::{Comparison, Question, Tally, comparisons, per_scenario, tallies};
-pub use gain::Gain;
+pub use analysis::{Comparison, HypothesisTests, TrialTally, comparisons, per_scenario, tallies};
+pub use calibration_gain::CalibrationGain;
 
 use super::outcome::EndState;
 use super::policy::Policy;
@@ -15,7 +15,7 @@ use std::collections::BTreeMap;
 
 /// What a report says of where its rows come from.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Heading {
+pub struct ReportHeader {
     /// The design's name.
     pub design: String,
     /// Its seed.
@@ -39,7 +39,7 @@ pub struct ReportFile {
 
 /// The files of a report on rows of one design: `report.md`, its figures, `statistics.json`. With a gain it also tells what
 /// calibration did. A figure that cannot be drawn is left out, and the report says why.
-pub fn report(heading: &Heading, rows: &[TrialRow], gain: Option<&Gain>) -> Vec<ReportFile> {
+pub fn report(heading: &ReportHeader, rows: &[TrialRow], gain: Option<&CalibrationGain>) -> Vec<ReportFile> {
     let tallies = tallies(rows);
     let comparisons = comparisons(rows, heading.seed);
     let mut files = vec![];

@@ -45,8 +45,8 @@ fn rows(treatments: &[Treatment]) -> Vec<TrialRow> {
     rows
 }
 
-fn heading() -> Heading {
-    Heading {
+fn heading() -> ReportHeader {
+    ReportHeader {
         design: "thin".to_owned(),
         seed: 7,
         map: "hospital".to_owned(),

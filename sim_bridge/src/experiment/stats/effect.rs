@@ -1,26 +1,26 @@
 //! Effect sizes: how much, in units of the spread.
 
-use super::{CONFIDENCE, Interval, StatsError, differences, mean, sample, variance};
+use super::{CONFIDENCE, ConfidenceInterval, StatsError, differences, mean, sample, variance};
 use serde::Serialize;
 use statrs::distribution::{ContinuousCDF, Normal};
 use statrs::function::gamma::ln_gamma;
 
 /// A standardised difference.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
-pub struct Effect {
+pub struct EffectSize {
     /// Cohen's d: the difference of the means over the pooled spread (for pairs, over the spread of the differences).
     pub d: f64,
     /// Hedges' g: the same without the bias of small samples.
     pub g: f64,
     /// Where g lies, by its large-sample variance (Hedges and Olkin 1985).
-    pub interval: Interval,
+    pub interval: ConfidenceInterval,
 }
 
 /// Effect size of two samples.
 ///
 /// # Errors
 /// [`StatsError`] for samples of fewer than two values.
-pub fn hedges_g(first: &[f64], second: &[f64]) -> Result<Effect, StatsError> {
+pub fn hedges_g(first: &[f64], second: &[f64]) -> Result<EffectSize, StatsError> {
     sample(first, 2)?;
     sample(second, 2)?;
     let (n, m) = (first.len() as f64, second.len() as f64);
@@ -34,7 +34,7 @@ pub fn hedges_g(first: &[f64], second: &[f64]) -> Result<Effect, StatsError> {
 ///
 /// # Errors
 /// [`StatsError`] for fewer than two pairs.
-pub fn hedges_g_paired(first: &[f64], second: &[f64]) -> Result<Effect, StatsError> {
+pub fn hedges_g_paired(first: &[f64], second: &[f64]) -> Result<EffectSize, StatsError> {
     let differences = differences(first, second)?;
     let count = differences.len() as f64;
     let d = standardised(mean(&differences), variance(&differences));
@@ -46,8 +46,8 @@ fn standardised(difference: f64, variance: f64) -> f64 {
     if difference == 0.0 { 0.0 } else { difference / variance.sqrt() }
 }
 
-fn effect(d: f64, g: f64, variance: f64) -> Effect {
-    Effect { d, g, interval: Interval::around(g, z() * variance.sqrt()) }
+fn effect(d: f64, g: f64, variance: f64) -> EffectSize {
+    EffectSize { d, g, interval: ConfidenceInterval::around(g, z() * variance.sqrt()) }
 }
 
 /// How many standard errors the interval reaches to either side.

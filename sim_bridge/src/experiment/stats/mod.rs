@@ -10,8 +10,8 @@ mod risk;
 mod ttest;
 
 pub use describe::{Summary, density, quantile};
-pub use effect::{Effect, hedges_g, hedges_g_paired};
-pub use permutation::{Permutation, permute_paired, permute_two_samples};
+pub use effect::{EffectSize, hedges_g, hedges_g_paired};
+pub use permutation::{PermutationTest, permute_paired, permute_two_samples};
 pub use risk::{risk_difference, wilson};
 pub use ttest::{TTest, paired, welch};
 
@@ -34,17 +34,17 @@ pub enum Alternative {
 
 /// Where a figure lies, with [`CONFIDENCE`].
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
-pub struct Interval {
+pub struct ConfidenceInterval {
     /// Least.
     pub low: f64,
     /// Greatest.
     pub high: f64,
 }
 
-impl Interval {
+impl ConfidenceInterval {
     /// This far to either side.
-    pub fn around(middle: f64, reach: f64) -> Interval {
-        Interval { low: middle - reach, high: middle + reach }
+    pub fn around(middle: f64, reach: f64) -> ConfidenceInterval {
+        ConfidenceInterval { low: middle - reach, high: middle + reach }
     }
 
     /// Whether it holds a number.

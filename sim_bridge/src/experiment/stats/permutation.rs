@@ -11,7 +11,7 @@ const EXACT_PAIRS: usize = 16;
 
 /// What a permutation test found.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize)]
-pub struct Permutation {
+pub struct PermutationTest {
     /// The share of rearrangements that are at least as extreme as what was seen. The data as they are count as one, so
     /// it is never 0 (Phipson and Smyth 2010).
     pub p: f64,
@@ -32,7 +32,7 @@ pub fn permute_paired(
     alternative: Alternative,
     draws: u32,
     seed: u64,
-) -> Result<Permutation, StatsError> {
+) -> Result<PermutationTest, StatsError> {
     // A pair of equals adds nothing, whichever way round.
     let differences: Vec<f64> = differences(first, second)?.into_iter().filter(|d| *d != 0.0).collect();
     let seen: f64 = differences.iter().sum();
@@ -43,7 +43,7 @@ pub fn permute_paired(
             differences.iter().enumerate().map(|(i, d)| if swaps >> i & 1 == 1 { -d } else { *d }).sum::<f64>()
         };
         let hits = (0..all).filter(|swaps| extreme.is(signed(*swaps))).count();
-        return Ok(Permutation { p: hits as f64 / all as f64, tried: all, exact: true });
+        return Ok(PermutationTest { p: hits as f64 / all as f64, tried: all, exact: true });
     }
     let mut rng = ChaCha8Rng::seed_from_u64(seed);
     let mut swapped = || differences.iter().map(|d| if rng.random::<bool>() { -d } else { *d }).sum::<f64>();
@@ -61,7 +61,7 @@ pub fn permute_two_samples(
     alternative: Alternative,
     draws: u32,
     seed: u64,
-) -> Result<Permutation, StatsError> {
+) -> Result<PermutationTest, StatsError> {
     sample(first, 2)?;
     sample(second, 2)?;
     let mut all: Vec<f64> = first.iter().chain(second).copied().collect();
@@ -88,9 +88,9 @@ fn studentised(first: &[f64], second: &[f64]) -> f64 {
     if difference == 0.0 { 0.0 } else { difference / (part(first) + part(second)).sqrt() }
 }
 
-fn sampled(draws: u32, mut is_hit: impl FnMut() -> bool) -> Permutation {
+fn sampled(draws: u32, mut is_hit: impl FnMut() -> bool) -> PermutationTest {
     let hits = (0..draws).filter(|_| is_hit()).count();
-    Permutation { p: (hits as f64 + 1.0) / (f64::from(draws) + 1.0), tried: draws.into(), exact: false }
+    PermutationTest { p: (hits as f64 + 1.0) / (f64::from(draws) + 1.0), tried: draws.into(), exact: false }
 }
 
 /// Whether a statistic is at least as extreme as the one seen.

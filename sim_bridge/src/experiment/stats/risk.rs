@@ -1,13 +1,13 @@
 //! Shares of successes: where one lies, and where the difference of two lies.
 
 use super::effect::z;
-use super::{Interval, StatsError};
+use super::{ConfidenceInterval, StatsError};
 
 /// Where a share lies of which `successes` of `trials` are a sample: the score interval (Wilson 1927).
 ///
 /// # Errors
 /// [`StatsError::TooFew`] for no trials.
-pub fn wilson(successes: usize, trials: usize) -> Result<Interval, StatsError> {
+pub fn wilson(successes: usize, trials: usize) -> Result<ConfidenceInterval, StatsError> {
     if trials == 0 {
         return Err(StatsError::TooFew { count: 0, least: 1 });
     }
@@ -15,7 +15,7 @@ pub fn wilson(successes: usize, trials: usize) -> Result<Interval, StatsError> {
     let middle = 2.0 * x + z * z;
     let reach = z * (z * z + 4.0 * x * (1.0 - x / n)).sqrt();
     let below = 2.0 * (n + z * z);
-    Ok(Interval { low: ((middle - reach) / below).max(0.0), high: ((middle + reach) / below).min(1.0) })
+    Ok(ConfidenceInterval { low: ((middle - reach) / below).max(0.0), high: ((middle + reach) / below).min(1.0) })
 }
 
 /// The difference of two shares, first minus second, and where it lies: the score interval of Newcombe 1998 (his
@@ -23,20 +23,20 @@ pub fn wilson(successes: usize, trials: usize) -> Result<Interval, StatsError> {
 ///
 /// # Errors
 /// [`StatsError::TooFew`] for no trials.
-pub fn risk_difference(first: (usize, usize), second: (usize, usize)) -> Result<(f64, Interval), StatsError> {
+pub fn risk_difference(first: (usize, usize), second: (usize, usize)) -> Result<(f64, ConfidenceInterval), StatsError> {
     let share = |(successes, trials): (usize, usize)| successes as f64 / trials as f64;
     let (one, two) = (wilson(first.0, first.1)?, wilson(second.0, second.1)?);
     let (p, q) = (share(first), share(second));
     let low = p - q - ((p - one.low).powi(2) + (two.high - q).powi(2)).sqrt();
     let high = p - q + ((one.high - p).powi(2) + (q - two.low).powi(2)).sqrt();
-    Ok((p - q, Interval { low, high }))
+    Ok((p - q, ConfidenceInterval { low, high }))
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
 
-    fn near(ours: Interval, low: f64, high: f64) {
+    fn near(ours: ConfidenceInterval, low: f64, high: f64) {
         assert!((ours.low - low).abs() < 5e-5 && (ours.high - high).abs() < 5e-5, "{ours:?}, not {low} to {high}");
     }
 

@@ -1,6 +1,6 @@
 //! Student's t for pairs, Welch's t for two samples.
 
-use super::{Alternative, CONFIDENCE, Interval, StatsError, differences, mean, sample, variance};
+use super::{Alternative, CONFIDENCE, ConfidenceInterval, StatsError, differences, mean, sample, variance};
 use serde::Serialize;
 use statrs::distribution::{ContinuousCDF, StudentsT};
 
@@ -10,7 +10,7 @@ pub struct TTest {
     /// Mean of the first minus mean of the second.
     pub difference: f64,
     /// Where that difference lies.
-    pub interval: Interval,
+    pub interval: ConfidenceInterval,
     /// The statistic; infinite where the difference is the same in every pair and not 0.
     pub t: f64,
     /// Degrees of freedom.
@@ -59,7 +59,7 @@ fn test(difference: f64, error: f64, freedom: f64, alternative: Alternative) -> 
         Alternative::Less => student.cdf(t),
     };
     let reach = student.inverse_cdf(0.5 + CONFIDENCE / 2.0) * error;
-    TTest { difference, interval: Interval::around(difference, reach), t, freedom, p, alternative }
+    TTest { difference, interval: ConfidenceInterval::around(difference, reach), t, freedom, p, alternative }
 }
 
 #[cfg(test)]
@@ -99,7 +99,7 @@ mod tests {
         let none = paired(&[3.0; 4], &[3.0; 4], Alternative::TwoSided).unwrap();
         assert_eq!((none.t, none.p), (0.0, 1.0));
         let always = paired(&[3.0; 4], &[2.0; 4], Alternative::Greater).unwrap();
-        assert_eq!((always.t, always.p, always.interval), (f64::INFINITY, 0.0, Interval::around(1.0, 0.0)));
+        assert_eq!((always.t, always.p, always.interval), (f64::INFINITY, 0.0, ConfidenceInterval::around(1.0, 0.0)));
         assert_eq!(welch(&[3.0; 4], &[2.0; 3], Alternative::TwoSided).unwrap().p, 0.0);
     }
 

@@ -35,12 +35,12 @@ mod shape;
 mod tests;
 mod xml;
 
-pub use problem::{Problem, Wrong};
+pub use problem::{CellError, DrawioDiagnostic};
 
-use super::drawing::{Drawing, Drawn, DrawnObject, DrawnPerson, DrawnRobot};
-use super::file::{DoorEntry, LaneEntry, LevelEntry, LiftEntry, Options, PlaceEntry, limits};
+use super::drawing::{Drawing, DrawnItem, DrawnObject, DrawnPerson, DrawnRobot};
+use super::file::{DoorEntry, ImportOptions, LaneEntry, LevelEntry, LiftEntry, PlaceEntry, limits};
 use super::import::{ImportError, round};
-use super::{MapProblem, PlaceKind};
+use super::{MapDiagnostic, PlaceKind};
 use crate::suggest::did_you_mean;
 use net::{Net, Via};
 use shape::{Index, Outline, Point};
@@ -60,7 +60,7 @@ const TYPES: [&str; 8] = ["POI", "map-path", "robot", "path", "pickable", "perso
 const POSITIVE: &str = "a number above 0";
 
 /// Reads a drawing; `name` is the map's.
-pub(super) fn read(text: &str, name: &str, options: &Options) -> Result<Drawing, ImportError> {
+pub(super) fn read(text: &str, name: &str, options: &ImportOptions) -> Result<Drawing, ImportError> {
     let mut problems = Vec::new();
     let pages = xml::pages(text, &mut problems).map_err(ImportError::Syntax)?;
     let mut reader = Reader { problems, ..Reader::default() };
@@ -76,10 +76,10 @@ pub(super) fn read(text: &str, name: &str, options: &Options) -> Result<Drawing,
     }
     let Reader { mut drawing, problems, lifts } = reader;
     if !problems.is_empty() {
-        return Err(ImportError::Problems(problems.into_iter().map(MapProblem::from).collect()));
+        return Err(ImportError::Problems(problems.into_iter().map(MapDiagnostic::from).collect()));
     }
     drawing.map.lifts = lifts.into_values().collect();
-    drawing.settle();
+    drawing.assign_nearest_places();
     Ok(drawing)
 }
 
@@ -89,7 +89,7 @@ fn is_level(page: &Page) -> bool {
 }
 
 /// Metres per unit: as told, else as the first page says that does, else the default.
-fn scale(pages: &[&Page], options: &Options, reader: &mut Reader) -> f64 {
+fn scale(pages: &[&Page], options: &ImportOptions, reader: &mut Reader) -> f64 {
     let said = pages.iter().find_map(|page| {
         let cell = page.cells.iter().find(|cell| cell.data.contains_key("metres_per_unit"))?;
         Some((page, cell, &cell.data["metres_per_unit"]))
@@ -104,8 +104,8 @@ fn scale(pages: &[&Page], options: &Options, reader: &mut Reader) -> f64 {
     };
     let scale = text.parse().ok().filter(|scale: &f64| *scale > 0.0 && scale.is_finite());
     scale.unwrap_or_else(|| {
-        let wrong = Wrong::Number { field: "metres_per_unit".into(), text: text.clone(), allowed: POSITIVE };
-        reader.problems.push(Problem { page: page.name.clone(), cell: cell.id.clone(), wrong });
+        let wrong = CellError::Number { field: "metres_per_unit".into(), text: text.clone(), allowed: POSITIVE };
+        reader.problems.push(DrawioDiagnostic { page: page.name.clone(), cell: cell.id.clone(), wrong });
         METRES_PER_UNIT
     })
 }
@@ -113,7 +113,7 @@ fn scale(pages: &[&Page], options: &Options, reader: &mut Reader) -> f64 {
 #[derive(Default)]
 struct Reader {
     drawing: Drawing,
-    problems: Vec<Problem>,
+    problems: Vec<DrawioDiagnostic>,
     /// By their names.
     lifts: BTreeMap<String, LiftEntry>,
 }
@@ -156,7 +156,7 @@ impl<'a> PageReader<'a> {
                 // The only place of a level needs no way on it.
                 if net.spots.len() > 1 {
                     let (cell, place) = (*cell, entry.name.clone());
-                    self.say(cell, Wrong::OffPaths { place });
+                    self.say(cell, CellError::OffPaths { place });
                 }
             }
         }
@@ -179,8 +179,8 @@ impl<'a> PageReader<'a> {
         map.lanes.extend(lanes);
     }
 
-    fn say(&mut self, cell: &Cell, wrong: Wrong) {
-        self.all.problems.push(Problem { page: self.page.name.clone(), cell: cell.id.clone(), wrong });
+    fn say(&mut self, cell: &Cell, wrong: CellError) {
+        self.all.problems.push(DrawioDiagnostic { page: self.page.name.clone(), cell: cell.id.clone(), wrong });
     }
 
     fn metres(&self, (x, y): Point) -> (f64, f64) {
@@ -192,7 +192,7 @@ impl<'a> PageReader<'a> {
         let text = cell.data.get(field)?;
         let number = text.trim().parse().ok().filter(|number: &f64| number.is_finite() && is(*number));
         if number.is_none() {
-            self.say(cell, Wrong::Number { field: field.to_owned(), text: text.clone(), allowed });
+            self.say(cell, CellError::Number { field: field.to_owned(), text: text.clone(), allowed });
         }
         number
     }
@@ -205,7 +205,7 @@ impl<'a> PageReader<'a> {
     fn place(&mut self, cell: &'a Cell) {
         let kind = kind_of(cell);
         let Some(outline) = Outline::of(cell, &self.cells) else {
-            return self.say(cell, Wrong::Nowhere { kind: kind.to_owned() });
+            return self.say(cell, CellError::Nowhere { kind: kind.to_owned() });
         };
         let name = match (cell.data.get("tag"), kind) {
             (Some(tag), "lift") => {
@@ -214,7 +214,7 @@ impl<'a> PageReader<'a> {
                 name
             }
             (Some(tag), _) => tag.clone(),
-            (None, "lift") => return self.say(cell, Wrong::Missing { kind: kind.to_owned(), field: "tag" }),
+            (None, "lift") => return self.say(cell, CellError::Missing { kind: kind.to_owned(), field: "tag" }),
             (None, _) => {
                 let name = self.on_level(&format!("POI_{}", self.places.len()));
                 let note =
@@ -228,7 +228,7 @@ impl<'a> PageReader<'a> {
         let kind = match cell.data.get("kind").map(|text| PlaceKind::named(text).ok_or(text)) {
             None => PlaceKind::Other,
             Some(Ok(kind)) => kind,
-            Some(Err(text)) => return self.say(cell, Wrong::kind(text)),
+            Some(Err(text)) => return self.say(cell, CellError::kind(text)),
         };
         let yaw_rad = round(yaw_deg.to_radians());
         let entry = PlaceEntry { name, kind, x_m, y_m, yaw_rad, level: self.level.clone() };
@@ -254,14 +254,14 @@ impl<'a> PageReader<'a> {
         let one_way = cell.data.get("one_way").is_some_and(|text| text == "true" || text == "1");
         let limit = self.number(cell, "speed_limit_mps", POSITIVE, |n| n > 0.0);
         if !net.path(&through, one_way, limit) {
-            self.say(cell, Wrong::NoLength);
+            self.say(cell, CellError::NoLength);
         }
     }
 
     /// The points of a path, from end to end.
     fn through(&mut self, cell: &Cell) -> Option<Vec<Via>> {
         let Some(line) = shape::line(cell, &self.cells) else {
-            self.say(cell, Wrong::NoLine { kind: kind_of(cell).to_owned() });
+            self.say(cell, CellError::NoLine { kind: kind_of(cell).to_owned() });
             return None;
         };
         let source = self.end(cell, "source", cell.source.as_deref(), line.source);
@@ -274,7 +274,7 @@ impl<'a> PageReader<'a> {
     fn end(&mut self, cell: &Cell, end: &'static str, id: Option<&str>, point: Option<Point>) -> Option<Via> {
         let Some(id) = id else {
             if point.is_none() {
-                self.say(cell, Wrong::OpenEnd { end });
+                self.say(cell, CellError::OpenEnd { end });
             }
             return point.map(Via::Point);
         };
@@ -283,7 +283,7 @@ impl<'a> PageReader<'a> {
         }
         let outline = self.cells.get(id).and_then(|at| Outline::of(at, &self.cells));
         if outline.is_none() {
-            self.say(cell, Wrong::UnknownEnd { end, id: id.to_owned() });
+            self.say(cell, CellError::UnknownEnd { end, id: id.to_owned() });
         }
         outline.map(|outline| Via::Point(outline.centre))
     }
@@ -322,10 +322,10 @@ impl<'a> PageReader<'a> {
             (None, Some(line)) => line.source.zip(line.target).map(|(a, b)| [a, b]),
             (None, None) => None,
         };
-        let Some([a, b]) = ends else { return self.say(cell, Wrong::Nowhere { kind: "door".into() }) };
+        let Some([a, b]) = ends else { return self.say(cell, CellError::Nowhere { kind: "door".into() }) };
         let across = net.ways.iter().zip(lanes).filter(|(way, _)| {
             let [from, to] = [way.from, way.to].map(|spot| net.spots[spot].at);
-            super::building::crossing(from, to, a, b).is_some()
+            super::building::intersection(from, to, a, b).is_some()
         });
         let on = across.map(|(_, lane)| lane.between.clone()).collect();
         let opening_s = self.number(cell, "opening_s", "a number of seconds from 0", |n| n >= 0.0);
@@ -342,7 +342,7 @@ impl<'a> PageReader<'a> {
             return;
         }
         let Some(outline) = Outline::of(cell, &self.cells) else {
-            return self.say(cell, Wrong::Nowhere { kind: kind.to_owned() });
+            return self.say(cell, CellError::Nowhere { kind: kind.to_owned() });
         };
         let body = self.body(cell, &outline);
         match kind {
@@ -354,7 +354,7 @@ impl<'a> PageReader<'a> {
                 let weight = self.number(cell, "weight", "a number of kilograms from 0", |n| n >= 0.0);
                 for field in ["name", "weight"] {
                     if !cell.data.contains_key(field) {
-                        self.say(cell, Wrong::Missing { kind: kind.to_owned(), field });
+                        self.say(cell, CellError::Missing { kind: kind.to_owned(), field });
                     }
                 }
                 self.all.drawing.objects.push(DrawnObject { body, weight_kg: weight.unwrap_or(0.0) });
@@ -377,10 +377,10 @@ impl<'a> PageReader<'a> {
         }
     }
 
-    fn body(&self, cell: &Cell, outline: &Outline) -> Drawn {
+    fn body(&self, cell: &Cell, outline: &Outline) -> DrawnItem {
         let (x_m, y_m) = self.metres(outline.centre);
         let own = |key: &str| !key.starts_with("component_") && !matches!(key, "type" | "name" | "tag");
-        Drawn {
+        DrawnItem {
             id: cell.id.clone(),
             kind: kind_of(cell).to_owned(),
             name: name_of(cell),
@@ -404,7 +404,7 @@ impl<'a> PageReader<'a> {
                 }
                 Err(error) => {
                     let (component, reason) = (component.to_owned(), error.to_string());
-                    self.say(cell, Wrong::Component { component, reason });
+                    self.say(cell, CellError::Component { component, reason });
                 }
             }
         }
@@ -417,7 +417,7 @@ impl<'a> PageReader<'a> {
         let robot = cell.source.as_deref().and_then(|id| self.robot(id));
         let Some(robot) = robot else {
             let id = cell.source.clone().unwrap_or_default();
-            return self.say(cell, Wrong::UnknownEnd { end: "source", id });
+            return self.say(cell, CellError::UnknownEnd { end: "source", id });
         };
         let points = through.iter().skip(1).map(|via| match via {
             Via::Place(place) => self.metres(self.places[*place].2),

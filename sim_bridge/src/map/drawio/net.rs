@@ -5,7 +5,7 @@
 
 use super::shape::Point;
 use super::{GRID, REACH};
-use crate::map::building::crossing;
+use crate::map::building::intersection;
 use std::collections::BTreeMap;
 
 /// A point of the net, in units; y points down.
@@ -113,7 +113,7 @@ impl Net {
         let at = self.spots[spot].at;
         let free = |to: Point| {
             let sides = walls.iter().flat_map(|wall| wall.windows(2));
-            !sides.into_iter().any(|side| crossing(at, to, side[0], side[1]).is_some())
+            !sides.into_iter().any(|side| intersection(at, to, side[0], side[1]).is_some())
         };
         // The foot of the perpendicular, and both ends: where a wall is in the way to one, another may do. A foot close
         // to an end is that end.

@@ -6,18 +6,18 @@ use crate::map::PlaceKind;
 /// One thing that is wrong with a drawing, and where.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[error("page {page:?}, cell {cell:?}: {wrong}")]
-pub struct Problem {
+pub struct DrawioDiagnostic {
     /// The page, by its name.
     pub page: String,
     /// The cell, by its id: in diagrams.net it is shown by *Edit Data*.
     pub cell: String,
     /// What is wrong with it.
-    pub wrong: Wrong,
+    pub wrong: CellError,
 }
 
 /// What can be wrong with a cell.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
-pub enum Wrong {
+pub enum CellError {
     /// Two cells of one id on a page.
     #[error("this id stands more than once")]
     Duplicate,
@@ -97,10 +97,10 @@ pub enum Wrong {
     },
 }
 
-impl Wrong {
-    pub(super) fn kind(text: &str) -> Wrong {
+impl CellError {
+    pub(super) fn kind(text: &str) -> CellError {
         let kinds = PlaceKind::ALL.map(PlaceKind::as_str);
         let hint = crate::suggest::did_you_mean(text, kinds);
-        Wrong::Kind { text: text.to_owned(), allowed: kinds.join(", "), hint }
+        CellError::Kind { text: text.to_owned(), allowed: kinds.join(", "), hint }
     }
 }

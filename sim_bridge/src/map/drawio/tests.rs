@@ -1,7 +1,7 @@
 //! Drawings: what their cells come to, plain and compressed, and all that can be wrong with them.
 
 use super::*;
-use crate::map::{Drawing, Facing, Map, MapError, MapFile, open, read};
+use crate::map::{Drawing, Facing, Map, MapError, MapFile, parse_drawing, read};
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD;
 use flate2::Compression;
@@ -13,7 +13,7 @@ use std::io::Write;
 pub(crate) const CLINIC: &str = include_str!("../../../maps/clinic.drawio");
 
 fn drawn(text: &str) -> Drawing {
-    open(text, "some/clinic.drawio", &Options::default()).unwrap()
+    parse_drawing(text, "some/clinic.drawio", &ImportOptions::default()).unwrap()
 }
 
 fn map(text: &str) -> Map {
@@ -115,7 +115,7 @@ fn a_compressed_page_reads_as_the_plain_one() {
     let packed = CLINIC.replace(&CLINIC[model.clone()], &deflated(&CLINIC[model]));
     assert!(!packed.contains("mxGraphModel"));
     assert_eq!(drawn(&packed), drawn(CLINIC));
-    assert_eq!(open(&packed, "clinic.xml", &Options::default()).unwrap(), drawn(CLINIC));
+    assert_eq!(parse_drawing(&packed, "clinic.xml", &ImportOptions::default()).unwrap(), drawn(CLINIC));
 }
 
 #[test]
@@ -205,8 +205,8 @@ fn walls_are_the_lines_through_the_middle_of_their_shapes() {
     let of = |style: &str| {
         let style = format!("shape=mxgraph.floorplan.{style}");
         let text = file(&[shape("w", &style, at), poi("p", "P", 0.0, 0.0)].concat());
-        let options = Options { scale_m: Some(1.0), ..Options::default() };
-        let drawing = open(&text, "x.drawio", &options).unwrap();
+        let options = ImportOptions { scale_m: Some(1.0), ..ImportOptions::default() };
+        let drawing = parse_drawing(&text, "x.drawio", &options).unwrap();
         // Back to units with y down, to compare with what was drawn.
         let walls = drawing.map.walls.iter().flatten().map(|(x, y)| (x.round() as i64, (600.0 - y).round() as i64));
         walls.collect::<Vec<_>>()
@@ -231,7 +231,8 @@ fn what_is_in_a_group_counts_from_the_group() {
     let group = shape("g", "group", (100.0, 200.0, 300.0, 300.0));
     let inside = poi("p", "In", 10.0, 20.0).replace("parent=\"1\"", "parent=\"g\"");
     let drawing =
-        open(&file(&[group, inside].concat()), "g.drawio", &Options { scale_m: Some(1.0), graph: None }).unwrap();
+        parse_drawing(&file(&[group, inside].concat()), "g.drawio", &ImportOptions { scale_m: Some(1.0), graph: None })
+            .unwrap();
     assert_eq!((drawing.map.places[0].x_m, drawing.map.places[0].y_m), (110.0, 380.0));
 }
 
@@ -262,7 +263,9 @@ fn pages_are_levels_that_lifts_join() {
 #[test]
 fn a_scale_is_taken_from_the_reader_then_from_the_drawing_then_by_default() {
     let text = file(&poi("p", "P", 100.0, 600.0));
-    let x = |text: &str, scale_m| open(text, "x.drawio", &Options { scale_m, graph: None }).unwrap().map.places[0].x_m;
+    let x = |text: &str, scale_m| {
+        parse_drawing(text, "x.drawio", &ImportOptions { scale_m, graph: None }).unwrap().map.places[0].x_m
+    };
     assert_eq!(x(&text, None), 2.0);
     assert!(drawn(&text).notes[0].contains("0.02 m"));
     let scaled = text.replace("<mxCell id=\"0\"/>", "<object id=\"0\" metres_per_unit=\"0.1\"><mxCell/></object>");
@@ -341,7 +344,7 @@ fn a_misspelt_type_is_kept_and_noted() {
 
 #[test]
 fn a_file_that_is_no_drawing_is_refused_with_the_reason() {
-    let reason = |text: &str| match open(text, "x.drawio", &Options::default()) {
+    let reason = |text: &str| match parse_drawing(text, "x.drawio", &ImportOptions::default()) {
         Err(MapError::Syntax { message, .. }) => message,
         other => panic!("{other:?}"),
     };
@@ -369,7 +372,7 @@ fn what_was_drawn_survives_our_own_form() {
 #[test]
 fn deeply_nested_groups_and_elements_are_no_trouble() {
     let nested = format!("{}{}", "<object>".repeat(20_000), "</object>".repeat(20_000));
-    let _ = open(&file(&nested), "x.drawio", &Options::default());
+    let _ = parse_drawing(&file(&nested), "x.drawio", &ImportOptions::default());
     let ring = shape("a", "", (0.0, 0.0, 5.0, 5.0)).replace("parent=\"1\"", "parent=\"b\"")
         + &shape("b", "", (0.0, 0.0, 5.0, 5.0)).replace("parent=\"1\"", "parent=\"a\"")
         + &poi("p", "P", 0.0, 0.0).replace("parent=\"1\"", "parent=\"a\"");

@@ -1,6 +1,6 @@
 //! From the file to its cells: pages, plain or deflated, and what is written of each cell.
 
-use super::problem::{Problem, Wrong};
+use super::problem::{CellError, DrawioDiagnostic};
 use crate::map::limits;
 use base64::Engine;
 use base64::alphabet::STANDARD;
@@ -56,7 +56,7 @@ pub(super) struct Geometry {
 ///
 /// # Errors
 /// A sentence, with line and column where there are such.
-pub(super) fn pages(text: &str, problems: &mut Vec<Problem>) -> Result<Vec<Page>, String> {
+pub(super) fn pages(text: &str, problems: &mut Vec<DrawioDiagnostic>) -> Result<Vec<Page>, String> {
     let document = xml::parse(text, limits::XML_NODES).map_err(|error| format!("this is no XML: {error}"))?;
     let root = document.root_element();
     let mut left = limits::INFLATED_BYTES;
@@ -79,7 +79,12 @@ pub(super) fn pages(text: &str, problems: &mut Vec<Problem>) -> Result<Vec<Page>
     }
 }
 
-fn diagram_of(name: &str, diagram: Node, left: &mut usize, problems: &mut Vec<Problem>) -> Result<Page, String> {
+fn diagram_of(
+    name: &str,
+    diagram: Node,
+    left: &mut usize,
+    problems: &mut Vec<DrawioDiagnostic>,
+) -> Result<Page, String> {
     if let Some(model) = diagram.children().find(|node| node.has_tag_name("mxGraphModel")) {
         return Ok(page(name, model, problems));
     }
@@ -114,7 +119,7 @@ fn inflate(text: &str, left: &mut usize) -> Result<String, String> {
     Ok(decoded.map_err(|error| format!("its inflated content is no UTF-8: {error}"))?.into_owned())
 }
 
-fn page(name: &str, model: Node, problems: &mut Vec<Problem>) -> Page {
+fn page(name: &str, model: Node, problems: &mut Vec<DrawioDiagnostic>) -> Page {
     let root = model.children().find(|node| node.has_tag_name("root"));
     let mut reader = Reader { page: name, problems, seen: BTreeSet::new() };
     let cells: Vec<Cell> =
@@ -126,7 +131,7 @@ fn page(name: &str, model: Node, problems: &mut Vec<Problem>) -> Page {
 
 struct Reader<'a> {
     page: &'a str,
-    problems: &'a mut Vec<Problem>,
+    problems: &'a mut Vec<DrawioDiagnostic>,
     seen: BTreeSet<String>,
 }
 
@@ -142,7 +147,7 @@ impl Reader<'_> {
         let text = |name| inner.attribute(name).map(str::to_owned);
         let id = holder.attribute("id").unwrap_or_default().to_owned();
         if !id.is_empty() && !self.seen.insert(id.clone()) {
-            self.say(&id, Wrong::Duplicate);
+            self.say(&id, CellError::Duplicate);
         }
         let label = holder.attribute("label").or(inner.attribute("value")).unwrap_or_default();
         let data = data.into_iter().flat_map(|node| node.attributes());
@@ -194,14 +199,14 @@ impl Reader<'_> {
             _ => {
                 let (field, text) = (field.to_owned(), text.to_owned());
                 let allowed = "a number from -10000000 to 10000000";
-                self.say(id, Wrong::Number { field, text, allowed });
+                self.say(id, CellError::Number { field, text, allowed });
                 0.0
             }
         }
     }
 
-    fn say(&mut self, cell: &str, wrong: Wrong) {
-        self.problems.push(Problem { page: self.page.to_owned(), cell: cell.to_owned(), wrong });
+    fn say(&mut self, cell: &str, wrong: CellError) {
+        self.problems.push(DrawioDiagnostic { page: self.page.to_owned(), cell: cell.to_owned(), wrong });
     }
 }
 

@@ -25,13 +25,13 @@ mod raw;
 #[cfg(test)]
 mod tests;
 
-pub use problem::{Problem, Wrong};
+pub use problem::{EntryError, RmfDiagnostic};
 
-use super::building::crossing;
-use super::drawing::{Drawing, Drawn, DrawnRobot};
-use super::file::{DoorEntry, LaneEntry, LevelEntry, LiftEntry, Options, PlaceEntry};
-use super::import::{ImportError, map_name, round};
-use super::{Facing, MapProblem, PlaceKind};
+use super::building::intersection;
+use super::drawing::{Drawing, DrawnItem, DrawnRobot};
+use super::file::{DoorEntry, ImportOptions, LaneEntry, LevelEntry, LiftEntry, PlaceEntry};
+use super::import::{ImportError, round, to_map_name};
+use super::{Facing, MapDiagnostic, PlaceKind};
 use crate::suggest::did_you_mean;
 use place::{Frame, System};
 use raw::{Building, Edge, Entries, Fiducial, Vertex, parameter};
@@ -60,7 +60,7 @@ struct Level<'a> {
 }
 
 /// Reads a building; `name` is the map's if the file gives none.
-pub(super) fn read(text: &str, name: &str, options: &Options) -> Result<Drawing, ImportError> {
+pub(super) fn read(text: &str, name: &str, options: &ImportOptions) -> Result<Drawing, ImportError> {
     let building: Building = serde_saphyr::from_str(text).map_err(|error| ImportError::Syntax(error.to_string()))?;
     let mut reader = Reader::default();
     reader.drawing.map.name = name.to_owned();
@@ -69,34 +69,34 @@ pub(super) fn read(text: &str, name: &str, options: &Options) -> Result<Drawing,
         reader.problems.push(problem);
     }
     if !reader.problems.is_empty() {
-        return Err(ImportError::Problems(reader.problems.into_iter().map(MapProblem::from).collect()));
+        return Err(ImportError::Problems(reader.problems.into_iter().map(MapDiagnostic::from).collect()));
     }
-    reader.drawing.settle();
+    reader.drawing.assign_nearest_places();
     Ok(reader.drawing)
 }
 
 #[derive(Default)]
 struct Reader {
     drawing: Drawing,
-    problems: Vec<Problem>,
+    problems: Vec<RmfDiagnostic>,
 }
 
 impl Reader {
-    fn say(&mut self, at: String, wrong: Wrong) {
-        self.problems.push(Problem { at, wrong });
+    fn say(&mut self, at: String, wrong: EntryError) {
+        self.problems.push(RmfDiagnostic { at, wrong });
     }
 
-    fn building(&mut self, building: &Building, options: &Options) -> Result<(), Problem> {
-        let whole = |wrong| Problem { at: "building".to_owned(), wrong };
+    fn building(&mut self, building: &Building, options: &ImportOptions) -> Result<(), RmfDiagnostic> {
+        let whole = |wrong| RmfDiagnostic { at: "building".to_owned(), wrong };
         let named = [&building.name, &building.building_name].into_iter().flatten().filter_map(raw::text);
         if let Some(name) = named.into_iter().find(|name| !name.is_empty()) {
-            self.drawing.map.name = map_name(&name);
+            self.drawing.map.name = to_map_name(&name);
         }
         let system = System::of(building.coordinate_system.as_deref()).map_err(whole)?;
         let mut levels: Vec<Level> =
             building.levels.0.iter().map(|(name, level)| level_of(name, level, &mut self.problems)).collect();
         if levels.is_empty() {
-            return Err(whole(Wrong::NoLevels));
+            return Err(whole(EntryError::NoLevels));
         }
         let graph = self.graph(&levels, options).map_err(whole)?;
         if let Some(graph) = graph {
@@ -116,7 +116,7 @@ impl Reader {
     }
 
     /// The graph to read; none if the lanes are not sound.
-    fn graph(&mut self, levels: &[Level], options: &Options) -> Result<Option<i64>, Wrong> {
+    fn graph(&mut self, levels: &[Level], options: &ImportOptions) -> Result<Option<i64>, EntryError> {
         let mut known = BTreeSet::new();
         let sound = self.problems.is_empty();
         for level in levels {
@@ -131,9 +131,9 @@ impl Reader {
         }
         let list = |known: &BTreeSet<i64>| known.iter().map(i64::to_string).collect::<Vec<_>>().join(", ");
         match (options.graph, known.first()) {
-            (_, None) if sound && self.problems.is_empty() => Err(Wrong::NoLanes),
+            (_, None) if sound && self.problems.is_empty() => Err(EntryError::NoLanes),
             (_, None) => Ok(None),
-            (Some(graph), _) if !known.contains(&graph) => Err(Wrong::UnknownGraph { graph, known: list(&known) }),
+            (Some(graph), _) if !known.contains(&graph) => Err(EntryError::UnknownGraph { graph, known: list(&known) }),
             (Some(graph), _) => Ok(Some(graph)),
             (None, Some(first)) => {
                 let first = *first;
@@ -152,9 +152,9 @@ impl Reader {
         &mut self,
         building: &Building,
         system: System,
-        options: &Options,
+        options: &ImportOptions,
         levels: &mut [Level],
-    ) -> Result<(), Wrong> {
+    ) -> Result<(), EntryError> {
         let reference = match &building.reference_level_name {
             None => 0,
             Some(name) => level_named(levels, "reference_level_name", name)?,
@@ -184,7 +184,7 @@ impl Reader {
             if level.frame.is_some() {
                 continue;
             }
-            let wrong = Wrong::Unplaced { reference: base.clone(), shared: pairs.len() };
+            let wrong = EntryError::Unplaced { reference: base.clone(), shared: pairs.len() };
             if level.lanes.is_empty() {
                 self.drawing.notes.push(format!("level {:?} is left out: it has no lanes, and {wrong}", level.name));
             } else {
@@ -211,7 +211,7 @@ impl Reader {
                         *used.entry(name).or_default() += 1;
                     }
                     Some(other) => {
-                        let wrong = Wrong::SameName { name: name.to_owned(), other: *other };
+                        let wrong = EntryError::SameName { name: name.to_owned(), other: *other };
                         same.push((format!("level {:?}, vertex {vertex}", level.name), wrong));
                     }
                 }
@@ -301,13 +301,13 @@ impl Reader {
         let here = || format!("level {:?}, door {}", level.name, door.number);
         let name = match parameter(&door.parameters, "name", "[1, name]", raw::text) {
             Ok(Some(name)) if !name.is_empty() => name,
-            Ok(_) => return self.say(here(), Wrong::Missing { field: "name" }),
+            Ok(_) => return self.say(here(), EntryError::Missing { field: "name" }),
             Err(wrong) => return self.say(here(), wrong),
         };
         let [a, b] = door.ends.map(&at);
         let across = level.lanes.iter().filter(|lane| {
             let [from, to] = lane.ends.map(&at);
-            crossing(from, to, a, b).is_some()
+            intersection(from, to, a, b).is_some()
         });
         let on: Vec<_> = across.map(|lane| between(level, lane)).collect();
         if on.is_empty() {
@@ -326,7 +326,7 @@ impl Reader {
         };
         let first = level.lanes.iter().find(|lane| lane.ends.contains(&number));
         let kind = vertex.parameters.get("spawn_robot_type").and_then(raw::text);
-        let body = Drawn {
+        let body = DrawnItem {
             id: format!("{} vertex {number}", level.name),
             kind: "robot".to_owned(),
             name,
@@ -335,7 +335,7 @@ impl Reader {
             y_m,
             yaw_rad: round(first.map_or(0.0, heading)),
             attributes: kind.into_iter().map(|kind| ("robot_type".to_owned(), kind)).collect(),
-            ..Drawn::default()
+            ..DrawnItem::default()
         };
         self.drawing.robots.push(DrawnRobot { body, ..DrawnRobot::default() });
     }
@@ -353,7 +353,7 @@ impl Reader {
                 } else {
                     let hint = did_you_mean(named, names.iter().copied());
                     let at = format!("level {:?}, vertex {vertex}", level.name);
-                    self.say(at, Wrong::UnknownLift { lift: named.to_owned(), hint });
+                    self.say(at, EntryError::UnknownLift { lift: named.to_owned(), hint });
                 }
             }
         }
@@ -395,11 +395,11 @@ struct Cabin {
 }
 
 impl Cabin {
-    fn of(lift: &raw::Lift, system: System, levels: &[Level], reference: &Option<String>) -> Result<Cabin, Wrong> {
+    fn of(lift: &raw::Lift, system: System, levels: &[Level], reference: &Option<String>) -> Result<Cabin, EntryError> {
         for (field, value) in [("width", lift.width), ("depth", lift.depth)] {
             if !(value > 0.0 && value.is_finite()) {
                 let (field, text) = (field.to_owned(), value.to_string());
-                return Err(Wrong::Value { field, text, allowed: "a number of metres above 0" });
+                return Err(EntryError::Value { field, text, allowed: "a number of metres above 0" });
             }
         }
         let floor = |field: &'static str, name: &Option<String>| {
@@ -435,7 +435,7 @@ impl Cabin {
     }
 }
 
-fn level_of<'a>(name: &'a str, raw: &raw::Level, problems: &mut Vec<Problem>) -> Level<'a> {
+fn level_of<'a>(name: &'a str, raw: &raw::Level, problems: &mut Vec<RmfDiagnostic>) -> Level<'a> {
     let mut entries = Entries { level: name, problems };
     let vertices = entries.vertices(raw.vertices.as_ref());
     let count = vertices.len();
@@ -453,15 +453,15 @@ fn level_of<'a>(name: &'a str, raw: &raw::Level, problems: &mut Vec<Problem>) ->
     }
 }
 
-fn level_named(levels: &[Level], field: &'static str, name: &str) -> Result<usize, Wrong> {
+fn level_named(levels: &[Level], field: &'static str, name: &str) -> Result<usize, EntryError> {
     levels.iter().position(|level| level.name == name).ok_or_else(|| {
         let hint = did_you_mean(name, levels.iter().map(|level| level.name));
-        Wrong::UnknownLevel { field, level: name.to_owned(), hint }
+        EntryError::UnknownLevel { field, level: name.to_owned(), hint }
     })
 }
 
 /// The graph of a lane; 0 if it does not say.
-fn graph_of(lane: &Edge) -> Result<i64, Wrong> {
+fn graph_of(lane: &Edge) -> Result<i64, EntryError> {
     parameter(&lane.parameters, "graph_idx", "a whole number", Value::as_i64).map(|graph| graph.unwrap_or(0))
 }
 
@@ -473,7 +473,7 @@ fn between(level: &Level, lane: &Edge) -> (String, String) {
     (level.places[&lane.ends[0]].clone(), level.places[&lane.ends[1]].clone())
 }
 
-fn lane_of(level: &Level, lane: &Edge) -> Result<LaneEntry, Wrong> {
+fn lane_of(level: &Level, lane: &Edge) -> Result<LaneEntry, EntryError> {
     let both = parameter(&lane.parameters, "bidirectional", "[4, true] or [4, false]", Value::as_bool)?;
     let limit = parameter(&lane.parameters, "speed_limit", "a number of metres per second", Value::as_f64)?;
     let facing: fn(&Value) -> Option<Option<Facing>> = |value| match value.as_str()? {

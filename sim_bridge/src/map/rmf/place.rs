@@ -1,6 +1,6 @@
 //! From the coordinates of the file to metres: one frame for all levels.
 
-use super::problem::{Problem, Wrong};
+use super::problem::{EntryError, RmfDiagnostic};
 use super::raw::{Edge, Fiducial, Parameters, Vertex, parameter};
 use serde_json::Value;
 use std::collections::BTreeMap;
@@ -23,12 +23,12 @@ pub(super) enum System {
 }
 
 impl System {
-    pub(super) fn of(name: Option<&str>) -> Result<System, Wrong> {
+    pub(super) fn of(name: Option<&str>) -> Result<System, EntryError> {
         match name {
             None | Some("reference_image") => Ok(System::ReferenceImage),
             Some("cartesian_meters") => Ok(System::CartesianMeters),
             Some("wgs84") => Ok(System::Wgs84),
-            Some(other) => Err(Wrong::Value {
+            Some(other) => Err(EntryError::Value {
                 field: "coordinate_system".into(),
                 text: format!("{other:?}"),
                 allowed: "reference_image, cartesian_meters or wgs84",
@@ -106,7 +106,7 @@ pub(super) fn scale(
     level: &str,
     vertices: &[Vertex],
     measurements: &[Edge],
-    problems: &mut Vec<Problem>,
+    problems: &mut Vec<RmfDiagnostic>,
 ) -> Option<f64> {
     let mut scales = Vec::new();
     let before = problems.len();
@@ -115,20 +115,20 @@ pub(super) fn scale(
         let length = (a.0 - b.0).hypot(a.1 - b.1);
         let positive: fn(&Value) -> Option<f64> = |value| value.as_f64().filter(|metres| *metres > 0.0);
         let wrong = match parameter(&measurement.parameters, "distance", "a number of metres above 0", positive) {
-            Ok(Some(_)) if length == 0.0 => Wrong::NoExtent,
+            Ok(Some(_)) if length == 0.0 => EntryError::NoExtent,
             Ok(Some(distance)) => {
                 scales.push(distance / length);
                 continue;
             }
-            Ok(None) => Wrong::Missing { field: "distance" },
+            Ok(None) => EntryError::Missing { field: "distance" },
             Err(wrong) => wrong,
         };
         let at = format!("level {level:?}, measurement {}", measurement.number);
-        problems.push(Problem { at, wrong });
+        problems.push(RmfDiagnostic { at, wrong });
     }
     let mean = scales.iter().sum::<f64>() / scales.len() as f64;
     if scales.is_empty() && problems.len() == before {
-        problems.push(Problem { at: format!("level {level:?}"), wrong: Wrong::NoScale });
+        problems.push(RmfDiagnostic { at: format!("level {level:?}"), wrong: EntryError::NoScale });
     }
     mean.is_finite().then_some(mean)
 }

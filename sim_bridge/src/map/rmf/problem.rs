@@ -3,16 +3,16 @@
 /// One thing that is wrong with a building, and where.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[error("{at}: {wrong}")]
-pub struct Problem {
+pub struct RmfDiagnostic {
     /// Where: the building, a level, or what is on it, by its number as the file counts (from 0).
     pub at: String,
     /// What is wrong there.
-    pub wrong: Wrong,
+    pub wrong: EntryError,
 }
 
 /// What can be wrong there.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
-pub enum Wrong {
+pub enum EntryError {
     /// An entry of another form than it must have.
     #[error("this is {text}, allowed is {allowed}")]
     Form {

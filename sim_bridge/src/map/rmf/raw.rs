@@ -1,6 +1,6 @@
 //! A building as it is written: lists of lists, with parameters as `[type, value]`.
 
-use super::problem::{Problem, Wrong};
+use super::problem::{EntryError, RmfDiagnostic};
 use serde::Deserialize;
 use serde::de::{Deserializer, MapAccess, Visitor};
 use serde_json::Value;
@@ -100,12 +100,12 @@ pub(super) struct Fiducial {
 /// Reads entries of one level, and keeps what is wrong with them.
 pub(super) struct Entries<'a> {
     pub(super) level: &'a str,
-    pub(super) problems: &'a mut Vec<Problem>,
+    pub(super) problems: &'a mut Vec<RmfDiagnostic>,
 }
 
 impl Entries<'_> {
-    pub(super) fn say(&mut self, what: &str, number: usize, wrong: Wrong) {
-        self.problems.push(Problem { at: format!("level {:?}, {what} {number}", self.level), wrong });
+    pub(super) fn say(&mut self, what: &str, number: usize, wrong: EntryError) {
+        self.problems.push(RmfDiagnostic { at: format!("level {:?}, {what} {number}", self.level), wrong });
     }
 
     /// All vertices. One that is none keeps its number.
@@ -139,39 +139,39 @@ impl Entries<'_> {
     }
 }
 
-fn vertex(entry: &Value) -> Result<Vertex, Wrong> {
-    let form = || Wrong::Form { text: entry.to_string(), allowed: "[x, y, z, name, {parameters}]" };
+fn vertex(entry: &Value) -> Result<Vertex, EntryError> {
+    let form = || EntryError::Form { text: entry.to_string(), allowed: "[x, y, z, name, {parameters}]" };
     let list = entry.as_array().filter(|list| (4..=5).contains(&list.len())).ok_or_else(form)?;
     let at = (number("x", &list[0])?, number("y", &list[1])?);
     Ok(Vertex { at, name: text(&list[3]).ok_or_else(form)?, parameters: parameters(list.get(4))? })
 }
 
-fn fiducial(entry: &Value) -> Result<Fiducial, Wrong> {
-    let form = || Wrong::Form { text: entry.to_string(), allowed: "[x, y, name]" };
+fn fiducial(entry: &Value) -> Result<Fiducial, EntryError> {
+    let form = || EntryError::Form { text: entry.to_string(), allowed: "[x, y, name]" };
     let list = entry.as_array().filter(|list| list.len() == 3).ok_or_else(form)?;
     let at = (number("x", &list[0])?, number("y", &list[1])?);
     Ok(Fiducial { at, name: text(&list[2]).ok_or_else(form)? })
 }
 
-fn edge(index: usize, entry: &Value, count: usize) -> Result<Edge, Wrong> {
-    let form = || Wrong::Form { text: entry.to_string(), allowed: "[vertex, vertex, {parameters}]" };
+fn edge(index: usize, entry: &Value, count: usize) -> Result<Edge, EntryError> {
+    let form = || EntryError::Form { text: entry.to_string(), allowed: "[vertex, vertex, {parameters}]" };
     let list = entry.as_array().filter(|list| (2..=3).contains(&list.len())).ok_or_else(form)?;
     let end = |value: &Value| {
         let vertex = value.as_i64().ok_or_else(form)?;
         let known = usize::try_from(vertex).ok().filter(|vertex| *vertex < count);
-        known.ok_or(Wrong::UnknownVertex { vertex, count })
+        known.ok_or(EntryError::UnknownVertex { vertex, count })
     };
     Ok(Edge { number: index, ends: [end(&list[0])?, end(&list[1])?], parameters: parameters(list.get(2))? })
 }
 
 /// The values of parameters, each written as `[type, value]`.
-pub(super) fn parameters(entry: Option<&Value>) -> Result<Parameters, Wrong> {
+pub(super) fn parameters(entry: Option<&Value>) -> Result<Parameters, EntryError> {
     let Some(entry) = entry.filter(|entry| !entry.is_null()) else { return Ok(Parameters::new()) };
-    let form = || Wrong::Form { text: entry.to_string(), allowed: "{parameter: [type, value], …}" };
+    let form = || EntryError::Form { text: entry.to_string(), allowed: "{parameter: [type, value], …}" };
     let written = entry.as_object().ok_or_else(form)?;
     let value = |(name, value): (&String, &Value)| match value.as_array().map(Vec::as_slice) {
         Some([_, value]) => Ok((name.clone(), value.clone())),
-        _ => Err(Wrong::Value {
+        _ => Err(EntryError::Value {
             field: format!("parameter {name}"),
             text: value.to_string(),
             allowed: "[type, value] with type 1 for text, 2 for a whole number, 3 for a number, 4 for true or false",
@@ -186,15 +186,15 @@ pub(super) fn parameter<T>(
     name: &str,
     allowed: &'static str,
     read: fn(&Value) -> Option<T>,
-) -> Result<Option<T>, Wrong> {
+) -> Result<Option<T>, EntryError> {
     let Some(value) = parameters.get(name) else { return Ok(None) };
-    let wrong = || Wrong::Value { field: format!("parameter {name}"), text: value.to_string(), allowed };
+    let wrong = || EntryError::Value { field: format!("parameter {name}"), text: value.to_string(), allowed };
     read(value).map(Some).ok_or_else(wrong)
 }
 
-fn number(field: &str, value: &Value) -> Result<f64, Wrong> {
+fn number(field: &str, value: &Value) -> Result<f64, EntryError> {
     // What is no finite number has become null.
-    let wrong = || Wrong::Value { field: field.to_owned(), text: value.to_string(), allowed: "a number" };
+    let wrong = || EntryError::Value { field: field.to_owned(), text: value.to_string(), allowed: "a number" };
     value.as_f64().ok_or_else(wrong)
 }
 

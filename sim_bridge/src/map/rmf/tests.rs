@@ -1,14 +1,14 @@
 //! Buildings: what they come to, and all that can be wrong with them.
 
 use super::*;
-use crate::map::{Map, MapError, open, read};
+use crate::map::{Map, MapError, parse_drawing, read};
 use consort_protocol::ids::PlaceId;
 use proptest::prelude::*;
 
 pub(crate) const OFFICE: &str = include_str!("../../../maps/office.building.yaml");
 
-fn drawn(text: &str, options: &Options) -> Drawing {
-    open(text, "x/office.building.yaml", options).unwrap()
+fn drawn(text: &str, options: &ImportOptions) -> Drawing {
+    parse_drawing(text, "x/office.building.yaml", options).unwrap()
 }
 
 fn office() -> Map {
@@ -57,7 +57,7 @@ fn pixels_are_flipped_and_scaled_by_what_was_measured() {
         OFFICE.replace("{ distance: [3, 10] }]", "{ distance: [3, 10] }]\n      - [0, 1, { distance: [3, 90] }]");
     let map = read(&twice, "office.building.yaml").unwrap();
     assert_eq!(at(&map, "reception"), (15.0, -30.0), "the mean of 0.05 and 0.15 m a pixel");
-    let told = drawn(&twice, &Options { scale_m: Some(0.02), graph: None });
+    let told = drawn(&twice, &ImportOptions { scale_m: Some(0.02), graph: None });
     assert_eq!((told.map.places[0].x_m, told.map.places[0].y_m), (3.0, -6.0));
 }
 
@@ -96,7 +96,7 @@ fn a_door_is_on_the_lanes_that_cross_it_and_a_lift_stops_at_what_is_in_its_cabin
     assert_eq!(door.span, Some(((18.5, -19.0), (21.5, -19.0))));
     let [lift] = map.lifts() else { panic!("{:?}", map.lifts()) };
     assert_eq!((lift.name.as_str(), lift.stops.as_slice()), ("lift_1", &[id("L1 vertex 7"), id("L2 vertex 7")][..]));
-    let notes = drawn(OFFICE, &Options::default()).notes.join("\n");
+    let notes = drawn(OFFICE, &ImportOptions::default()).notes.join("\n");
     for said in ["\"window\"", "\"goods\"", "lanes of graph 0 are read; those of 1 are left out"] {
         assert!(notes.contains(said), "{said}: {notes}");
     }
@@ -110,7 +110,7 @@ fn a_turned_cabin_holds_what_is_within_its_turned_walls() {
             &format!("yaw: {yaw}\n    width: 12\n    depth: 2.5"),
             1,
         );
-        open(&lift, "o.building.yaml", &Options::default()).unwrap().map.lifts[0].stops.len()
+        parse_drawing(&lift, "o.building.yaml", &ImportOptions::default()).unwrap().map.lifts[0].stops.len()
     };
     assert_eq!((stops(0.0), stops(std::f64::consts::FRAC_PI_2)), (2, 4), "turned, it reaches the lobbies");
 }
@@ -118,7 +118,7 @@ fn a_turned_cabin_holds_what_is_within_its_turned_walls() {
 #[test]
 fn a_vertex_may_name_its_lift_and_a_level_without_doors_is_not_served() {
     let named = OFFICE.replace("[235, 300, 0, meeting]", "[235, 300, 0, meeting, { lift_cabin: [1, lift_1] }]");
-    let stops = |text: &str| drawn(text, &Options::default()).map.lifts[0].stops.clone();
+    let stops = |text: &str| drawn(text, &ImportOptions::default()).map.lifts[0].stops.clone();
     assert_eq!(stops(&named), ["L1 vertex 7", "meeting", "L2 vertex 7"]);
     assert_eq!(stops(&OFFICE.replace("L2: [front]", "L2: []")), ["L1 vertex 7"]);
     let error = problems(&OFFICE.replace("L2: [front]", "L2: []"));
@@ -130,15 +130,17 @@ fn a_vertex_may_name_its_lift_and_a_level_without_doors_is_not_served() {
 
 #[test]
 fn graphs_are_apart() {
-    let other = drawn(OFFICE, &Options { graph: Some(1), scale_m: None });
+    let other = drawn(OFFICE, &ImportOptions { graph: Some(1), scale_m: None });
     assert_eq!(other.map.places.iter().map(|place| place.name.as_str()).collect::<Vec<_>>(), ["crane_a", "crane_b"]);
-    let error = open(OFFICE, "o.building.yaml", &Options { graph: Some(7), scale_m: None }).unwrap_err().to_string();
+    let error = parse_drawing(OFFICE, "o.building.yaml", &ImportOptions { graph: Some(7), scale_m: None })
+        .unwrap_err()
+        .to_string();
     assert_eq!(error, "map o.building.yaml: building: no lane is of graph 7; there are lanes of 0, 1");
 }
 
 #[test]
 fn robots_stand_where_they_are_spawned() {
-    let drawing = drawn(OFFICE, &Options::default());
+    let drawing = drawn(OFFICE, &ImportOptions::default());
     let [robot] = drawing.robots.as_slice() else { panic!("{:?}", drawing.robots) };
     assert_eq!((robot.body.name.as_str(), robot.body.place.as_deref()), ("tiny1", Some("base")));
     assert_eq!((robot.body.x_m, robot.body.y_m), (7.5, -22.5));
@@ -276,21 +278,21 @@ fn places_cut_off_and_lanes_without_length_are_said() {
 #[test]
 fn a_level_without_lanes_that_cannot_be_laid_over_is_left_out() {
     let text = OFFICE.replace("lifts:\n", "  roof:\n    elevation: 9\n    vertices: [[0, 0, 0, x]]\nlifts:\n");
-    let drawing = drawn(&text, &Options::default());
+    let drawing = drawn(&text, &ImportOptions::default());
     assert_eq!(drawing.map.levels.len(), 2);
     assert!(drawing.notes.iter().any(|note| note.starts_with("level \"roof\" is left out")), "{:?}", drawing.notes);
 }
 
 #[test]
 fn a_file_of_another_form_is_refused_with_line_and_column() {
-    let error = open("levels: {L1: {vertices: 3}}", "x.building.yaml", &Options::default()).unwrap_err();
+    let error = parse_drawing("levels: {L1: {vertices: 3}}", "x.building.yaml", &ImportOptions::default()).unwrap_err();
     let MapError::Syntax { message, .. } = error else { panic!("{error:?}") };
     assert!(message.contains("line 1") && message.contains("sequence"), "{message}");
 }
 
 #[test]
 fn what_was_read_survives_our_own_form() {
-    let yaml = serde_saphyr::to_string(&drawn(OFFICE, &Options::default()).map).unwrap();
+    let yaml = serde_saphyr::to_string(&drawn(OFFICE, &ImportOptions::default()).map).unwrap();
     assert_eq!(read(&yaml, "office.yaml").unwrap(), office());
 }
 

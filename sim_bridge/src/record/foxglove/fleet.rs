@@ -5,7 +5,7 @@
 //! scene is always told whole.
 
 use super::message::{Log, Pose, Vector3, elevation_m};
-use super::{McapFile, Stamp, Time, scene, schema, stand};
+use super::{McapFile, MessageStamp, Time, scene, schema, write_poses};
 use crate::map::Map;
 use crate::record::RecordError;
 use consort_protocol::ids::{PlaceId, RobotId};
@@ -16,7 +16,7 @@ const RADIUS_M: f64 = 0.3;
 
 /// Where a robot is.
 #[derive(Debug, Clone, PartialEq)]
-pub struct RobotAt {
+pub struct RobotPose {
     /// Which.
     pub robot: RobotId,
     /// The place that it stands at or passed last: it tells the level.
@@ -27,13 +27,13 @@ pub struct RobotAt {
 
 /// Something that happened, in words.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Said {
+pub struct LogMessage {
     /// Who or what it is about.
     pub name: String,
     /// What.
     pub message: String,
     /// Whether somebody should look at it.
-    pub alarm: bool,
+    pub is_warning: bool,
 }
 
 /// What was drawn of a fleet so far.
@@ -51,7 +51,7 @@ impl FleetScene {
     /// # Errors
     /// [`RecordError`] if the file cannot be written to; so with all others.
     pub fn set_map(&mut self, file: &mut McapFile, map: Map, at: Time) -> Result<(), RecordError> {
-        file.write("/map", &schema::SCENE_UPDATE, Stamp::at(at), &scene::map(&map, at))?;
+        file.write("/map", &schema::SCENE_UPDATE, MessageStamp::at(at), &scene::map(&map, at))?;
         self.map = Some(map);
         (self.people, self.doors) = (BTreeMap::new(), BTreeMap::new());
         self.draw_doors(file, at)
@@ -64,11 +64,11 @@ impl FleetScene {
     pub fn set_robots(
         &mut self,
         file: &mut McapFile,
-        robots: impl IntoIterator<Item = RobotAt>,
+        robots: impl IntoIterator<Item = RobotPose>,
         at: Time,
     ) -> Result<(), RecordError> {
         let (before, mut moved) = (self.robots.len(), vec![]);
-        for RobotAt { robot, place, pose } in robots {
+        for RobotPose { robot, place, pose } in robots {
             let level = self.map.as_ref().zip(place).and_then(|(map, place)| Some((map, map.level_of(&place)?)));
             let z = level.map_or(0.0, |(map, level)| elevation_m(map, level));
             let pose = Pose::facing(Vector3::new(pose.x, pose.y, z), pose.yaw);
@@ -82,7 +82,7 @@ impl FleetScene {
         }
         match moved.is_empty() {
             true => Ok(()),
-            false => stand(file, moved.iter().map(|(robot, pose)| (robot, *pose)), at),
+            false => write_poses(file, moved.iter().map(|(robot, pose)| (robot, *pose)), at),
         }
     }
 
@@ -90,7 +90,7 @@ impl FleetScene {
     ///
     /// # Errors
     /// As [`set_map`](Self::set_map).
-    pub fn keep_robots(
+    pub fn retain_robots(
         &mut self,
         file: &mut McapFile,
         present: &BTreeSet<RobotId>,
@@ -106,8 +106,8 @@ impl FleetScene {
 
     fn draw_robots(&self, file: &mut McapFile, gone: &[&str], at: Time) -> Result<(), RecordError> {
         let mut scene = scene::robots(self.robots.keys().map(|robot| (robot.clone(), RADIUS_M)), at);
-        scene.deletions = scene::gone(gone, at).deletions;
-        file.write("/robots", &schema::SCENE_UPDATE, Stamp::at(at), &scene)
+        scene.deletions = scene::deletions(gone, at).deletions;
+        file.write("/robots", &schema::SCENE_UPDATE, MessageStamp::at(at), &scene)
     }
 
     /// Draws people at their places: those who are there, all of them.
@@ -125,8 +125,8 @@ impl FleetScene {
         let gone: Vec<&str> =
             before.keys().filter(|name| !self.people.contains_key(*name)).map(String::as_str).collect();
         let mut scene = scene::people(map, self.people.clone().into_iter(), at);
-        scene.deletions = scene::gone(&gone, at).deletions;
-        file.write("/people", &schema::SCENE_UPDATE, Stamp::at(at), &scene)
+        scene.deletions = scene::deletions(&gone, at).deletions;
+        file.write("/people", &schema::SCENE_UPDATE, MessageStamp::at(at), &scene)
     }
 
     /// Draws doors as they stand: by name, whether it is open.
@@ -149,17 +149,17 @@ impl FleetScene {
     fn draw_doors(&self, file: &mut McapFile, at: Time) -> Result<(), RecordError> {
         let Some(map) = self.map.as_ref().filter(|map| !map.doors().is_empty()) else { return Ok(()) };
         let scene = scene::doors(map, |door| self.doors.get(door) == Some(&true), at);
-        file.write("/doors", &schema::SCENE_UPDATE, Stamp::at(at), &scene)
+        file.write("/doors", &schema::SCENE_UPDATE, MessageStamp::at(at), &scene)
     }
 
     /// Writes what happened into the log.
     ///
     /// # Errors
     /// As [`set_map`](Self::set_map).
-    pub fn log(&self, file: &mut McapFile, said: Said, stamp: Stamp) -> Result<(), RecordError> {
-        let level = if said.alarm { super::words::WARNING } else { super::words::INFO };
-        let Said { name, message, .. } = said;
-        let log = Log { timestamp: stamp.said, level, message, name, file: String::new(), line: 0 };
+    pub fn log(&self, file: &mut McapFile, said: LogMessage, stamp: MessageStamp) -> Result<(), RecordError> {
+        let level = if said.is_warning { super::event_text::WARNING } else { super::event_text::INFO };
+        let LogMessage { name, message, .. } = said;
+        let log = Log { timestamp: stamp.publish_time, level, message, name, file: String::new(), line: 0 };
         file.write("/log", &schema::LOG, stamp, &log)
     }
 }

@@ -1,7 +1,7 @@
 //! Messages, as Foxglove knows them. Lengths in metres, angles as quaternions, colours from 0 to 1.
 
 use crate::map::{LevelIndex, Map};
-use crate::world::Stance;
+use crate::world::MotionState;
 use serde::Serialize;
 
 /// A point in time, or a time span. Of a world's, it counts from the world's beginning; of a fleet's, from 1970.
@@ -13,12 +13,12 @@ pub struct Time {
 
 impl Time {
     /// So many seconds.
-    pub fn of(seconds: f64) -> Time {
+    pub fn from_seconds(seconds: f64) -> Time {
         Time::of_ns((seconds.max(0.0) * 1e9).round() as u64)
     }
 
     /// So many milliseconds.
-    pub fn of_ms(ms: u64) -> Time {
+    pub fn from_millis(ms: u64) -> Time {
         Time { sec: ms / 1000, nsec: (ms % 1000) as u32 * 1_000_000 }
     }
 
@@ -76,7 +76,7 @@ impl Pose {
     }
 
     /// Where a robot is: its level's elevation is its height above the lowest.
-    pub(super) fn of(map: &Map, stance: &Stance) -> Pose {
+    pub(super) fn of(map: &Map, stance: &MotionState) -> Pose {
         let z = elevation_m(map, stance.level) + stance.height_m;
         Pose::facing(Vector3::new(stance.pose.x, stance.pose.y, z), stance.pose.yaw)
     }

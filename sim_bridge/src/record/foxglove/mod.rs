@@ -12,23 +12,23 @@
 //!
 //! [`McapFile`] is the file; [`FleetScene`] draws a fleet of which somebody hears instead of a world, on the same topics.
 
-mod file;
+mod event_text;
 mod fleet;
+mod mcap_file;
 mod message;
 mod scene;
 mod schema;
-mod words;
 
-pub use file::{CHUNK_BYTES, Existing, McapFile, Stamp};
-pub use fleet::{FleetScene, RobotAt, Said};
+pub use fleet::{FleetScene, LogMessage, RobotPose};
+pub use mcap_file::{CHUNK_BYTES, ExistingFile, McapFile, MessageStamp};
 pub use message::Time;
 pub use schema::Schema;
 
-use super::{Moment, RecordError, Tape};
-use crate::world::{Happening, JournalEntry, PersonReport, Stance, World};
+use super::{RecordError, RecordingSink, WorldChanges};
+use crate::world::{LoggedEvent, MotionState, PersonReport, World, WorldEvent};
 use consort_protocol::count::count;
 use consort_protocol::ids::{PlaceId, RobotId};
-use consort_skills::actions::BodyHost;
+use consort_skills::actions::RobotBackend;
 use message::{FrameTransform, FrameTransforms, Log, PoseInFrame, RobotState};
 use serde::Serialize;
 use std::collections::BTreeMap;
@@ -51,15 +51,15 @@ pub fn frame_of(robot: &RobotId) -> String {
 }
 
 /// See the [module](self).
-pub(super) struct Foxglove {
+pub(super) struct FoxgloveSink {
     file: McapFile,
     /// When the state of each robot was last written.
     stated_s: BTreeMap<RobotId, f64>,
 }
 
-impl Foxglove {
-    pub(super) fn create(file: &Path) -> Result<Foxglove, RecordError> {
-        Ok(Foxglove { file: McapFile::create(file, Existing::Replace)?, stated_s: BTreeMap::new() })
+impl FoxgloveSink {
+    pub(super) fn create(file: &Path) -> Result<FoxgloveSink, RecordError> {
+        Ok(FoxgloveSink { file: McapFile::create(file, ExistingFile::Replace)?, stated_s: BTreeMap::new() })
     }
 
     fn write(
@@ -69,22 +69,22 @@ impl Foxglove {
         at_s: f64,
         message: &impl Serialize,
     ) -> Result<(), RecordError> {
-        self.file.write(topic, schema, Stamp::at(Time::of(at_s)), message)
+        self.file.write(topic, schema, MessageStamp::at(Time::from_seconds(at_s)), message)
     }
 
-    fn stand(&mut self, world: &World, now_s: f64, stances: &[Stance]) -> Result<(), RecordError> {
+    fn stand(&mut self, world: &World, now_s: f64, stances: &[MotionState]) -> Result<(), RecordError> {
         if stances.is_empty() {
             return Ok(());
         }
         let poses = stances.iter().map(|stance| (&stance.robot, message::Pose::of(world.map(), stance)));
-        stand(&mut self.file, poses, Time::of(now_s))
+        write_poses(&mut self.file, poses, Time::from_seconds(now_s))
     }
 
     fn state(&mut self, world: &World, now_s: f64, robot: &RobotId) -> Result<(), RecordError> {
-        let (Some(telemetry), Some(body)) = (world.telemetry(robot), world.body(robot)) else { return Ok(()) };
+        let (Some(telemetry), Some(body)) = (world.telemetry(robot), world.robot_report(robot)) else { return Ok(()) };
         let carries = body.in_drawer.iter().chain(&body.in_arm).map(ToString::to_string).collect();
         let state = RobotState {
-            timestamp: Time::of(now_s),
+            timestamp: Time::from_seconds(now_s),
             place: telemetry.place.to_string(),
             battery: telemetry.battery.get(),
             able: telemetry.able,
@@ -96,15 +96,17 @@ impl Foxglove {
     }
 
     /// Writes the scenes that change with what has happened.
-    fn redraw(&mut self, world: &World, JournalEntry { time, what }: &JournalEntry) -> Result<(), RecordError> {
+    fn redraw(&mut self, world: &World, LoggedEvent { time, event }: &LoggedEvent) -> Result<(), RecordError> {
         let (map, at_s) = (world.map(), time.as_secs());
-        let at = Time::of(at_s);
-        let (topic, scene) = match what {
-            Happening::Door { door, open } => ("/doors", scene::door(map, door, *open, at)),
-            Happening::WayClosed { obstacle, between } => ("/obstacles", scene::obstacle(map, obstacle, between, at)),
-            Happening::WayOpened { obstacle, .. } => ("/obstacles", scene::gone(&[obstacle], at)),
-            Happening::WalkedAway { person } => ("/people", scene::gone(&[person.as_str()], at)),
-            Happening::CameBack { person } => {
+        let at = Time::from_seconds(at_s);
+        let (topic, scene) = match event {
+            WorldEvent::DoorMoved { door, open } => ("/doors", scene::door(map, door, *open, at)),
+            WorldEvent::LaneBlocked { obstacle, between } => {
+                ("/obstacles", scene::obstacle(map, obstacle, between, at))
+            }
+            WorldEvent::LaneCleared { obstacle, .. } => ("/obstacles", scene::deletions(&[obstacle], at)),
+            WorldEvent::PersonLeft { person } => ("/people", scene::deletions(&[person.as_str()], at)),
+            WorldEvent::PersonReturned { person } => {
                 let people = world.people().into_iter().filter(|other| other.name == *person);
                 ("/people", scene::people(map, people.map(where_is), at))
             }
@@ -114,14 +116,15 @@ impl Foxglove {
     }
 }
 
-impl Tape for Foxglove {
+impl RecordingSink for FoxgloveSink {
     fn begin(&mut self, world: &World) -> Result<(), RecordError> {
         let (map, now_s) = (world.map(), world.now().as_secs());
         let said = [("map", map.name()), ("clock", "world time: from 0 when the world begins")];
-        self.file.describe("consort.world", said.map(|(key, value)| (key.to_owned(), value.to_owned())).into())?;
+        self.file
+            .write_metadata("consort.world", said.map(|(key, value)| (key.to_owned(), value.to_owned())).into())?;
         let robots: Vec<RobotId> = world.robots();
-        let bodies = robots.iter().filter_map(|robot| world.setup_of(robot)).map(|body| (body.id, body.radius_m));
-        let (people, at) = (world.people().into_iter().filter(|person| !person.away), Time::of(now_s));
+        let bodies = robots.iter().filter_map(|robot| world.robot_setup(robot)).map(|body| (body.id, body.radius_m));
+        let (people, at) = (world.people().into_iter().filter(|person| !person.away), Time::from_seconds(now_s));
         let scenes = [
             ("/map", scene::map(map, at)),
             ("/doors", scene::doors(map, |_| false, at)),
@@ -131,16 +134,16 @@ impl Tape for Foxglove {
         for (topic, scene) in scenes.iter().filter(|(_, scene)| !scene.is_empty()) {
             self.write(topic, &schema::SCENE_UPDATE, now_s, scene)?;
         }
-        let stances: Vec<Stance> = world.stances().collect();
+        let stances: Vec<MotionState> = world.motion_states().collect();
         self.stand(world, now_s, &stances)?;
         robots.iter().try_for_each(|robot| self.state(world, now_s, robot))
     }
 
-    fn take(&mut self, world: &World, moment: &Moment<'_>) -> Result<(), RecordError> {
+    fn write_changes(&mut self, world: &World, moment: &WorldChanges<'_>) -> Result<(), RecordError> {
         let now_s = moment.now_s;
-        for entry in moment.news {
-            let (level, name, message) = words::of(&entry.what);
-            let timestamp = Time::of(entry.time.as_secs());
+        for entry in moment.events {
+            let (level, name, message) = event_text::log_line(&entry.event);
+            let timestamp = Time::from_seconds(entry.time.as_secs());
             let log = Log { timestamp, level, message, name, file: String::new(), line: 0 };
             self.write("/log", &schema::LOG, entry.time.as_secs(), &log)?;
             self.redraw(world, entry)?;
@@ -149,15 +152,15 @@ impl Tape for Foxglove {
         for robot in world.robots() {
             let due = self.stated_s.get(&robot).is_none_or(|stated_s| now_s >= stated_s + STATE_EVERY_S - 1e-6);
             let moved = moment.moved.iter().any(|stance| stance.robot == robot);
-            if due && moved || moment.news.iter().any(|entry| words::is_about(&entry.what, &robot)) {
+            if due && moved || moment.events.iter().any(|entry| event_text::changes_state_of(&entry.event, &robot)) {
                 self.state(world, now_s, &robot)?;
             }
         }
         Ok(())
     }
 
-    fn time_passed(&mut self, now_s: f64) -> Result<(), RecordError> {
-        self.file.flush_older(Time::of(now_s), Duration::from_secs_f64(CHUNK_S))
+    fn on_time_advanced(&mut self, now_s: f64) -> Result<(), RecordError> {
+        self.file.flush_if_older(Time::from_seconds(now_s), Duration::from_secs_f64(CHUNK_S))
     }
 
     fn end(&mut self, world: &World) -> Result<String, RecordError> {
@@ -173,7 +176,7 @@ fn where_is(person: PersonReport) -> (String, PlaceId) {
 }
 
 /// Writes where robots are: each as a pose, and all as frames.
-fn stand<'a>(
+fn write_poses<'a>(
     file: &mut McapFile,
     poses: impl Iterator<Item = (&'a RobotId, message::Pose)>,
     at: Time,
@@ -181,7 +184,7 @@ fn stand<'a>(
     let mut transforms = vec![];
     for (robot, pose) in poses {
         let in_frame = PoseInFrame { timestamp: at, frame_id: WORLD_FRAME.to_owned(), pose };
-        file.write(&format!("/robots/{robot}/pose"), &schema::POSE_IN_FRAME, Stamp::at(at), &in_frame)?;
+        file.write(&format!("/robots/{robot}/pose"), &schema::POSE_IN_FRAME, MessageStamp::at(at), &in_frame)?;
         transforms.push(FrameTransform {
             timestamp: at,
             parent_frame_id: WORLD_FRAME.to_owned(),
@@ -190,5 +193,5 @@ fn stand<'a>(
             rotation: pose.orientation,
         });
     }
-    file.write("/tf", &schema::FRAME_TRANSFORMS, Stamp::at(at), &FrameTransforms { transforms })
+    file.write("/tf", &schema::FRAME_TRANSFORMS, MessageStamp::at(at), &FrameTransforms { transforms })
 }

@@ -5,7 +5,7 @@ use super::message::{
     elevation_m,
 };
 use super::{WORLD_FRAME, frame_of};
-use crate::map::show::colours::{self, DOOR, INK, LANE, LIFT, WALL};
+use crate::map::render::colours::{self, DOOR, INK, LANE, LIFT, WALL};
 use crate::map::{Door, LevelIndex, Map, PlaceKind};
 use consort_protocol::ids::{PlaceId, RobotId};
 
@@ -50,7 +50,7 @@ fn places(map: &Map, level: LevelIndex, at: Time) -> SceneEntity {
     for place in map.places().iter().filter(|place| place.level == level) {
         let (x, y) = (place.pose.x, place.pose.y);
         let wide = if place.kind == PlaceKind::Corridor { 0.2 } else { 0.4 };
-        places.cylinders.push(cylinder(Vector3::new(x, y, z), wide, 0.02, colours::of_place(place.kind), 1.0));
+        places.cylinders.push(cylinder(Vector3::new(x, y, z), wide, 0.02, colours::place_kind_colour(place.kind), 1.0));
         if place.kind != PlaceKind::Corridor {
             places.texts.push(text(Vector3::new(x, y, z + 0.1), place.id.as_str(), INK));
         }
@@ -93,7 +93,7 @@ fn leaf(map: &Map, door: &Door, open: bool, at: Time) -> SceneEntity {
     let level = door.lanes.first().and_then(|(from, _)| map.level_of(from)).unwrap_or_default();
     let z = elevation_m(map, level) + 0.05;
     let colour = if open { OPEN } else { DOOR };
-    let posts = map.posts(door).into_iter().flat_map(|(a, b)| [a, b]).map(|(x, y)| Vector3::new(x, y, z));
+    let posts = map.door_posts(door).into_iter().flat_map(|(a, b)| [a, b]).map(|(x, y)| Vector3::new(x, y, z));
     drawn.lines = vec![line(2, DOOR_M, posts, colour)];
     drawn
 }
@@ -121,8 +121,8 @@ pub(super) fn people(map: &Map, people: impl Iterator<Item = (String, PlaceId)>,
         let (wide, high) = PERSON_M;
         let foot = Vector3::new(place.pose.x, place.pose.y, elevation_m(map, place.level));
         let mut drawn = entity(&name, at);
-        drawn.cylinders.push(cylinder(foot, wide, high, colours::THING, 0.6));
-        drawn.texts.push(text(Vector3 { z: foot.z + high + 0.2, ..foot }, &name, colours::THING));
+        drawn.cylinders.push(cylinder(foot, wide, high, colours::ITEM, 0.6));
+        drawn.texts.push(text(Vector3 { z: foot.z + high + 0.2, ..foot }, &name, colours::ITEM));
         Some(drawn)
     });
     SceneUpdate { entities: drawn.collect(), ..SceneUpdate::default() }
@@ -131,7 +131,7 @@ pub(super) fn people(map: &Map, people: impl Iterator<Item = (String, PlaceId)>,
 /// Robots with their radius in metres, each in its own frame: it goes where that goes.
 pub(super) fn robots(bodies: impl Iterator<Item = (RobotId, f64)>, at: Time) -> SceneUpdate {
     let drawn = bodies.enumerate().map(|(place, (id, radius_m))| {
-        let (wide, colour) = (2.0 * radius_m, colours::of_robot(place));
+        let (wide, colour) = (2.0 * radius_m, colours::robot_colour(place));
         let mut drawn = SceneEntity { frame_id: frame_of(&id), frame_locked: true, ..entity(id.as_str(), at) };
         drawn.cylinders.push(cylinder(Vector3::default(), wide, ROBOT_HIGH_M, colour, 0.8));
         drawn.arrows.push(Arrow {
@@ -149,7 +149,7 @@ pub(super) fn robots(bodies: impl Iterator<Item = (RobotId, f64)>, at: Time) -> 
 }
 
 /// Things are there no longer.
-pub(super) fn gone(ids: &[&str], at: Time) -> SceneUpdate {
+pub(super) fn deletions(ids: &[&str], at: Time) -> SceneUpdate {
     // Only what is older is taken away: a nanosecond later it all is.
     let timestamp = at.next();
     let deletion = |id: &&str| SceneEntityDeletion { timestamp, kind: 0, id: (*id).to_owned() };

@@ -1,17 +1,17 @@
 //! Arms that take things out of drawers and off tables, as far as they reach and as much as they lift, and put them down.
 
-use crate::world::components::{Beside, Body, Departures, DrawerOpen, Label, Who};
-use crate::world::floor::Floor;
-use crate::world::reach::refused;
-use crate::world::samples::{Custody, Handovers, Holder, Load};
-use crate::world::system::{Kind, System, kinds};
-use crate::world::whereabouts::Whereabouts;
+use crate::world::components::{CoPresence, DepartureCount, DrawerOpen, PersonInfo, SampleLabel, SimRobot};
+use crate::world::location::RobotLocation;
+use crate::world::preconditions::action_error;
+use crate::world::samples::{Custody, HandoverCount, HolderEntity, PayloadData};
+use crate::world::sim_state::SimState;
+use crate::world::system::{ComponentType, System, kinds};
 use consort_protocol::ids::RobotId;
 use consort_skills::actions::{ActionError, ErrorCode, Goal};
 use hecs::Entity;
 
 /// What changes hands: each thing, and to whom, in this order.
-type Moves = Vec<(Entity, Holder)>;
+type Moves = Vec<(Entity, HolderEntity)>;
 
 /// See the [module](self).
 pub(crate) struct Arm;
@@ -21,15 +21,15 @@ impl System for Arm {
         "arm"
     }
 
-    fn reads(&self) -> Vec<Kind> {
-        kinds![Beside, Body, Departures, DrawerOpen, Label, Whereabouts, Who]
+    fn reads(&self) -> Vec<ComponentType> {
+        kinds![CoPresence, SimRobot, DepartureCount, DrawerOpen, SampleLabel, RobotLocation, PersonInfo]
     }
 
-    fn writes(&self) -> Vec<Kind> {
-        kinds![Custody, Handovers, Load]
+    fn writes(&self) -> Vec<ComponentType> {
+        kinds![Custody, HandoverCount, PayloadData]
     }
 
-    fn begin(&self, floor: &mut Floor, robot: Entity, goal: &Goal) -> Option<Result<f64, ActionError>> {
+    fn begin_goal(&self, floor: &mut SimState, robot: Entity, goal: &Goal) -> Option<Result<f64, ActionError>> {
         let takes = match goal {
             Goal::PickUp { .. } | Goal::Grasp { .. } => floor.durations.pick_up_s,
             Goal::Deposit { .. } => floor.durations.deposit_s,
@@ -38,16 +38,16 @@ impl System for Arm {
         Some(floor.moves(robot, goal).map(|_| floor.now + takes))
     }
 
-    fn finish(&self, floor: &mut Floor, robot: Entity, goal: &Goal) -> Result<(), ActionError> {
+    fn finish_goal(&self, floor: &mut SimState, robot: Entity, goal: &Goal) -> Result<(), ActionError> {
         for (thing, to) in floor.moves(robot, goal)? {
-            floor.get_mut::<Load>(thing).distance_m = 0.0;
-            floor.hand_over(thing, to);
+            floor.get_mut::<PayloadData>(thing).distance_m = 0.0;
+            floor.transfer_sample(thing, to);
         }
         Ok(())
     }
 }
 
-impl Floor {
+impl SimState {
     /// What would change hands if the goal ended now.
     fn moves(&self, robot: Entity, goal: &Goal) -> Result<Moves, ActionError> {
         match goal {
@@ -59,70 +59,73 @@ impl Floor {
     }
 
     fn pick_up(&self, robot: Entity, from: &RobotId) -> Result<Moves, ActionError> {
-        let from = self.other_robot(robot, from)?;
+        let from = self.require_other_robot(robot, from)?;
         let held = self.in_arm(robot)?;
-        if let Some(held) = held.filter(|_| self.get::<Body>(robot).0.mobile) {
-            let message = format!("{} already holds {}", self.name(robot), self.label(held));
-            return Err(refused(ErrorCode::Busy, message));
+        if let Some(held) = held.filter(|_| self.get::<SimRobot>(robot).0.mobile) {
+            let message = format!("{} already holds {}", self.robot_id(robot), self.label(held));
+            return Err(action_error(ErrorCode::Busy, message));
         }
-        self.open_drawer_in_reach(robot, from)?;
-        let to = Holder::Arm(robot);
-        if let Some(sample) = self.held(Holder::Drawer(from)).first() {
+        self.check_drawer_accessible(robot, from)?;
+        let to = HolderEntity::Arm(robot);
+        if let Some(sample) = self.held(HolderEntity::Drawer(from)).first() {
             self.within_strength(robot, *sample)?;
         }
-        match (self.held(Holder::Drawer(from)).first().copied(), held) {
+        match (self.held(HolderEntity::Drawer(from)).first().copied(), held) {
             (Some(sample), None) => Ok(vec![(sample, to)]),
             (Some(sample), Some(held)) => {
                 // A fixed arm lays what it holds on the table beside it, then takes the next.
-                let table = Holder::Table(self.standing_place(robot)?);
+                let table = HolderEntity::Table(self.require_place(robot)?);
                 Ok(vec![(held, table), (sample, to)])
             }
-            (None, _) => Err(refused(ErrorCode::DrawerState, format!("the drawer of {} is empty", self.name(from)))),
+            (None, _) => {
+                Err(action_error(ErrorCode::DrawerState, format!("the drawer of {} is empty", self.robot_id(from))))
+            }
         }
     }
 
     fn grasp(&self, robot: Entity, object: &str) -> Result<Moves, ActionError> {
-        let place = self.standing_place(robot)?;
+        let place = self.require_place(robot)?;
         if let Some(held) = self.in_arm(robot)? {
-            let message = format!("{} already holds {}", self.name(robot), self.label(held));
-            return Err(refused(ErrorCode::Busy, message));
+            let message = format!("{} already holds {}", self.robot_id(robot), self.label(held));
+            return Err(action_error(ErrorCode::Busy, message));
         }
-        let there = self.held(Holder::Table(place));
+        let there = self.held(HolderEntity::Table(place));
         let Some(thing) = there.iter().copied().find(|thing| self.label(*thing) == object) else {
             let labels: Vec<String> = there.iter().map(|thing| self.label(*thing)).collect();
             let lies = if labels.is_empty() { "nothing".to_owned() } else { labels.join(", ") };
-            let message = format!("no {object:?} lies at {}; there lies: {lies}", self.map.at(place).id);
-            return Err(refused(ErrorCode::OutOfReach, message));
+            let message = format!("no {object:?} lies at {}; there lies: {lies}", self.map.place_at(place).id);
+            return Err(action_error(ErrorCode::OutOfReach, message));
         };
-        let (distance_m, reach_m) = (self.get::<Load>(thing).distance_m, self.get::<Body>(robot).0.reach_m);
+        let (distance_m, reach_m) = (self.get::<PayloadData>(thing).distance_m, self.get::<SimRobot>(robot).0.reach_m);
         if distance_m > reach_m {
-            let message = format!("{object} is {distance_m} m away, {} reaches {reach_m} m", self.name(robot));
-            return Err(refused(ErrorCode::OutOfReach, message));
+            let message = format!("{object} is {distance_m} m away, {} reaches {reach_m} m", self.robot_id(robot));
+            return Err(action_error(ErrorCode::OutOfReach, message));
         }
         self.within_strength(robot, thing)?;
-        Ok(vec![(thing, Holder::Arm(robot))])
+        Ok(vec![(thing, HolderEntity::Arm(robot))])
     }
 
     fn within_strength(&self, robot: Entity, thing: Entity) -> Result<(), ActionError> {
-        let (weight_kg, most) = (self.get::<Load>(thing).weight_kg, self.get::<Body>(robot).0.payload_max_kg);
+        let (weight_kg, most) =
+            (self.get::<PayloadData>(thing).weight_kg, self.get::<SimRobot>(robot).0.payload_max_kg);
         if weight_kg <= most {
             return Ok(());
         }
-        let message = format!("{} weighs {weight_kg} kg, {} lifts {most} kg", self.label(thing), self.name(robot));
-        Err(refused(ErrorCode::TooHeavy, message))
+        let message = format!("{} weighs {weight_kg} kg, {} lifts {most} kg", self.label(thing), self.robot_id(robot));
+        Err(action_error(ErrorCode::TooHeavy, message))
     }
 
     fn deposit(&self, robot: Entity, into: Option<&RobotId>) -> Result<Moves, ActionError> {
         let Some(sample) = self.in_arm(robot)? else {
-            return Err(refused(ErrorCode::DrawerState, format!("{} holds nothing", self.name(robot))));
+            return Err(action_error(ErrorCode::DrawerState, format!("{} holds nothing", self.robot_id(robot))));
         };
         let to = match into {
-            None => Holder::Table(self.standing_place(robot)?),
+            None => HolderEntity::Table(self.require_place(robot)?),
             Some(into) => {
-                let into = self.other_robot(robot, into)?;
-                self.open_drawer_in_reach(robot, into)?;
-                self.room_in_drawer(into)?;
-                Holder::Drawer(into)
+                let into = self.require_other_robot(robot, into)?;
+                self.check_drawer_accessible(robot, into)?;
+                self.check_drawer_space(into)?;
+                HolderEntity::Drawer(into)
             }
         };
         Ok(vec![(sample, to)])
@@ -130,9 +133,9 @@ impl Floor {
 
     /// What a robot's arm holds, if anything; an error for a robot without an arm.
     fn in_arm(&self, robot: Entity) -> Result<Option<Entity>, ActionError> {
-        if !self.get::<Body>(robot).0.has_arm {
-            return Err(refused(ErrorCode::OutOfReach, format!("{} has no arm", self.name(robot))));
+        if !self.get::<SimRobot>(robot).0.has_arm {
+            return Err(action_error(ErrorCode::OutOfReach, format!("{} has no arm", self.robot_id(robot))));
         }
-        Ok(self.held(Holder::Arm(robot)).first().copied())
+        Ok(self.held(HolderEntity::Arm(robot)).first().copied())
     }
 }

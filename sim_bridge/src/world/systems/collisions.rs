@@ -4,15 +4,15 @@
 //! goal is broken off; it may go on from there, and what it still touches then is no new collision. Robots that drive
 //! in straight lines computed ahead pass through everything, and are only run into.
 
-use super::steering::{Footprint, Steered, Surroundings};
-use crate::space::Walls;
-use crate::world::components::Body;
-use crate::world::floor::Floor;
-use crate::world::journal::Happening;
-use crate::world::reach::refused;
+use super::steering::{BodyIndex, Footprint, Steered};
+use crate::space::WallGrid;
+use crate::world::components::SimRobot;
+use crate::world::event_log::WorldEvent;
+use crate::world::location::RobotLocation;
+use crate::world::preconditions::action_error;
 use crate::world::setup::WorldSetup;
-use crate::world::system::{Kind, System, kinds};
-use crate::world::whereabouts::Whereabouts;
+use crate::world::sim_state::SimState;
+use crate::world::system::{ComponentType, System, kinds};
 use consort_skills::actions::ErrorCode;
 use hecs::Entity;
 use std::collections::BTreeSet;
@@ -29,31 +29,31 @@ impl System for Collisions {
         "collisions"
     }
 
-    fn reads(&self) -> Vec<Kind> {
-        kinds![Body, Surroundings, Footprint, Whereabouts]
+    fn reads(&self) -> Vec<ComponentType> {
+        kinds![SimRobot, BodyIndex, Footprint, RobotLocation]
     }
 
-    fn writes(&self) -> Vec<Kind> {
+    fn writes(&self) -> Vec<ComponentType> {
         kinds![Steered, Touching]
     }
 
-    fn furnish(&self, floor: &mut Floor, _setup: &WorldSetup) {
-        floor.furnish(Touching::default());
+    fn init_world(&self, floor: &mut SimState, _setup: &WorldSetup) {
+        floor.insert_resource(Touching::default());
     }
 
-    fn step(&self, floor: &mut Floor) -> bool {
-        if !floor.has::<Surroundings>() {
+    fn step(&self, floor: &mut SimState) -> bool {
+        if !floor.has_resource::<BodyIndex>() {
             return false;
         }
-        let touching = floor.own::<Surroundings>().touching(&floor.walls);
-        if touching.is_empty() && floor.own::<Touching>().0.is_empty() {
+        let touching = floor.resource::<BodyIndex>().touching(&floor.walls);
+        if touching.is_empty() && floor.resource::<Touching>().0.is_empty() {
             return false;
         }
-        let mut before = std::mem::take(&mut floor.own_mut::<Touching>().0);
+        let mut before = std::mem::take(&mut floor.resource_mut::<Touching>().0);
         let new: Vec<_> = touching.difference(&before).copied().collect();
         before.retain(|(one, other)| touching.contains(&(*one, *other)) || floor.still_touch(*one, *other));
         before.extend(touching);
-        floor.own_mut::<Touching>().0 = before;
+        floor.resource_mut::<Touching>().0 = before;
         for (one, other) in new {
             floor.collide(one, other);
             if let Some(other) = other {
@@ -64,20 +64,26 @@ impl System for Collisions {
     }
 }
 
-impl Surroundings {
+impl BodyIndex {
     /// What touches now, of which at least one moves in steps.
-    fn touching(&self, walls: &[Walls]) -> BTreeSet<(Entity, Option<Entity>)> {
+    fn touching(&self, walls: &[WallGrid]) -> BTreeSet<(Entity, Option<Entity>)> {
         let mut touching = BTreeSet::new();
-        for (name, (robot, _)) in self.whose.iter().enumerate().filter(|(_, (_, moves))| *moves) {
+        for (name, (robot, _)) in self.owners.iter().enumerate().filter(|(_, (_, moves))| *moves) {
             let disc = self.bodies.disc(name);
-            self.bodies.near(&disc.at, disc.level, disc.radius_m + self.bodies.largest_m(), |other, found| {
-                let touch_m = disc.radius_m + found.radius_m;
-                if other != name && (found.at - disc.at).norm_squared() < touch_m * touch_m {
-                    let other = self.whose[other].0;
-                    touching.insert((*robot.min(&other), Some(*robot.max(&other))));
-                }
-            });
-            if walls[disc.level].nearest(disc.at.xy(), disc.radius_m).is_some_and(|away| away < disc.radius_m) {
+            self.bodies.for_each_near(
+                &disc.at,
+                disc.level,
+                disc.radius_m + self.bodies.max_radius_m(),
+                |other, found| {
+                    let touch_m = disc.radius_m + found.radius_m;
+                    if other != name && (found.at - disc.at).norm_squared() < touch_m * touch_m {
+                        let other = self.owners[other].0;
+                        touching.insert((*robot.min(&other), Some(*robot.max(&other))));
+                    }
+                },
+            );
+            if walls[disc.level].nearest_distance(disc.at.xy(), disc.radius_m).is_some_and(|away| away < disc.radius_m)
+            {
                 touching.insert((*robot, None));
             }
         }
@@ -85,12 +91,12 @@ impl Surroundings {
     }
 }
 
-impl Floor {
+impl SimState {
     /// Whether two that stand touch as they did; for a wall, whether the robot stands.
     fn still_touch(&self, one: Entity, other: Option<Entity>) -> bool {
-        let moves = |robot: Entity| self.find::<Steered>(robot).is_some_and(|steered| steered.mover.is_moving());
+        let moves = |robot: Entity| self.find::<Steered>(robot).is_some_and(|steered| steered.model.is_moving());
         let Some(other) = other else { return !moves(one) };
-        let place = |robot| (self.get::<Whereabouts>(robot).pose(self.now), self.get::<Footprint>(robot).0);
+        let place = |robot| (self.get::<RobotLocation>(robot).pose(self.now), self.get::<Footprint>(robot).0);
         let ((a, a_m), (b, b_m)) = (place(one), place(other));
         !moves(one) && !moves(other) && a.distance(b).get() < a_m + b_m
     }
@@ -98,12 +104,12 @@ impl Floor {
     /// A robot ran into another, or into a wall. One that drives in straight lines notices nothing.
     fn collide(&mut self, robot: Entity, with: Option<Entity>) {
         match self.find_mut::<Steered>(robot) {
-            Some(mut steered) => steered.mover.stop_dead(),
+            Some(mut steered) => steered.model.stop_immediately(),
             None => return,
         }
-        let (name, with) = (self.name(robot), with.map(|other| self.name(other)));
+        let (name, with) = (self.robot_id(robot), with.map(|other| self.robot_id(other)));
         let what = with.as_ref().map_or("a wall".to_owned(), ToString::to_string);
-        self.break_off(robot, refused(ErrorCode::NoRoute, format!("{name} ran into {what}")));
-        self.note_then(Happening::Collided { robot: name, with });
+        self.abort_goal(robot, action_error(ErrorCode::NoRoute, format!("{name} ran into {what}")));
+        self.log_after_commands(WorldEvent::Collided { robot: name, with });
     }
 }

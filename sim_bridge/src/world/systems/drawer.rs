@@ -1,11 +1,11 @@
 //! Drawers that people and arms reach into.
 
-use crate::world::components::{Body, DrawerOpen};
-use crate::world::floor::Floor;
-use crate::world::journal::Happening;
-use crate::world::reach::refused;
-use crate::world::setup::RobotBody;
-use crate::world::system::{Kind, System, kinds};
+use crate::world::components::{DrawerOpen, SimRobot};
+use crate::world::event_log::WorldEvent;
+use crate::world::preconditions::action_error;
+use crate::world::setup::RobotSetup;
+use crate::world::sim_state::SimState;
+use crate::world::system::{ComponentType, System, kinds};
 use consort_skills::actions::{ActionError, ErrorCode, Goal};
 use hecs::Entity;
 
@@ -17,32 +17,32 @@ impl System for Drawer {
         "drawer"
     }
 
-    fn reads(&self) -> Vec<Kind> {
-        kinds![Body]
+    fn reads(&self) -> Vec<ComponentType> {
+        kinds![SimRobot]
     }
 
-    fn writes(&self) -> Vec<Kind> {
+    fn writes(&self) -> Vec<ComponentType> {
         kinds![DrawerOpen]
     }
 
-    fn equip(&self, floor: &mut Floor, robot: Entity, _body: &RobotBody) {
-        floor.give(robot, DrawerOpen(false));
+    fn init_robot(&self, floor: &mut SimState, robot: Entity, _body: &RobotSetup) {
+        floor.insert(robot, DrawerOpen(false));
     }
 
-    fn begin(&self, floor: &mut Floor, robot: Entity, goal: &Goal) -> Option<Result<f64, ActionError>> {
+    fn begin_goal(&self, floor: &mut SimState, robot: Entity, goal: &Goal) -> Option<Result<f64, ActionError>> {
         let Goal::OperateDrawer { .. } = goal else { return None };
-        if !floor.get::<Body>(robot).0.has_drawer {
-            let message = format!("{} has no drawer", floor.name(robot));
-            return Some(Err(refused(ErrorCode::DrawerState, message)));
+        if !floor.get::<SimRobot>(robot).0.has_drawer {
+            let message = format!("{} has no drawer", floor.robot_id(robot));
+            return Some(Err(action_error(ErrorCode::DrawerState, message)));
         }
         Some(Ok(floor.now + floor.durations.operate_drawer_s))
     }
 
-    fn finish(&self, floor: &mut Floor, robot: Entity, goal: &Goal) -> Result<(), ActionError> {
+    fn finish_goal(&self, floor: &mut SimState, robot: Entity, goal: &Goal) -> Result<(), ActionError> {
         let Goal::OperateDrawer { open } = *goal else { return Ok(()) };
         let was_open = std::mem::replace(&mut floor.get_mut::<DrawerOpen>(robot).0, open);
         if was_open != open {
-            floor.note(Happening::Drawer { robot: floor.name(robot), open });
+            floor.log_event(WorldEvent::DrawerMoved { robot: floor.robot_id(robot), open });
         }
         Ok(())
     }

@@ -14,34 +14,34 @@
 //! ```
 
 use crate::map::PlaceIndex;
-use crate::world::components::{Beside, Body, Departures};
-use crate::world::course::{Course, SAME_M, SIGHT_M, Stop};
-use crate::world::floor::Floor;
-use crate::world::journal::Happening;
-use crate::world::queue::Ticket;
-use crate::world::reach::refused;
-use crate::world::setup::RobotBody;
-use crate::world::system::{Kind, LATER, System, Wake, kinds};
-use crate::world::systems::doors::{DoorsByName, Doorway};
+use crate::world::components::{CoPresence, DepartureCount, SimRobot};
+use crate::world::drive_progress::{DoorStop, DriveProgress, LENGTH_EPSILON_M, OBSTACLE_DETECTION_M};
+use crate::world::event_log::WorldEvent;
+use crate::world::event_queue::TimerId;
+use crate::world::location::{MapPosition, RobotLocation};
+use crate::world::preconditions::action_error;
+use crate::world::routing::{DriveTarget, LegPlan};
+use crate::world::setup::RobotSetup;
+use crate::world::sim_state::SimState;
+use crate::world::system::{ComponentType, END_UNKNOWN, System, SystemTimer, kinds};
+use crate::world::systems::doors::{DoorState, DoorsByName};
 use crate::world::systems::lifts::LiftsByName;
-use crate::world::systems::obstacles::{InTheWay, KnownClosed};
-use crate::world::systems::steering::{Footprint, Steered, Surroundings};
-use crate::world::ways::{Errand, Way};
-use crate::world::whereabouts::{Spot, Whereabouts};
+use crate::world::systems::obstacles::{ActiveObstacles, KnownClosures};
+use crate::world::systems::steering::{BodyIndex, Footprint, Steered};
 use consort_protocol::ids::RobotId;
 use consort_protocol::units::{Metres, Seconds};
-use consort_skills::actions::{ActionError, ErrorCode, Feedback, Goal, Progress};
+use consort_skills::actions::{ActionError, ErrorCode, Feedback, Goal, GoalProgress};
 use hecs::Entity;
 use std::collections::VecDeque;
 
 /// How far a robot's drive has come, beside where it is.
 pub(crate) struct Journey {
     /// Where it is to go, while a goal says so.
-    errand: Option<Errand>,
+    errand: Option<DriveTarget>,
     /// Where it is to go then.
-    afterwards: VecDeque<Errand>,
+    afterwards: VecDeque<DriveTarget>,
     stage: Stage,
-    wake: Option<Ticket>,
+    wake: Option<TimerId>,
     /// The doorway that it is in.
     inside: Option<Entity>,
 }
@@ -49,8 +49,8 @@ pub(crate) struct Journey {
 enum Stage {
     /// It goes nowhere.
     Idle,
-    Rolling(Course),
-    AtDoor(Course, Entity),
+    Rolling(DriveProgress),
+    AtDoor(DriveProgress, Entity),
     AtLift(PlaceIndex),
     /// Until the lift lets it out, whatever becomes of the goal.
     InLift,
@@ -64,59 +64,59 @@ impl System for Driving {
         "driving"
     }
 
-    fn reads(&self) -> Vec<Kind> {
-        kinds![Body, Doorway, DoorsByName, InTheWay, LiftsByName, Footprint]
+    fn reads(&self) -> Vec<ComponentType> {
+        kinds![SimRobot, DoorState, DoorsByName, ActiveObstacles, LiftsByName, Footprint]
     }
 
-    fn writes(&self) -> Vec<Kind> {
-        kinds![Whereabouts, Departures, Beside, Journey, KnownClosed, Steered, Surroundings]
+    fn writes(&self) -> Vec<ComponentType> {
+        kinds![RobotLocation, DepartureCount, CoPresence, Journey, KnownClosures, Steered, BodyIndex]
     }
 
-    fn equip(&self, floor: &mut Floor, robot: Entity, _body: &RobotBody) {
-        floor.give(robot, Departures(0));
-        floor.give(
+    fn init_robot(&self, floor: &mut SimState, robot: Entity, _body: &RobotSetup) {
+        floor.insert(robot, DepartureCount(0));
+        floor.insert(
             robot,
             Journey { errand: None, afterwards: VecDeque::new(), stage: Stage::Idle, wake: None, inside: None },
         );
     }
 
-    fn begin(&self, floor: &mut Floor, robot: Entity, goal: &Goal) -> Option<Result<f64, ActionError>> {
-        let mut errands: VecDeque<Errand> = match goal {
-            Goal::NavigateToPose { pose, place } => [Errand { pose: *pose, place: place.clone() }].into(),
-            Goal::FollowWaypoints { waypoints } => waypoints.iter().map(Errand::from).collect(),
+    fn begin_goal(&self, floor: &mut SimState, robot: Entity, goal: &Goal) -> Option<Result<f64, ActionError>> {
+        let mut errands: VecDeque<DriveTarget> = match goal {
+            Goal::NavigateToPose { pose, place } => [DriveTarget { pose: *pose, place: place.clone() }].into(),
+            Goal::FollowWaypoints { waypoints } => waypoints.iter().map(DriveTarget::from).collect(),
             _ => return None,
         };
         let Some(first) = errands.pop_front() else {
-            return Some(Err(refused(ErrorCode::Unknown, "there are no waypoints to follow".to_owned())));
+            return Some(Err(action_error(ErrorCode::Unknown, "there are no waypoints to follow".to_owned())));
         };
-        floor.catch_up(robot);
+        floor.advance_steered(robot);
         Some(floor.set_errand(robot, first).map(|()| {
             floor.get_mut::<Journey>(robot).afterwards = errands;
-            LATER
+            END_UNKNOWN
         }))
     }
 
-    fn finish(&self, floor: &mut Floor, robot: Entity, _goal: &Goal) -> Result<(), ActionError> {
+    fn finish_goal(&self, floor: &mut SimState, robot: Entity, _goal: &Goal) -> Result<(), ActionError> {
         floor.drop_errand(robot);
         Ok(())
     }
 
-    fn halt(&self, floor: &mut Floor, robot: Entity, _goal: &Goal) {
+    fn halt_goal(&self, floor: &mut SimState, robot: Entity, _goal: &Goal) {
         floor.drop_errand(robot);
     }
 
-    fn feedback(&self, floor: &Floor, robot: Entity, goal: &Goal, usual: Feedback) -> Feedback {
+    fn feedback(&self, floor: &SimState, robot: Entity, goal: &Goal, usual: Feedback) -> Feedback {
         let progress = match goal {
             Goal::FollowWaypoints { waypoints } => {
                 let to_come = floor.get::<Journey>(robot).afterwards.len();
-                Progress::Waypoint(u32::try_from(waypoints.len().saturating_sub(to_come + 1)).unwrap_or(u32::MAX))
+                GoalProgress::Waypoint(u32::try_from(waypoints.len().saturating_sub(to_come + 1)).unwrap_or(u32::MAX))
             }
-            _ => Progress::Unsaid,
+            _ => GoalProgress::Unspecified,
         };
         Feedback { progress, ..floor.journey_left(robot).unwrap_or(usual) }
     }
 
-    fn wake(&self, floor: &mut Floor, Wake { about: robot, .. }: Wake) {
+    fn on_timer(&self, floor: &mut SimState, SystemTimer { entity: robot, .. }: SystemTimer) {
         floor.get_mut::<Journey>(robot).wake = None;
         match floor.take_stage(robot) {
             Stage::Rolling(course) => floor.part_ends(robot, course),
@@ -127,38 +127,38 @@ impl System for Driving {
         }
     }
 
-    fn observe(&self, floor: &mut Floor, what: &Happening) {
+    fn on_event(&self, floor: &mut SimState, what: &WorldEvent) {
         let known = |robot: &RobotId| floor.robots.get(robot).copied();
         match what {
-            Happening::DoorEntered { robot, .. } => {
+            WorldEvent::DoorEntered { robot, .. } => {
                 if let Some(robot) = known(robot) {
                     floor.enter_doorway(robot);
                 }
             }
-            Happening::LiftEntered { robot, .. } => {
+            WorldEvent::LiftEntered { robot, .. } => {
                 if let Some(robot) = known(robot) {
                     floor.enter_lift(robot);
                 }
             }
-            Happening::LiftLeft { robot, at, .. } => {
+            WorldEvent::LiftLeft { robot, at, .. } => {
                 if let Some((robot, at)) = known(robot).zip(floor.map.index(at)) {
                     floor.leave_lift(robot, at);
                 }
             }
-            Happening::WayClosed { .. } | Happening::WayOpened { .. } => floor.look_ahead_again(),
+            WorldEvent::LaneBlocked { .. } | WorldEvent::LaneCleared { .. } => floor.look_ahead_again(),
             _ => {}
         }
     }
 }
 
-impl Floor {
+impl SimState {
     /// Sends a robot somewhere, if there is a way. One in a lift goes there once it gets out.
-    fn set_errand(&mut self, robot: Entity, errand: Errand) -> Result<(), ActionError> {
+    fn set_errand(&mut self, robot: Entity, errand: DriveTarget) -> Result<(), ActionError> {
         let in_lift = matches!(self.get::<Journey>(robot).stage, Stage::InLift);
         if in_lift {
             errand.place.as_ref().map(|place| self.destination(place, errand.pose)).transpose()?;
         } else {
-            let way = self.find_way(robot, &errand)?;
+            let way = self.plan_leg(robot, &errand)?;
             self.set_off(robot, way);
         }
         self.get_mut::<Journey>(robot).errand = Some(errand);
@@ -176,94 +176,94 @@ impl Floor {
             Stage::Idle => {}
             Stage::Rolling(_) => self.stand_still(robot),
             Stage::AtDoor(_, door) => {
-                let door = self.get::<Doorway>(door).name.clone();
-                self.note(Happening::DoorLeft { robot: self.name(robot), door });
+                let door = self.get::<DoorState>(door).name.clone();
+                self.log_event(WorldEvent::DoorLeft { robot: self.robot_id(robot), door });
             }
             Stage::AtLift(to) => {
-                let at = self.map.at(self.spot(robot).last_place()).id.clone();
-                let lift = self.lift_between(&at, &self.map.at(to).id).unwrap_or_default();
-                self.note(Happening::LiftLeft { robot: self.name(robot), lift, at });
+                let at = self.map.place_at(self.map_position(robot).last_place()).id.clone();
+                let lift = self.lift_between(&at, &self.map.place_at(to).id).unwrap_or_default();
+                self.log_event(WorldEvent::LiftLeft { robot: self.robot_id(robot), lift, at });
             }
             stage @ Stage::InLift => self.get_mut::<Journey>(robot).stage = stage,
         }
     }
 
     /// Sets a robot in motion, or has it wait for a lift. Whoever it was beside, it is no longer once it moves.
-    fn set_off(&mut self, robot: Entity, way: Way) {
+    fn set_off(&mut self, robot: Entity, way: LegPlan) {
         match way {
-            Way::Drive(drive, speed_mps) => {
+            LegPlan::Drive(drive, speed_mps) => {
                 if drive.length_m() > 0.0 {
                     self.depart(robot);
                 }
-                let course = Course::new(drive, speed_mps, self);
-                let inside = self.get::<Journey>(robot).inside.filter(|door| !course.leaves(*door));
+                let course = DriveProgress::new(drive, speed_mps, self);
+                let inside = self.get::<Journey>(robot).inside.filter(|door| !course.passes_door(*door));
                 if let Some(door) = inside {
                     self.leave_doorway(robot, door);
                 }
                 self.proceed(robot, course, true);
             }
-            Way::Ride { lift, from, to } => {
+            LegPlan::Ride { lift, from, to } => {
                 self.get_mut::<Journey>(robot).stage = Stage::AtLift(to);
-                let [at, to] = [from, to].map(|place| self.map.at(place).id.clone());
-                self.note(Happening::LiftAwaited { robot: self.name(robot), lift, at, to });
+                let [at, to] = [from, to].map(|place| self.map.place_at(place).id.clone());
+                self.log_event(WorldEvent::LiftRequested { robot: self.robot_id(robot), lift, at, to });
             }
         }
     }
 
     fn depart(&self, robot: Entity) {
-        if let Some(mut beside) = self.find_mut::<Beside>(robot) {
-            *beside = Beside::Nobody;
+        if let Some(mut beside) = self.find_mut::<CoPresence>(robot) {
+            *beside = CoPresence::None;
         }
-        self.get_mut::<Departures>(robot).0 += 1;
+        self.get_mut::<DepartureCount>(robot).0 += 1;
     }
 
     /// Does what there is to do where a robot has come to, and rolls on from there.
-    fn proceed(&mut self, robot: Entity, mut course: Course, fresh: bool) {
-        while let Some(stop) = course.stop_here() {
+    fn proceed(&mut self, robot: Entity, mut course: DriveProgress, fresh: bool) {
+        while let Some(stop) = course.current_stop() {
             let inside = self.get::<Journey>(robot).inside;
             match stop {
-                Stop::Enter(door) if inside != Some(door) => return self.wait_at(robot, course, door),
-                Stop::Enter(_) => {}
-                Stop::Leave(door) => self.leave_doorway(robot, door),
+                DoorStop::Enter(door) if inside != Some(door) => return self.wait_at(robot, course, door),
+                DoorStop::Enter(_) => {}
+                DoorStop::Leave(door) => self.leave_doorway(robot, door),
             }
-            course.stop_done();
+            course.finish_stop();
         }
-        if course.is_over() && !fresh {
+        if course.is_complete() && !fresh {
             self.get_mut::<Journey>(robot).stage = Stage::Rolling(course);
             return self.arrived(robot);
         }
         let seen = self.seen_ahead(&course);
-        if let Some((_, what)) = seen.as_ref().filter(|(at, _)| *at <= course.done_m + SAME_M) {
+        if let Some((_, what)) = seen.as_ref().filter(|(at, _)| *at <= course.done_m + LENGTH_EPSILON_M) {
             return self.give_up(robot, &course, &format!("{what} stands in it"));
         }
         self.roll(robot, course, seen.map(|(at, _)| at));
     }
 
     /// It has come to the end of the part of its way that was under way.
-    fn part_ends(&mut self, robot: Entity, mut course: Course) {
+    fn part_ends(&mut self, robot: Entity, mut course: DriveProgress) {
         course.done_m = course.until_m;
         self.proceed(robot, course, false);
     }
 
     /// Rolls to where there is something to do next.
-    fn roll(&mut self, robot: Entity, mut course: Course, seen_m: Option<f64>) {
+    fn roll(&mut self, robot: Entity, mut course: DriveProgress, seen_m: Option<f64>) {
         let steered = self.is_steered(robot);
-        let stop_m = if steered { course.next_halt_m() } else { course.next_stop_m() };
+        let stop_m = if steered { course.next_wait_m() } else { course.next_stop_m() };
         course.until_m = stop_m.min(seen_m.unwrap_or(f64::INFINITY));
-        let part = course.whole.part(course.done_m, course.until_m, self.now, course.speed_mps);
+        let part = course.drive.segment(course.done_m, course.until_m, self.now, course.speed_mps);
         if steered {
             self.steer(robot, part, course.speed_mps);
             self.get_mut::<Journey>(robot).stage = Stage::Rolling(course);
             return self.watch_for_doors(robot);
         }
-        *self.get_mut::<Whereabouts>(robot) = Whereabouts::Driving(part);
-        let wake = self.arrange(part.ends(), robot, 0);
+        *self.get_mut::<RobotLocation>(robot) = RobotLocation::Driving(part);
+        let wake = self.schedule(part.end_time(), robot, 0);
         let mut journey = self.get_mut::<Journey>(robot);
         (journey.stage, journey.wake) = (Stage::Rolling(course), Some(wake));
     }
 
     /// A robot that is steered is at the end of the part of its way that was under way.
-    pub(crate) fn steered_there(&mut self, robot: Entity) {
+    pub(crate) fn on_steered_arrival(&mut self, robot: Entity) {
         if !matches!(self.get::<Journey>(robot).stage, Stage::Rolling(_)) {
             return; // it was beside the end before, looked ahead again there, and waits at a door already
         }
@@ -273,9 +273,9 @@ impl Floor {
     }
 
     /// A robot that is steered is past a door.
-    pub(crate) fn steered_past(&mut self, robot: Entity) {
+    pub(crate) fn on_steered_door_passed(&mut self, robot: Entity) {
         let passed = match &mut self.get_mut::<Journey>(robot).stage {
-            Stage::Rolling(course) => course.pass(),
+            Stage::Rolling(course) => course.leave_door(),
             Stage::Idle | Stage::AtDoor(..) | Stage::AtLift(_) | Stage::InLift => None,
         };
         if let Some(door) = passed {
@@ -288,62 +288,63 @@ impl Floor {
     fn watch_for_doors(&self, robot: Entity) {
         if let Stage::Rolling(course) = &self.get::<Journey>(robot).stage {
             let past_m = course.next_stop_m();
-            self.watch(robot, (past_m < course.until_m).then_some(course.until_m - past_m));
+            self.notify_when_remaining(robot, (past_m < course.until_m).then_some(course.until_m - past_m));
         }
     }
 
     /// What stands in the way ahead, and how far along a robot stops before it: the first thing it comes to.
-    fn seen_ahead(&self, course: &Course) -> Option<(f64, String)> {
-        let (from, to, first, last) = course.whole.lane?;
-        let ahead = self.in_the_way(from, to).into_iter().filter_map(|(share, what)| {
-            let at = (share - first) / (last - first) * course.whole.length_m();
-            let ahead = at + SAME_M >= course.done_m && at <= course.whole.length_m() + SAME_M;
-            ahead.then(|| ((at - SIGHT_M).max(course.done_m), what))
+    fn seen_ahead(&self, course: &DriveProgress) -> Option<(f64, String)> {
+        let (from, to, first, last) = course.drive.lane?;
+        let ahead = self.obstacles_on(from, to).into_iter().filter_map(|(share, what)| {
+            let at = (share - first) / (last - first) * course.drive.length_m();
+            let ahead = at + LENGTH_EPSILON_M >= course.done_m && at <= course.drive.length_m() + LENGTH_EPSILON_M;
+            ahead.then(|| ((at - OBSTACLE_DETECTION_M).max(course.done_m), what))
         });
         ahead.min_by(|a, b| a.0.total_cmp(&b.0).then_with(|| a.1.cmp(&b.1)))
     }
 
     /// Stands before what is in the way: the goal cannot go on, and the robot knows that this way is closed.
-    fn give_up(&mut self, robot: Entity, course: &Course, why: &str) {
+    fn give_up(&mut self, robot: Entity, course: &DriveProgress, why: &str) {
         self.stand_still(robot);
-        let Some((from, to, first, last)) = course.whole.lane else { return };
-        self.learn_closed(robot, from, to);
+        let Some((from, to, first, last)) = course.drive.lane else { return };
+        self.remember_closure(robot, from, to);
         let (from, to) = if last >= first { (from, to) } else { (to, from) };
-        let message = format!("the way from {} to {} is blocked: {why}", self.map.at(from).id, self.map.at(to).id);
-        self.break_off(robot, refused(ErrorCode::Blocked, message));
+        let message =
+            format!("the way from {} to {} is blocked: {why}", self.map.place_at(from).id, self.map.place_at(to).id);
+        self.abort_goal(robot, action_error(ErrorCode::Blocked, message));
     }
 
-    fn wait_at(&mut self, robot: Entity, course: Course, door: Entity) {
+    fn wait_at(&mut self, robot: Entity, course: DriveProgress, door: Entity) {
         self.stand_at(robot, &course);
-        let wake = self.arrange(self.now + self.durations.door_patience_s, robot, 0);
+        let wake = self.schedule(self.now + self.durations.door_patience_s, robot, 0);
         {
             let mut journey = self.get_mut::<Journey>(robot);
             (journey.stage, journey.wake) = (Stage::AtDoor(course, door), Some(wake));
         }
-        let door = self.get::<Doorway>(door).name.clone();
-        self.note(Happening::DoorAwaited { robot: self.name(robot), door });
+        let door = self.get::<DoorState>(door).name.clone();
+        self.log_event(WorldEvent::DoorRequested { robot: self.robot_id(robot), door });
     }
 
     /// It has waited for long; if the door lets nobody in, it does so no longer.
-    fn lose_patience(&mut self, robot: Entity, course: Course, door: Entity) {
+    fn lose_patience(&mut self, robot: Entity, course: DriveProgress, door: Entity) {
         let (name, until) = {
-            let doorway = self.get::<Doorway>(door);
-            (doorway.name.clone(), doorway.last_entry + self.durations.door_patience_s)
+            let doorway = self.get::<DoorState>(door);
+            (doorway.name.clone(), doorway.last_entry_time + self.durations.door_patience_s)
         };
         if until > self.now {
-            let wake = self.arrange(until, robot, 0);
+            let wake = self.schedule(until, robot, 0);
             let mut journey = self.get_mut::<Journey>(robot);
             (journey.stage, journey.wake) = (Stage::AtDoor(course, door), Some(wake));
             return;
         }
         self.give_up(robot, &course, &format!("{name} let nobody in for {} s", self.durations.door_patience_s));
-        self.note(Happening::DoorLeft { robot: self.name(robot), door: name });
+        self.log_event(WorldEvent::DoorLeft { robot: self.robot_id(robot), door: name });
     }
 
     fn enter_doorway(&mut self, robot: Entity) {
         match self.take_stage(robot) {
             Stage::AtDoor(mut course, door) => {
-                course.stop_done();
+                course.finish_stop();
                 self.get_mut::<Journey>(robot).inside = Some(door);
                 self.proceed(robot, course, false);
             }
@@ -353,29 +354,29 @@ impl Floor {
 
     fn leave_doorway(&mut self, robot: Entity, door: Entity) {
         self.get_mut::<Journey>(robot).inside = None;
-        let door = self.get::<Doorway>(door).name.clone();
-        self.note(Happening::DoorLeft { robot: self.name(robot), door });
+        let door = self.get::<DoorState>(door).name.clone();
+        self.log_event(WorldEvent::DoorLeft { robot: self.robot_id(robot), door });
     }
 
     fn enter_lift(&mut self, robot: Entity) {
         let Stage::AtLift(to) = self.get::<Journey>(robot).stage else { return };
         self.depart(robot);
         self.get_mut::<Journey>(robot).stage = Stage::InLift;
-        self.put(robot, Spot::Lift { to }, self.map.at(to).pose);
+        self.place_robot(robot, MapPosition::Lift { to }, self.map.place_at(to).pose);
     }
 
     fn leave_lift(&mut self, robot: Entity, at: PlaceIndex) {
         if !matches!(self.get::<Journey>(robot).stage, Stage::InLift) {
             return;
         }
-        self.put(robot, Spot::Place(at), self.map.at(at).pose);
+        self.place_robot(robot, MapPosition::Place(at), self.map.place_at(at).pose);
         let errand = {
             let mut journey = self.get_mut::<Journey>(robot);
             journey.stage = Stage::Idle;
             journey.errand.clone()
         };
         let Some(errand) = errand else { return };
-        if errand.place.as_ref() == Some(&self.map.at(at).id) {
+        if errand.place.as_ref() == Some(&self.map.place_at(at).id) {
             return self.arrived(robot);
         }
         self.go_on(robot, &errand);
@@ -384,17 +385,17 @@ impl Floor {
     /// It is where it was to go: it goes where it is to go then, or its goal has come to its end.
     fn arrived(&mut self, robot: Entity) {
         let next = self.get_mut::<Journey>(robot).afterwards.pop_front();
-        let Some(next) = next else { return self.achieve(robot) };
+        let Some(next) = next else { return self.complete_goal(robot) };
         drop(self.take_stage(robot));
         self.stand_still(robot);
         self.go_on(robot, &next);
         self.get_mut::<Journey>(robot).errand = Some(next);
     }
 
-    fn go_on(&mut self, robot: Entity, errand: &Errand) {
-        match self.find_way(robot, errand) {
+    fn go_on(&mut self, robot: Entity, errand: &DriveTarget) {
+        match self.plan_leg(robot, errand) {
             Ok(way) => self.set_off(robot, way),
-            Err(why) => self.break_off(robot, why),
+            Err(why) => self.abort_goal(robot, why),
         }
     }
 
@@ -403,13 +404,13 @@ impl Floor {
         let robots: Vec<Entity> = self.robots.values().copied().collect();
         for robot in robots {
             let rolls =
-                matches!(&self.get::<Journey>(robot).stage, Stage::Rolling(course) if course.whole.lane.is_some());
+                matches!(&self.get::<Journey>(robot).stage, Stage::Rolling(course) if course.drive.lane.is_some());
             if !rolls {
                 continue;
             }
-            let left = match &*self.get::<Whereabouts>(robot) {
-                Whereabouts::Driving(part) => part.remaining(self.now).get(),
-                Whereabouts::Standing { .. } => self.steered_left_m(robot),
+            let left = match &*self.get::<RobotLocation>(robot) {
+                RobotLocation::Driving(part) => part.remaining(self.now).get(),
+                RobotLocation::Standing { .. } => self.steered_remaining_m(robot),
             };
             let Stage::Rolling(mut course) = self.take_stage(robot) else { continue };
             course.done_m = course.until_m - left;
@@ -423,41 +424,42 @@ impl Floor {
             let mut journey = self.get_mut::<Journey>(robot);
             (std::mem::replace(&mut journey.stage, Stage::Idle), journey.wake.take())
         };
-        wake.into_iter().for_each(|wake| self.queue.take_back(wake));
+        wake.into_iter().for_each(|wake| self.queue.cancel(wake));
         stage
     }
 
-    fn stand_at(&self, robot: Entity, course: &Course) {
-        let here = course.whole.part(course.done_m, course.done_m, self.now, course.speed_mps);
+    fn stand_at(&self, robot: Entity, course: &DriveProgress) {
+        let here = course.drive.segment(course.done_m, course.done_m, self.now, course.speed_mps);
         // One that is steered comes only close.
-        let pose = if self.is_steered(robot) { self.get::<Whereabouts>(robot).pose(self.now) } else { here.end_pose };
-        *self.get_mut::<Whereabouts>(robot) = Whereabouts::Standing { spot: here.end_spot, pose };
+        let pose = if self.is_steered(robot) { self.get::<RobotLocation>(robot).pose(self.now) } else { here.end_pose };
+        *self.get_mut::<RobotLocation>(robot) = RobotLocation::Standing { position: here.end_position, pose };
     }
 
     /// Lets a robot stand where it is now, whether it was driving or not; one that is steered brakes.
     fn stand_still(&mut self, robot: Entity) {
         self.brake(robot);
-        let mut whereabouts = self.get_mut::<Whereabouts>(robot);
-        *whereabouts = Whereabouts::Standing { spot: whereabouts.spot(self.now), pose: whereabouts.pose(self.now) };
+        let mut whereabouts = self.get_mut::<RobotLocation>(robot);
+        *whereabouts =
+            RobotLocation::Standing { position: whereabouts.map_position(self.now), pose: whereabouts.pose(self.now) };
     }
 
     /// How far it still is, and how long as far as the robot can tell: doors and lifts may keep it waiting.
     fn journey_left(&self, robot: Entity) -> Option<Feedback> {
         let journey = self.get::<Journey>(robot);
-        let (course, left_m, left_s) = match (&journey.stage, &*self.get::<Whereabouts>(robot)) {
-            (Stage::Rolling(course), Whereabouts::Driving(part)) => {
-                (course, part.remaining(self.now).get(), (part.ends() - self.now).max(0.0))
+        let (course, left_m, left_s) = match (&journey.stage, &*self.get::<RobotLocation>(robot)) {
+            (Stage::Rolling(course), RobotLocation::Driving(part)) => {
+                (course, part.remaining(self.now).get(), (part.end_time() - self.now).max(0.0))
             }
-            (Stage::Rolling(course), Whereabouts::Standing { .. }) => {
-                let (left_m, left_s) = self.steered_left(robot, course.speed_mps);
+            (Stage::Rolling(course), RobotLocation::Standing { .. }) => {
+                let (left_m, left_s) = self.steered_remaining(robot, course.speed_mps);
                 (course, left_m, left_s)
             }
             (Stage::AtDoor(course, _), _) => (course, 0.0, 0.0),
             (Stage::Idle | Stage::AtLift(_) | Stage::InLift, _) => return None,
         };
         let begun_m = if matches!(journey.stage, Stage::Rolling(_)) { course.until_m } else { course.done_m };
-        let beyond_m = course.whole.length_m() - begun_m;
-        Some(Feedback::left(
+        let beyond_m = course.drive.length_m() - begun_m;
+        Some(Feedback::remaining(
             Metres::new(left_m + beyond_m).unwrap_or(Metres::ZERO),
             Seconds::new(left_s + beyond_m / course.speed_mps).unwrap_or(Seconds::ZERO),
         ))

@@ -10,11 +10,11 @@
 //! called before them and waits elsewhere. So everybody gets in.
 
 use crate::map::PlaceIndex;
-use crate::world::components::Body;
-use crate::world::floor::Floor;
-use crate::world::journal::Happening;
+use crate::world::components::SimRobot;
+use crate::world::event_log::WorldEvent;
 use crate::world::setup::WorldSetup;
-use crate::world::system::{Kind, System, Wake, kinds};
+use crate::world::sim_state::SimState;
+use crate::world::system::{ComponentType, System, SystemTimer, kinds};
 use consort_protocol::ids::PlaceId;
 use hecs::Entity;
 use std::collections::BTreeMap;
@@ -96,15 +96,15 @@ impl System for Lifts {
         "lifts"
     }
 
-    fn reads(&self) -> Vec<Kind> {
-        kinds![Body]
+    fn reads(&self) -> Vec<ComponentType> {
+        kinds![SimRobot]
     }
 
-    fn writes(&self) -> Vec<Kind> {
+    fn writes(&self) -> Vec<ComponentType> {
         kinds![Cabin, LiftsByName]
     }
 
-    fn furnish(&self, floor: &mut Floor, setup: &WorldSetup) {
+    fn init_world(&self, floor: &mut SimState, setup: &WorldSetup) {
         let mut lifts = BTreeMap::new();
         for lift in setup.map.lifts() {
             let at = lift.stops.first().and_then(|stop| setup.map.index(stop)).expect("a sound lift has stops");
@@ -118,13 +118,13 @@ impl System for Lifts {
                 calls: BTreeMap::new(),
                 next_call: 0,
             };
-            floor.give(entity, cabin);
+            floor.insert(entity, cabin);
             lifts.insert(lift.name.clone(), entity);
         }
-        floor.furnish(LiftsByName(lifts));
+        floor.insert_resource(LiftsByName(lifts));
     }
 
-    fn wake(&self, floor: &mut Floor, Wake { about: lift, .. }: Wake) {
+    fn on_timer(&self, floor: &mut SimState, SystemTimer { entity: lift, .. }: SystemTimer) {
         let phase = floor.get::<Cabin>(lift).phase;
         match phase {
             Phase::Moving(to) => {
@@ -140,16 +140,16 @@ impl System for Lifts {
         }
     }
 
-    fn observe(&self, floor: &mut Floor, what: &Happening) {
+    fn on_event(&self, floor: &mut SimState, what: &WorldEvent) {
         match what {
-            Happening::LiftAwaited { robot, lift, at, to } => {
+            WorldEvent::LiftRequested { robot, lift, at, to } => {
                 let ends = floor.map.index(at).zip(floor.map.index(to));
                 let robot = floor.robots.get(robot).copied();
                 if let (Some(lift), Some(robot), Some((from, to))) = (floor.lift(lift), robot, ends) {
                     floor.call_lift(lift, Call { robot, from, to, riding: false });
                 }
             }
-            Happening::LiftLeft { robot, lift, .. } => {
+            WorldEvent::LiftLeft { robot, lift, .. } => {
                 let robot = floor.robots.get(robot).copied();
                 if let (Some(lift), Some(robot)) = (floor.lift(lift), robot) {
                     floor.get_mut::<Cabin>(lift).calls.retain(|_, call| call.robot != robot || call.riding);
@@ -160,15 +160,15 @@ impl System for Lifts {
     }
 }
 
-impl Floor {
+impl SimState {
     fn lift(&self, name: &str) -> Option<Entity> {
-        self.own::<LiftsByName>().0.get(name).copied()
+        self.resource::<LiftsByName>().0.get(name).copied()
     }
 
     /// The lift that goes from one place to the other, if lifts are among what happens here.
     pub(crate) fn lift_between(&self, from: &PlaceId, to: &PlaceId) -> Option<String> {
         let ride = self.map.ride(from, to)?;
-        self.has::<LiftsByName>().then(|| ride.lift.name.clone())
+        self.has_resource::<LiftsByName>().then(|| ride.lift.name.clone())
     }
 
     fn call_lift(&mut self, lift: Entity, call: Call) {
@@ -205,26 +205,26 @@ impl Floor {
                 Phase::Idle => return,
                 Phase::Opening | Phase::Closing => cabin.opening_s,
                 Phase::Moving(to) => {
-                    let (from, to) = (&self.map.at(cabin.at).id, &self.map.at(to).id);
+                    let (from, to) = (&self.map.place_at(cabin.at).id, &self.map.place_at(to).id);
                     let ride = self.map.ride(from, to).map_or(0.0, |ride| ride.time.get());
                     (ride - 2.0 * cabin.opening_s).max(0.0)
                 }
             }
         };
-        self.arrange(self.now + takes, lift, 0);
+        self.schedule(self.now + takes, lift, 0);
     }
 
     fn exchange_riders(&mut self, lift: Entity) {
         let (name, at, out, taken) = {
             let mut cabin = self.get_mut::<Cabin>(lift);
             let out = cabin.let_out();
-            (cabin.name.clone(), self.map.at(cabin.at).id.clone(), out, cabin.take_in())
+            (cabin.name.clone(), self.map.place_at(cabin.at).id.clone(), out, cabin.take_in())
         };
         for robot in out {
-            self.note(Happening::LiftLeft { robot: self.name(robot), lift: name.clone(), at: at.clone() });
+            self.log_event(WorldEvent::LiftLeft { robot: self.robot_id(robot), lift: name.clone(), at: at.clone() });
         }
         for robot in taken {
-            self.note(Happening::LiftEntered { robot: self.name(robot), lift: name.clone() });
+            self.log_event(WorldEvent::LiftEntered { robot: self.robot_id(robot), lift: name.clone() });
         }
     }
 }

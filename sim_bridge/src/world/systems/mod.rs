@@ -1,21 +1,21 @@
 //! What can happen on a floor, a file each.
 
 mod arm;
+mod co_presence;
 mod collisions;
-mod company;
 pub(crate) mod docking;
 pub(crate) mod doors;
 mod drawer;
 pub(crate) mod driving;
-mod gusts;
 pub(crate) mod lifts;
-pub(crate) mod moods;
 pub(crate) mod obstacles;
 pub(crate) mod people;
 pub(crate) mod power;
+pub(crate) mod spontaneous_actions;
 pub(crate) mod steering;
 mod turning;
 mod waiting;
+mod wind;
 
 use super::system::System;
 
@@ -28,15 +28,15 @@ static ALL: [&dyn System; 16] = [
     &obstacles::Obstacles,
     &turning::Turning,
     &waiting::Waiting,
-    &company::Company,
+    &co_presence::CoPresenceSystem,
     &drawer::Drawer,
     &arm::Arm,
     &docking::Docking,
     &power::Power,
-    &moods::Moods,
+    &spontaneous_actions::SpontaneousActions,
     &people::People,
     &collisions::Collisions,
-    &gusts::Gusting,
+    &wind::WindSystem,
 ];
 
 /// The names of all systems that there are, in the order in which they hear of things.
@@ -45,6 +45,6 @@ pub fn system_names() -> impl Iterator<Item = &'static str> {
 }
 
 /// The system of a name.
-pub(crate) fn of_name(name: &str) -> Option<&'static dyn System> {
+pub(crate) fn by_name(name: &str) -> Option<&'static dyn System> {
     ALL.into_iter().find(|system| system.name() == name)
 }

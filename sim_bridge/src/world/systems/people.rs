@@ -7,20 +7,22 @@
 //! While all who play the role are away, an ask waits for one to come back: for the seconds that its task gives in `patience`,
 //! or two minutes. A robot that has stayed where it was is beside her again when she is back.
 
-use crate::world::components::{Beside, Body, DrawerOpen, HandsBusy, Label, Pace, Who};
-use crate::world::fittings::sample_kg;
-use crate::world::floor::Floor;
-use crate::world::journal::Happening;
+use crate::world::components::{CoPresence, DrawerOpen, HandoverRng, HandsBusy, PersonInfo, SampleLabel, SimRobot};
+use crate::world::environment_setup::sample_kg;
+use crate::world::event_log::WorldEvent;
+use crate::world::event_queue::TimerId;
+use crate::world::location::RobotLocation;
 use crate::world::names::PersonName;
-use crate::world::queue::Ticket;
-use crate::world::reach::refused;
-use crate::world::samples::{Custody, Handovers, Holder, Load};
-use crate::world::setup::{Person, WorldSetup};
-use crate::world::system::{Kind, System, Wake, kinds};
-use crate::world::systems::moods::Minds;
-use crate::world::whereabouts::Whereabouts;
+use crate::world::preconditions::action_error;
+use crate::world::samples::{Custody, HandoverCount, HolderEntity, PayloadData};
+use crate::world::setup::{PersonSetup, WorldSetup};
+use crate::world::sim_state::SimState;
+use crate::world::system::{ComponentType, System, SystemTimer, kinds};
+use crate::world::systems::spontaneous_actions::PersonStates;
 use consort_protocol::ids::{RobotId, RoleId};
-use consort_skills::actions::{AWAY_S, ActionError, BodyEvent, ErrorCode, GoalId, PATIENCE, PersonAsk};
+use consort_skills::actions::{
+    ActionError, BackendEvent, ErrorCode, GoalId, PERSON_TIMEOUT_PARAMETER, PERSON_TIMEOUT_S, PersonRequest,
+};
 use hecs::Entity;
 use rand::RngExt;
 use rand_chacha::ChaCha8Rng;
@@ -42,7 +44,7 @@ struct AskNumber(u64);
 
 /// The asks that have not ended, and the ids of those that lately did.
 #[derive(Default)]
-pub(crate) struct Asks {
+pub(crate) struct PersonRequests {
     open: BTreeMap<AskNumber, Ask>,
     ids: BTreeMap<GoalId, AskNumber>,
     /// With what came of each; `None` for one that was withdrawn.
@@ -61,17 +63,17 @@ struct Ask {
     /// How long those who are away are waited for, in seconds.
     patience_s: f64,
     /// While all who could do it are away: when that ends.
-    given_up: Option<Ticket>,
+    given_up: Option<TimerId>,
 }
 
 #[derive(Clone, Copy)]
 struct HandingOver {
     person: Entity,
     robot: Entity,
-    ends: Ticket,
+    ends: TimerId,
 }
 
-impl Asks {
+impl PersonRequests {
     fn knows(&self, id: GoalId) -> bool {
         self.ids.contains_key(&id) || self.ended.contains_key(&id)
     }
@@ -107,17 +109,17 @@ impl Asks {
     }
 
     /// Those that have not ended, earlier ones first.
-    pub(crate) fn unended(&self) -> Vec<GoalId> {
+    pub(crate) fn open_requests(&self) -> Vec<GoalId> {
         self.open.values().map(|ask| ask.id).collect()
     }
 
     /// Whether an ask was lately withdrawn.
-    pub(crate) fn was_withdrawn(&self, id: GoalId) -> bool {
+    pub(crate) fn was_canceled(&self, id: GoalId) -> bool {
         self.ended.get(&id).is_some_and(Option::is_none)
     }
 
     /// What came of an ask that lately ended.
-    pub(crate) fn answer(&self, id: GoalId) -> Option<Result<(), ActionError>> {
+    pub(crate) fn result(&self, id: GoalId) -> Option<Result<(), ActionError>> {
         self.ended.get(&id).cloned().flatten()
     }
 }
@@ -130,16 +132,16 @@ impl System for People {
         "people"
     }
 
-    fn reads(&self) -> Vec<Kind> {
-        kinds![Beside, Body, DrawerOpen, Minds, Whereabouts]
+    fn reads(&self) -> Vec<ComponentType> {
+        kinds![CoPresence, SimRobot, DrawerOpen, PersonStates, RobotLocation]
     }
 
-    fn writes(&self) -> Vec<Kind> {
-        kinds![Asks, Custody, HandsBusy, Handovers, Label, Load, Pace, Who]
+    fn writes(&self) -> Vec<ComponentType> {
+        kinds![PersonRequests, Custody, HandsBusy, HandoverCount, SampleLabel, PayloadData, HandoverRng, PersonInfo]
     }
 
-    fn furnish(&self, floor: &mut Floor, setup: &WorldSetup) {
-        floor.furnish(Asks::default());
+    fn init_world(&self, floor: &mut SimState, setup: &WorldSetup) {
+        floor.insert_resource(PersonRequests::default());
         for (index, person) in setup.people.iter().enumerate() {
             let mut pace = ChaCha8Rng::seed_from_u64(setup.seed);
             pace.set_stream(index as u64);
@@ -147,41 +149,41 @@ impl System for People {
         }
     }
 
-    fn ask(&self, floor: &mut Floor, id: GoalId, ask: &PersonAsk) -> bool {
-        floor.take_ask(id, ask);
+    fn request_person(&self, floor: &mut SimState, id: GoalId, request_person: &PersonRequest) -> bool {
+        floor.take_ask(id, request_person);
         true
     }
 
-    fn dismiss(&self, floor: &mut Floor, id: GoalId) {
+    fn cancel_person_request(&self, floor: &mut SimState, id: GoalId) {
         floor.withdraw(id);
     }
 
-    fn wake(&self, floor: &mut Floor, Wake { number, .. }: Wake) {
+    fn on_timer(&self, floor: &mut SimState, SystemTimer { number, .. }: SystemTimer) {
         match number & IN_VAIN {
             0 => floor.handed_over(AskNumber(number)),
             _ => floor.give_up_waiting(AskNumber(number & !IN_VAIN)),
         }
     }
 
-    fn observe(&self, floor: &mut Floor, what: &Happening) {
+    fn on_event(&self, floor: &mut SimState, what: &WorldEvent) {
         match what {
-            Happening::GoalEnded { .. } => floor.serve_asks(),
-            Happening::CameBack { .. } => {
+            WorldEvent::GoalEnded { .. } => floor.serve_asks(),
+            WorldEvent::PersonReturned { .. } => {
                 floor.mind_who_is_away();
                 floor.serve_asks();
             }
-            Happening::CalledOff { person, robot } => {
+            WorldEvent::MissionCanceled { person, robot } => {
                 floor.hold_back(person, Some(robot));
                 floor.serve_asks();
             }
-            Happening::Declined { person, robot } => {
+            WorldEvent::HandoverDeclined { person, robot } => {
                 if let Some(id) = floor.hold_back(person, Some(robot)) {
-                    let why = refused(ErrorCode::NotAuthenticated, format!("{person} declines"));
+                    let why = action_error(ErrorCode::NotAuthenticated, format!("{person} declines"));
                     floor.end_ask(id, Err(why));
                     floor.serve_asks();
                 }
             }
-            Happening::WalkedAway { person } => {
+            WorldEvent::PersonLeft { person } => {
                 floor.hold_back(person, None);
                 floor.mind_who_is_away();
                 floor.serve_asks();
@@ -191,31 +193,40 @@ impl System for People {
     }
 }
 
-impl Floor {
-    fn spawn_person(&mut self, person: &Person, pace: ChaCha8Rng) {
+impl SimState {
+    fn spawn_person(&mut self, person: &PersonSetup, pace: ChaCha8Rng) {
         let place = self.map.index(&person.place).expect("checked: the place is on the map");
         let hands = self.spawn();
-        self.give(hands, Who { name: person.name.clone(), role: person.role.clone(), place });
-        self.give(hands, HandsBusy(false));
-        self.give(hands, Pace(pace));
+        self.insert(hands, PersonInfo { name: person.name.clone(), role: person.role.clone(), place });
+        self.insert(hands, HandsBusy(false));
+        self.insert(hands, HandoverRng(pace));
         self.people.insert(person.name.clone(), hands);
         for sample in &person.samples {
-            let load = Load { weight_kg: sample_kg(), distance_m: 0.0 };
-            self.spawn_sample(sample.clone(), Holder::Hands(hands), load);
+            let load = PayloadData { weight_kg: sample_kg(), distance_m: 0.0 };
+            self.spawn_sample(sample.clone(), HolderEntity::Hands(hands), load);
         }
     }
 
     /// Takes an ask, or answers at once why nobody can do it; an id that was seen before changes nothing.
-    fn take_ask(&mut self, id: GoalId, ask: &PersonAsk) {
-        if self.own::<Asks>().knows(id) {
+    fn take_ask(&mut self, id: GoalId, ask: &PersonRequest) {
+        if self.resource::<PersonRequests>().knows(id) {
             return;
         }
         match self.who_will_do(ask) {
             Ok(into) => {
-                let patience = ask.task.parameters.get(PATIENCE).and_then(|seconds| seconds.parse().ok());
-                let patience_s = patience.filter(|seconds| (0.0..=f64::MAX).contains(seconds)).unwrap_or(AWAY_S);
+                let patience =
+                    ask.task.parameters.get(PERSON_TIMEOUT_PARAMETER).and_then(|seconds| seconds.parse().ok());
+                let patience_s =
+                    patience.filter(|seconds| (0.0..=f64::MAX).contains(seconds)).unwrap_or(PERSON_TIMEOUT_S);
                 let role = ask.role.clone();
-                self.own_mut::<Asks>().open(Ask { id, role, into, under_way: None, patience_s, given_up: None });
+                self.resource_mut::<PersonRequests>().open(Ask {
+                    id,
+                    role,
+                    into,
+                    under_way: None,
+                    patience_s,
+                    given_up: None,
+                });
                 self.mind_who_is_away();
                 self.serve_asks();
             }
@@ -228,12 +239,12 @@ impl Floor {
     /// Withdraws an ask: nobody waits any longer, and nothing is said. One that was withdrawn before it was heard of is not
     /// served when it comes.
     fn withdraw(&mut self, id: GoalId) {
-        if self.own::<Asks>().ended.contains_key(&id) {
+        if self.resource::<PersonRequests>().ended.contains_key(&id) {
             return;
         }
-        let handing = self.own::<Asks>().under_way(id);
+        let handing = self.resource::<PersonRequests>().under_way(id);
         if let Some(handing) = handing {
-            self.queue.take_back(handing.ends);
+            self.queue.cancel(handing.ends);
             self.get_mut::<HandsBusy>(handing.person).0 = false;
         }
         self.close(id, None);
@@ -241,10 +252,10 @@ impl Floor {
     }
 
     /// The robots whose drawers will do.
-    fn who_will_do(&self, ask: &PersonAsk) -> Result<BTreeSet<Entity>, ActionError> {
+    fn who_will_do(&self, ask: &PersonRequest) -> Result<BTreeSet<Entity>, ActionError> {
         let roles: BTreeSet<RoleId> =
-            self.people.values().map(|person| self.get::<Who>(*person).role.clone()).collect();
-        let unknown = |message| Err(refused(ErrorCode::Unknown, message));
+            self.people.values().map(|person| self.get::<PersonInfo>(*person).role.clone()).collect();
+        let unknown = |message| Err(action_error(ErrorCode::Unknown, message));
         if !roles.contains(&ask.role) {
             let known = roles.iter().map(RoleId::as_str).collect::<Vec<_>>().join(", ");
             let known = if known.is_empty() { "nobody".to_owned() } else { known };
@@ -253,16 +264,16 @@ impl Floor {
         if !CAN.contains(&ask.task.task_type.as_str()) {
             return unknown(format!("a {} cannot {}; can: {}", ask.role, ask.task.task_type, CAN.join(", ")));
         }
-        let waiting = self.own::<Asks>().open.len();
+        let waiting = self.resource::<PersonRequests>().open.len();
         if waiting >= self.limits.asks_max {
             let message = format!("{waiting} asks are waiting already");
-            return Err(refused(ErrorCode::Busy, message));
+            return Err(action_error(ErrorCode::Busy, message));
         }
         let wanted = ask.task.parameters.get(INTO_ROLE);
         let holders = ask.holders.iter().filter(|(role, _)| wanted.is_none_or(|wanted| role.as_str() == wanted));
         let into: BTreeSet<Entity> = holders
             .filter_map(|(_, robot)| self.robots.get(robot).copied())
-            .filter(|robot| self.get::<Body>(*robot).0.has_drawer)
+            .filter(|robot| self.get::<SimRobot>(*robot).0.has_drawer)
             .collect();
         match (into.is_empty(), wanted) {
             (false, _) => Ok(into),
@@ -273,17 +284,17 @@ impl Floor {
 
     /// Begins to hand over wherever what an ask waits for has come about, earlier asks first.
     fn serve_asks(&mut self) {
-        let waiting = self.own::<Asks>().waiting();
+        let waiting = self.resource::<PersonRequests>().waiting();
         for number in waiting {
-            let met = self.own::<Asks>().open.get(&number).and_then(|ask| self.met(ask));
+            let met = self.resource::<PersonRequests>().open.get(&number).and_then(|ask| self.met(ask));
             let Some((person, robot)) = met else { continue };
             let (least, most) = (self.durations.person_min_s, self.durations.person_max_s);
-            let takes = self.get_mut::<Pace>(person).0.random_range(least..=most);
-            let ends = self.arrange(self.now + takes, person, number.0);
+            let takes = self.get_mut::<HandoverRng>(person).0.random_range(least..=most);
+            let ends = self.schedule(self.now + takes, person, number.0);
             self.get_mut::<HandsBusy>(person).0 = true;
-            let name = self.get::<Who>(person).name.clone();
-            self.note(Happening::HandsOut { person: name, robot: self.name(robot) });
-            if let Some(ask) = self.own_mut::<Asks>().open.get_mut(&number) {
+            let name = self.get::<PersonInfo>(person).name.clone();
+            self.log_event(WorldEvent::HandoverStarted { person: name, robot: self.robot_id(robot) });
+            if let Some(ask) = self.resource_mut::<PersonRequests>().open.get_mut(&number) {
                 ask.under_way = Some(HandingOver { person, robot, ends });
             }
         }
@@ -291,25 +302,30 @@ impl Floor {
 
     /// A person free to serve the ask, and the robot with an open drawer that approached her.
     fn met(&self, ask: &Ask) -> Option<(Entity, Entity)> {
-        let with = |robot: Entity| self.ready_at(robot).filter(|person| self.get::<Who>(*person).role == ask.role);
+        let with =
+            |robot: Entity| self.ready_at(robot).filter(|person| self.get::<PersonInfo>(*person).role == ask.role);
         let mut pairs = ask.into.iter().filter_map(|robot| Some((with(*robot)?, *robot)));
         pairs.find(|(person, _)| !self.get::<HandsBusy>(*person).0)
     }
 
     /// The person whom a robot with an open drawer is beside.
     fn ready_at(&self, robot: Entity) -> Option<Entity> {
-        match *self.get::<Beside>(robot) {
-            Beside::Person { person, .. } if self.get::<DrawerOpen>(robot).0 => {
-                let name = &self.get::<Who>(person).name;
-                (self.is_present(name) && self.is_willing(name, &self.name(robot))).then_some(person)
+        match *self.get::<CoPresence>(robot) {
+            CoPresence::Person { person, .. } if self.get::<DrawerOpen>(robot).0 => {
+                let name = &self.get::<PersonInfo>(person).name;
+                (self.is_present(name) && self.is_willing(name, &self.robot_id(robot))).then_some(person)
             }
-            Beside::Person { .. } | Beside::Nobody | Beside::Robot { .. } => None,
+            CoPresence::Person { .. } | CoPresence::None | CoPresence::Robot { .. } => None,
         }
     }
 
     /// The time a person took is over: what she hands over changes hands, if the robot is still there for it.
     fn handed_over(&mut self, number: AskNumber) {
-        let done = self.own_mut::<Asks>().open.get_mut(&number).and_then(|ask| Some((ask.id, ask.under_way.take()?)));
+        let done = self
+            .resource_mut::<PersonRequests>()
+            .open
+            .get_mut(&number)
+            .and_then(|ask| Some((ask.id, ask.under_way.take()?)));
         let Some((id, handing)) = done else { return };
         self.get_mut::<HandsBusy>(handing.person).0 = false;
         if self.ready_at(handing.robot) == Some(handing.person) {
@@ -324,40 +340,40 @@ impl Floor {
         let person = self.people.get(person).copied()?;
         let robot = robot.and_then(|robot| self.robots.get(robot).copied());
         let (id, handing) = {
-            let mut asks = self.own_mut::<Asks>();
+            let mut asks = self.resource_mut::<PersonRequests>();
             let is_it =
                 |handing: &HandingOver| handing.person == person && robot.is_none_or(|robot| robot == handing.robot);
             let ask = asks.open.values_mut().find(|ask| ask.under_way.as_ref().is_some_and(is_it))?;
             (ask.id, ask.under_way.take()?)
         };
-        self.queue.take_back(handing.ends);
+        self.queue.cancel(handing.ends);
         self.get_mut::<HandsBusy>(person).0 = false;
         Some(id)
     }
 
     /// The roles that somebody plays who is there.
     fn roles_present(&self) -> BTreeSet<RoleId> {
-        let who = self.people.values().map(|person| self.get::<Who>(*person));
+        let who = self.people.values().map(|person| self.get::<PersonInfo>(*person));
         who.filter(|who| self.is_present(&who.name)).map(|who| who.role.clone()).collect()
     }
 
     /// From now on an ask of a role that nobody here plays waits for so long and no longer; one of another has all the time.
     fn mind_who_is_away(&mut self) {
         let present = self.roles_present();
-        let turned: Vec<(AskNumber, f64, Option<Ticket>)> = {
-            let asks = self.own::<Asks>();
+        let turned: Vec<(AskNumber, f64, Option<TimerId>)> = {
+            let asks = self.resource::<PersonRequests>();
             let turned = asks.open.iter().filter(|(_, ask)| present.contains(&ask.role) == ask.given_up.is_some());
             turned.map(|(number, ask)| (*number, ask.patience_s, ask.given_up)).collect()
         };
         for (number, patience_s, given_up) in turned {
             let given_up = match given_up {
                 Some(ticket) => {
-                    self.queue.take_back(ticket);
+                    self.queue.cancel(ticket);
                     None
                 }
-                None => Some(self.arrange(self.now + patience_s, self.here(), number.0 | IN_VAIN)),
+                None => Some(self.schedule(self.now + patience_s, self.resource_entity(), number.0 | IN_VAIN)),
             };
-            if let Some(ask) = self.own_mut::<Asks>().open.get_mut(&number) {
+            if let Some(ask) = self.resource_mut::<PersonRequests>().open.get_mut(&number) {
                 ask.given_up = given_up;
             }
         }
@@ -365,38 +381,39 @@ impl Floor {
 
     /// Nobody has come back in time.
     fn give_up_waiting(&mut self, number: AskNumber) {
-        let ask = self.own::<Asks>().open.get(&number).map(|ask| (ask.id, ask.role.clone(), ask.patience_s));
+        let ask =
+            self.resource::<PersonRequests>().open.get(&number).map(|ask| (ask.id, ask.role.clone(), ask.patience_s));
         let Some((id, role, patience_s)) = ask else { return };
         let message = format!("every {role} has walked away; waited for {patience_s} s");
-        self.end_ask(id, Err(refused(ErrorCode::OutOfReach, message)));
+        self.end_ask(id, Err(action_error(ErrorCode::OutOfReach, message)));
     }
 
     fn put_in(&mut self, handing: HandingOver) -> Result<(), ActionError> {
-        self.room_in_drawer(handing.robot)?;
-        let Some(sample) = self.held(Holder::Hands(handing.person)).first().copied() else {
-            let who = self.get::<Who>(handing.person);
+        self.check_drawer_space(handing.robot)?;
+        let Some(sample) = self.held(HolderEntity::Hands(handing.person)).first().copied() else {
+            let who = self.get::<PersonInfo>(handing.person);
             let message = format!("{} {} has no sample to hand over", who.role, who.name);
-            return Err(refused(ErrorCode::DrawerState, message));
+            return Err(action_error(ErrorCode::DrawerState, message));
         };
-        self.hand_over(sample, Holder::Drawer(handing.robot));
+        self.transfer_sample(sample, HolderEntity::Drawer(handing.robot));
         Ok(())
     }
 
     fn end_ask(&mut self, id: GoalId, result: Result<(), ActionError>) {
         self.close(id, Some(result.clone()));
-        self.say(BodyEvent::PersonEnded { ask: id, result });
+        self.emit(BackendEvent::PersonRequestEnded { ask: id, result });
     }
 
     fn close(&mut self, id: GoalId, result: Option<Result<(), ActionError>>) {
         let given_up = {
-            let mut asks = self.own_mut::<Asks>();
+            let mut asks = self.resource_mut::<PersonRequests>();
             let number = asks.ids.get(&id).copied();
             number.and_then(|number| asks.open.get_mut(&number)?.given_up.take())
         };
         if let Some(ticket) = given_up {
-            self.queue.take_back(ticket);
+            self.queue.cancel(ticket);
         }
         let kept = self.limits.asks_max;
-        self.own_mut::<Asks>().close(id, result, kept);
+        self.resource_mut::<PersonRequests>().close(id, result, kept);
     }
 }

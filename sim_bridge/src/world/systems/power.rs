@@ -6,18 +6,18 @@
 //! known beforehand and stands in the queue.
 
 use crate::world::World;
-use crate::world::components::Body;
-use crate::world::floor::Floor;
-use crate::world::goals::GoalBook;
-use crate::world::journal::Happening;
-use crate::world::queue::Ticket;
-use crate::world::reach::refused;
-use crate::world::setup::RobotBody;
-use crate::world::system::{Kind, System, Wake, kinds};
+use crate::world::components::SimRobot;
+use crate::world::event_log::WorldEvent;
+use crate::world::event_queue::TimerId;
+use crate::world::goals::GoalHistory;
+use crate::world::preconditions::action_error;
+use crate::world::setup::RobotSetup;
+use crate::world::sim_state::SimState;
+use crate::world::system::{ComponentType, System, SystemTimer, kinds};
 use crate::world::systems::docking::Docked;
 use consort_protocol::ids::RobotId;
 use consort_protocol::units::BatteryShare;
-use consort_skills::actions::{ActionError, BodyEvent, ErrorCode, Goal};
+use consort_skills::actions::{ActionError, BackendEvent, ErrorCode, Goal};
 use hecs::Entity;
 
 /// Below this share of a full battery a robot stops dead: 5 %, as in the published evaluation (thesis 4.1.2).
@@ -37,7 +37,7 @@ pub(crate) struct Battery {
     rate: f64,
     /// False once the charge fell to the stopping share.
     pub(crate) able: bool,
-    strands: Option<Ticket>,
+    strands: Option<TimerId>,
 }
 
 impl Battery {
@@ -71,39 +71,39 @@ impl System for Power {
         "power"
     }
 
-    fn reads(&self) -> Vec<Kind> {
-        kinds![Body, Docked, GoalBook]
+    fn reads(&self) -> Vec<ComponentType> {
+        kinds![SimRobot, Docked, GoalHistory]
     }
 
-    fn writes(&self) -> Vec<Kind> {
+    fn writes(&self) -> Vec<ComponentType> {
         kinds![Battery]
     }
 
-    fn equip(&self, floor: &mut Floor, robot: Entity, body: &RobotBody) {
-        floor.give(robot, Battery::new(body.battery));
+    fn init_robot(&self, floor: &mut SimState, robot: Entity, body: &RobotSetup) {
+        floor.insert(robot, Battery::new(body.battery));
         floor.set_working(robot, false);
     }
 
-    fn permit(&self, floor: &Floor, robot: Entity, _goal: &Goal) -> Result<(), ActionError> {
+    fn check_goal_allowed(&self, floor: &SimState, robot: Entity, _goal: &Goal) -> Result<(), ActionError> {
         if floor.get::<Battery>(robot).able { Ok(()) } else { Err(floor.too_low(robot)) }
     }
 
-    fn wake(&self, floor: &mut Floor, Wake { about: robot, .. }: Wake) {
+    fn on_timer(&self, floor: &mut SimState, SystemTimer { entity: robot, .. }: SystemTimer) {
         floor.run_down(robot);
         let why = floor.too_low(robot);
-        floor.break_off(robot, why);
-        let robot = floor.name(robot);
-        floor.note_then(Happening::Stranded { robot: robot.clone() });
-        floor.say(BodyEvent::Stranded { robot });
+        floor.abort_goal(robot, why);
+        let robot = floor.robot_id(robot);
+        floor.log_after_commands(WorldEvent::Stranded { robot: robot.clone() });
+        floor.emit(BackendEvent::Stranded { robot });
     }
 
-    fn observe(&self, floor: &mut Floor, what: &Happening) {
+    fn on_event(&self, floor: &mut SimState, what: &WorldEvent) {
         let (robot, working) = match what {
-            Happening::GoalBegan { robot, .. } => (robot, true),
-            Happening::GoalEnded { robot, .. } => (robot, false),
-            Happening::Docked { robot, .. } => {
+            WorldEvent::GoalStarted { robot, .. } => (robot, true),
+            WorldEvent::GoalEnded { robot, .. } => (robot, false),
+            WorldEvent::Docked { robot, .. } => {
                 if let Some(robot) = floor.robots.get(robot).copied() {
-                    let working = floor.get::<GoalBook>(robot).is_busy();
+                    let working = floor.get::<GoalHistory>(robot).is_busy();
                     floor.set_working(robot, working);
                 }
                 return;
@@ -111,7 +111,7 @@ impl System for Power {
             _ => return,
         };
         if let Some(robot) = floor.robots.get(robot).copied()
-            && floor.get::<GoalBook>(robot).is_busy() == working
+            && floor.get::<GoalHistory>(robot).is_busy() == working
         {
             floor.set_working(robot, working);
         }
@@ -123,26 +123,26 @@ impl World {
     /// robot that stands with an empty battery stays where it is all the same (but see
     /// [`exchange_battery`](Self::exchange_battery)). Of a robot that is not here nothing is said.
     pub fn set_charge(&mut self, robot: &RobotId, charge: BatteryShare) {
-        let Some(robot) = self.floor.robots.get(robot).copied() else { return };
-        self.have(&Power, |floor| floor.set_charge(robot, charge));
+        let Some(robot) = self.state.robots.get(robot).copied() else { return };
+        self.run_as(&Power, |floor| floor.set_charge(robot, charge));
     }
 
     /// Somebody gives a robot a full battery: one that stood with an empty battery can move again, from where it stands.
-    pub fn exchange_battery(&mut self, robot: &RobotId) {
-        let Some(robot) = self.floor.robots.get(robot).copied() else { return };
-        self.have(&Power, |floor| {
+    pub fn replace_battery(&mut self, robot: &RobotId) {
+        let Some(robot) = self.state.robots.get(robot).copied() else { return };
+        self.run_as(&Power, |floor| {
             floor.get_mut::<Battery>(robot).able = true;
             floor.set_charge(robot, BatteryShare::FULL);
         });
     }
 }
 
-impl Floor {
+impl SimState {
     /// From now on the robot works, or idles; the line of its charge bends here.
     fn set_working(&mut self, robot: Entity, working: bool) {
         let charging = self.find::<Docked>(robot).is_some_and(|docked| docked.0);
         let rate = {
-            let body = &self.get::<Body>(robot).0;
+            let body = &self.get::<SimRobot>(robot).0;
             body.rate(working).get() - if charging { body.charging.get() } else { 0.0 }
         };
         let now = self.now;
@@ -153,14 +153,14 @@ impl Floor {
             (battery.strands.take(), battery.crosses())
         };
         if let Some(ticket) = old {
-            self.queue.take_back(ticket);
+            self.queue.cancel(ticket);
         }
-        let ticket = crosses.map(|time| self.arrange(time, robot, 0));
+        let ticket = crosses.map(|time| self.schedule(time, robot, 0));
         self.get_mut::<Battery>(robot).strands = ticket;
     }
 
     fn set_charge(&mut self, robot: Entity, charge: BatteryShare) {
-        let (now, working) = (self.now, self.get::<GoalBook>(robot).is_busy());
+        let (now, working) = (self.now, self.get::<GoalHistory>(robot).is_busy());
         {
             let mut battery = self.get_mut::<Battery>(robot);
             (battery.charge, battery.since) = (charge.get(), now);
@@ -170,7 +170,10 @@ impl Floor {
 
     fn too_low(&self, robot: Entity) -> ActionError {
         let left = self.get::<Battery>(robot).at(self.now);
-        refused(ErrorCode::BatteryLow, format!("the battery of {} is down to {}", self.name(robot), left.percent()))
+        action_error(
+            ErrorCode::BatteryLow,
+            format!("the battery of {} is down to {}", self.robot_id(robot), left.percent()),
+        )
     }
 
     /// The charge has come down to the stopping share. What is left drains on at the idle rate.

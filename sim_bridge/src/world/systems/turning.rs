@@ -1,13 +1,13 @@
 //! Turning on the spot.
 
-use crate::world::components::Body;
-use crate::world::floor::Floor;
-use crate::world::reach::refused;
-use crate::world::system::{Kind, System, kinds};
+use crate::world::components::SimRobot;
+use crate::world::location::RobotLocation;
+use crate::world::preconditions::action_error;
+use crate::world::sim_state::SimState;
+use crate::world::system::{ComponentType, System, kinds};
 use crate::world::systems::steering::Steered;
-use crate::world::whereabouts::Whereabouts;
 use consort_protocol::pose::Pose;
-use consort_skills::actions::{ActionError, ErrorCode, Feedback, Goal, Progress};
+use consort_skills::actions::{ActionError, ErrorCode, Feedback, Goal, GoalProgress};
 use hecs::Entity;
 
 /// Radians per second at which robots turn: Nav2's greatest for its spin behavior.
@@ -24,41 +24,41 @@ impl System for Turning {
         "turning"
     }
 
-    fn reads(&self) -> Vec<Kind> {
-        kinds![Body]
+    fn reads(&self) -> Vec<ComponentType> {
+        kinds![SimRobot]
     }
 
-    fn writes(&self) -> Vec<Kind> {
-        kinds![Whereabouts, Steered]
+    fn writes(&self) -> Vec<ComponentType> {
+        kinds![RobotLocation, Steered]
     }
 
-    fn begin(&self, floor: &mut Floor, robot: Entity, goal: &Goal) -> Option<Result<f64, ActionError>> {
+    fn begin_goal(&self, floor: &mut SimState, robot: Entity, goal: &Goal) -> Option<Result<f64, ActionError>> {
         let Goal::Spin { angle_rad } = *goal else { return None };
-        let body = &floor.get::<Body>(robot).0;
+        let body = &floor.get::<SimRobot>(robot).0;
         if !body.mobile {
-            return Some(Err(refused(ErrorCode::Unknown, format!("{} cannot turn", body.id))));
+            return Some(Err(action_error(ErrorCode::Unknown, format!("{} cannot turn", body.id))));
         }
         if !(-TURN_MAX_RAD..=TURN_MAX_RAD).contains(&angle_rad) {
             let message =
                 format!("{angle_rad} rad is no angle to turn by, allowed is -{TURN_MAX_RAD:.0} to {TURN_MAX_RAD:.0}");
-            return Some(Err(refused(ErrorCode::Unknown, message)));
+            return Some(Err(action_error(ErrorCode::Unknown, message)));
         }
         Some(Ok(floor.now + angle_rad.abs() / TURN_RADPS))
     }
 
-    fn feedback(&self, _floor: &Floor, _robot: Entity, goal: &Goal, usual: Feedback) -> Feedback {
+    fn feedback(&self, _floor: &SimState, _robot: Entity, goal: &Goal, usual: Feedback) -> Feedback {
         let Goal::Spin { angle_rad } = *goal else { return usual };
         let left_rad = (usual.time_remaining.get() * TURN_RADPS).min(angle_rad.abs());
-        Feedback { progress: Progress::Turned(angle_rad - left_rad.copysign(angle_rad)), ..usual }
+        Feedback { progress: GoalProgress::Turned(angle_rad - left_rad.copysign(angle_rad)), ..usual }
     }
 
-    fn finish(&self, floor: &mut Floor, robot: Entity, goal: &Goal) -> Result<(), ActionError> {
+    fn finish_goal(&self, floor: &mut SimState, robot: Entity, goal: &Goal) -> Result<(), ActionError> {
         let Goal::Spin { angle_rad } = *goal else { return Ok(()) };
-        if let Whereabouts::Standing { pose, .. } = &mut *floor.get_mut::<Whereabouts>(robot) {
+        if let RobotLocation::Standing { pose, .. } = &mut *floor.get_mut::<RobotLocation>(robot) {
             let yaw = pose.yaw + angle_rad;
             *pose = Pose::new(pose.x, pose.y, yaw.sin().atan2(yaw.cos()));
             if let Some(mut steered) = floor.find_mut::<Steered>(robot) {
-                steered.mover.turn_to(pose.yaw);
+                steered.model.set_heading(pose.yaw);
             }
         }
         Ok(())

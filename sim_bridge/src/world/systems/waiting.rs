@@ -1,7 +1,7 @@
 //! Standing still for a while.
 
-use crate::world::floor::Floor;
-use crate::world::system::{Kind, System, kinds};
+use crate::world::sim_state::SimState;
+use crate::world::system::{ComponentType, System, kinds};
 use consort_skills::actions::{ActionError, Goal};
 use hecs::Entity;
 
@@ -13,15 +13,15 @@ impl System for Waiting {
         "waiting"
     }
 
-    fn reads(&self) -> Vec<Kind> {
+    fn reads(&self) -> Vec<ComponentType> {
         kinds![]
     }
 
-    fn writes(&self) -> Vec<Kind> {
+    fn writes(&self) -> Vec<ComponentType> {
         kinds![]
     }
 
-    fn begin(&self, floor: &mut Floor, _robot: Entity, goal: &Goal) -> Option<Result<f64, ActionError>> {
+    fn begin_goal(&self, floor: &mut SimState, _robot: Entity, goal: &Goal) -> Option<Result<f64, ActionError>> {
         let Goal::Wait { time } = goal else { return None };
         Some(Ok(floor.now + time.get()))
     }

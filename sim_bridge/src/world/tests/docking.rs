@@ -2,7 +2,7 @@
 
 use super::*;
 use consort_protocol::pose::Pose;
-use consort_skills::actions::{Progress, Waypoint};
+use consort_skills::actions::{GoalProgress, Waypoint};
 
 fn yard() -> WorldSetup {
     let text = "{name: yard, places: [{name: Charger, kind: charger, x_m: 0, y_m: 0}, {name: Gate, kind: other, x_m: 10, y_m: 0}, \
@@ -12,9 +12,9 @@ fn yard() -> WorldSetup {
 }
 
 /// Loses 0.1 % a second at work, 0.01 % idle, gains 0.4 % docked.
-fn half_full(name: &str, at: &str) -> RobotBody {
+fn half_full(name: &str, at: &str) -> RobotSetup {
     let (battery, charging) = (BatteryShare::new(0.5).unwrap(), SharePerSecond::new(0.004).unwrap());
-    RobotBody { battery, charging, ..carrier(name, at) }
+    RobotSetup { battery, charging, ..carrier(name, at) }
 }
 
 fn charge(world: &World) -> f64 {
@@ -28,29 +28,29 @@ fn dock() -> Goal {
 #[test]
 fn a_docked_robot_charges_until_it_is_full() {
     let mut world = World::new(yard().robot(half_full("r1", "Charger"))).unwrap();
-    does(&mut world, "r1", 1, dock());
+    run_to_success(&mut world, "r1", 1, dock());
     assert!((charge(&world) - 0.498).abs() < 1e-12);
     world.advance(at(12.0));
     assert!((charge(&world) - 0.537).abs() < 1e-12, "0.4 % a second, less what it loses idle");
     world.advance(at(1_000.0));
     assert_eq!(charge(&world), 1.0);
-    does(&mut world, "r1", 2, Goal::Undock);
+    run_to_success(&mut world, "r1", 2, Goal::Undock);
     let full = charge(&world);
     world.advance(at(1_102.0));
     assert!((full - charge(&world) - 0.01).abs() < 1e-12, "idle again");
-    assert_eq!(noted(&mut world, |what| matches!(what, Happening::Docked { .. }).then_some(())).len(), 2);
+    assert_eq!(logged(&mut world, |what| matches!(what, WorldEvent::Docked { .. }).then_some(())).len(), 2);
 }
 
 #[test]
 fn a_robot_that_drives_off_charges_no_longer() {
     let mut world = World::new(yard().robot(half_full("r1", "Charger"))).unwrap();
-    does(&mut world, "r1", 1, dock());
-    let goal = go(&world, "Gate");
-    does(&mut world, "r1", 2, goal);
+    run_to_success(&mut world, "r1", 1, dock());
+    let goal = drive_goal(&world, "Gate");
+    run_to_success(&mut world, "r1", 2, goal);
     let there = charge(&world);
     world.advance(at(world.now().as_secs() + 100.0));
     assert!((there - charge(&world) - 0.01).abs() < 1e-12);
-    let status = refusal(&mut world, "r1", 3, Goal::Undock);
+    let status = rejected_status(&mut world, "r1", 3, Goal::Undock);
     assert_eq!(status, aborted(ErrorCode::Charger, "r1 is not docked"));
 }
 
@@ -59,7 +59,7 @@ fn a_robot_that_charges_in_time_does_not_strand() {
     let mut low = half_full("r1", "Charger");
     low.battery = BatteryShare::new(0.055).unwrap();
     let mut world = World::new(yard().robot(low)).unwrap();
-    does(&mut world, "r1", 1, dock());
+    run_to_success(&mut world, "r1", 1, dock());
     assert_eq!(world.advance(at(10_000.0)), []);
     assert!(world.telemetry(&robot("r1")).unwrap().able);
 }
@@ -75,33 +75,33 @@ fn one_docks_at_chargers_alone() {
     ] {
         assert_eq!(goal.nav2_code(code), Some(nav2));
         let id = u64::from(nav2);
-        assert_eq!(refusal(&mut world, "r1", id, goal), aborted(code, message));
+        assert_eq!(rejected_status(&mut world, "r1", id, goal), aborted(code, message));
     }
 }
 
 #[test]
 fn a_robot_turns_on_the_spot() {
     let mut world = World::new(yard().robot(carrier("r1", "Gate"))).unwrap();
-    does(&mut world, "r1", 1, Goal::Spin { angle_rad: -1.5 });
+    run_to_success(&mut world, "r1", 1, Goal::Spin { angle_rad: -1.5 });
     let pose = world.telemetry(&robot("r1")).unwrap().pose;
     assert_eq!((world.now(), pose.x, pose.y), (at(1.5), 10.0, 0.0));
     assert!((pose.yaw + 1.5).abs() < 1e-12);
-    does(&mut world, "r1", 2, Goal::Spin { angle_rad: -2.0 });
+    run_to_success(&mut world, "r1", 2, Goal::Spin { angle_rad: -2.0 });
     let yaw = world.telemetry(&robot("r1")).unwrap().pose.yaw;
     assert!((yaw - (std::f64::consts::TAU - 3.5)).abs() < 1e-12, "{yaw} is within half a turn");
-    let status = refusal(&mut world, "r1", 3, Goal::Spin { angle_rad: f64::INFINITY });
+    let status = rejected_status(&mut world, "r1", 3, Goal::Spin { angle_rad: f64::INFINITY });
     assert_eq!(status, aborted(ErrorCode::Unknown, "inf rad is no angle to turn by, allowed is -628 to 628"));
 }
 
 #[test]
 fn waypoints_are_followed_one_after_the_other_through_doors() {
     let mut world = World::new(yard().robot(carrier("r1", "Charger"))).unwrap();
-    let stop = |world: &World, name: &str| match go(world, name) {
+    let stop = |world: &World, name: &str| match drive_goal(world, name) {
         Goal::NavigateToPose { pose, place } => Waypoint { pose, place },
         _ => unreachable!("go() drives"),
     };
     let waypoints = ["Gate", "Far", "Gate"].map(|name| stop(&world, name)).into();
-    does(&mut world, "r1", 1, Goal::FollowWaypoints { waypoints });
+    run_to_success(&mut world, "r1", 1, Goal::FollowWaypoints { waypoints });
     assert_eq!(world.now(), at(23.0 + 10.0 + 10.0));
     assert_eq!(world.telemetry(&robot("r1")).unwrap().place, place("Gate"));
     let waypoints = vec![stop(&world, "Far"), stop(&world, "Charger"), stop(&world, "Gate")];
@@ -109,7 +109,7 @@ fn waypoints_are_followed_one_after_the_other_through_doors() {
     assert_eq!(status, aborted(ErrorCode::NoRoute, "no lane from Far to Charger"));
     let far = world.telemetry(&robot("r1")).unwrap();
     assert_eq!((far.place, far.pose), (place("Far"), Pose::new(10.0, 5.0, 0.0)));
-    let status = refusal(&mut world, "r1", 3, Goal::FollowWaypoints { waypoints: vec![] });
+    let status = rejected_status(&mut world, "r1", 3, Goal::FollowWaypoints { waypoints: vec![] });
     assert_eq!(status, aborted(ErrorCode::Unknown, "there are no waypoints to follow"));
 }
 
@@ -128,16 +128,16 @@ fn feedback_is_in_the_terms_of_the_goal() {
         world.advance(at(seconds));
         progress(&world, 1)
     });
-    assert_eq!(reached, [0, 1, 2].map(Progress::Waypoint));
+    assert_eq!(reached, [0, 1, 2].map(GoalProgress::Waypoint));
     world.advance(at(10.0));
     world.start(&robot("r1"), GoalId(2), Goal::Spin { angle_rad: -3.0 });
     let turned = [10.0, 11.0, 12.5].map(|seconds| {
         world.advance(at(seconds));
         progress(&world, 2)
     });
-    assert_eq!(turned, [0.0, -1.0, -2.5].map(Progress::Turned));
+    assert_eq!(turned, [0.0, -1.0, -2.5].map(GoalProgress::Turned));
     let mut world = World::new(yard().robot(half_full("r1", "Charger"))).unwrap();
     world.start(&robot("r1"), GoalId(3), dock());
     world.advance(at(1.5));
-    assert_eq!(progress(&world, 3), Progress::Docking(Seconds::new(1.5).unwrap()));
+    assert_eq!(progress(&world, 3), GoalProgress::Docking(Seconds::new(1.5).unwrap()));
 }

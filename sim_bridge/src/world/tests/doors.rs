@@ -16,13 +16,13 @@ pub(super) fn passage() -> WorldSetup {
     setup
 }
 
-pub(super) fn doors_only(what: &Happening) -> Option<String> {
+pub(super) fn doors_only(what: &WorldEvent) -> Option<String> {
     match what {
-        Happening::DoorAwaited { robot, .. } => Some(format!("{robot} waits")),
-        Happening::DoorEntered { robot, .. } => Some(format!("{robot} enters")),
-        Happening::DoorLeft { robot, .. } => Some(format!("{robot} leaves")),
-        Happening::Door { open: true, .. } => Some("open".to_owned()),
-        Happening::Door { open: false, .. } => Some("closed".to_owned()),
+        WorldEvent::DoorRequested { robot, .. } => Some(format!("{robot} waits")),
+        WorldEvent::DoorEntered { robot, .. } => Some(format!("{robot} enters")),
+        WorldEvent::DoorLeft { robot, .. } => Some(format!("{robot} leaves")),
+        WorldEvent::DoorMoved { open: true, .. } => Some("open".to_owned()),
+        WorldEvent::DoorMoved { open: false, .. } => Some("closed".to_owned()),
         _ => None,
     }
 }
@@ -34,7 +34,7 @@ fn told(lines: &[(f64, &str)]) -> Vec<(f64, String)> {
 /// Starts robots towards a place at once, in this order.
 fn all_go(world: &mut World, names: &[&str], id: u64, to: &str) {
     for name in names {
-        let goal = go(world, to);
+        let goal = drive_goal(world, to);
         world.start(&robot(name), GoalId(id), goal);
     }
 }
@@ -44,7 +44,7 @@ fn arrivals(world: &mut World, until: f64) -> Vec<(f64, String)> {
     let mut arrived = Vec::new();
     while let Some(due) = world.next_due().filter(|due| due.as_secs() <= until) {
         for event in world.advance(due) {
-            if let BodyEvent::GoalEnded { robot, status: GoalStatus::Succeeded, .. } = event {
+            if let BackendEvent::GoalEnded { robot, status: GoalStatus::Succeeded, .. } = event {
                 arrived.push((due.as_secs(), robot.to_string()));
             }
         }
@@ -60,7 +60,7 @@ fn a_robot_waits_until_the_door_stands_open_and_it_closes_behind_it() {
     world.advance(at(10.0));
     let pose = world.telemetry(&robot("r1")).unwrap().pose;
     assert_eq!((pose.x, pose.y, pose.yaw), (4.5, 0.0, 0.0), "half a metre before the door");
-    let feedback = Feedback::left(Metres::new(5.5).unwrap(), Seconds::new(11.0).unwrap());
+    let feedback = Feedback::remaining(Metres::new(5.5).unwrap(), Seconds::new(11.0).unwrap());
     assert_eq!(world.status(&robot("r1"), GoalId(1)), Some(GoalStatus::Executing(feedback)));
     let shown = |world: &World| world.report()["doors"].clone();
     let doors = |narrow: &str| serde_json::json!([{ "name": "Narrow", "state": narrow }, { "name": "Wide", "state": "closed" }]);
@@ -68,7 +68,7 @@ fn a_robot_waits_until_the_door_stands_open_and_it_closes_behind_it() {
     assert_eq!(arrivals(&mut world, 60.0), [(23.0, "r1".to_owned())]);
     assert_eq!(shown(&world), doors("closed"));
     let lines = [(9.0, "r1 waits"), (12.0, "open"), (12.0, "r1 enters"), (14.0, "r1 leaves"), (19.0, "closed")];
-    assert_eq!(noted(&mut world, doors_only), told(&lines));
+    assert_eq!(logged(&mut world, doors_only), told(&lines));
 }
 
 #[test]
@@ -98,7 +98,7 @@ fn a_door_that_closes_opens_again_from_where_it_is() {
     let mut world = World::new(passage().robot(carrier("r1", "A")).robot(slow)).unwrap();
     all_go(&mut world, &["r1", "r2"], 1, "B");
     assert_eq!(arrivals(&mut world, 60.0), [(23.0, "r1".to_owned()), (42.0, "r2".to_owned())]);
-    let lines = noted(&mut world, doors_only);
+    let lines = logged(&mut world, doors_only);
     let again = [(18.0, "r2 waits"), (20.0, "open"), (20.0, "r2 enters"), (24.0, "r2 leaves"), (29.0, "closed")];
     assert_eq!(lines[4..], told(&again), "it had been closing for 2 s");
 }
@@ -136,7 +136,7 @@ fn nobody_waits_for_ever_before_a_doorway_that_does_not_get_free() {
     let events = world.advance(at(500.0));
     let blocked = ended("r2", 1, aborted(ErrorCode::Blocked, message));
     assert_eq!(events, [ended("r1", 1, GoalStatus::Canceled), blocked]);
-    let ends: Vec<_> = noted(&mut world, |what| matches!(what, Happening::GoalEnded { .. }).then_some(()));
+    let ends: Vec<_> = logged(&mut world, |what| matches!(what, WorldEvent::GoalEnded { .. }).then_some(()));
     assert_eq!(ends[1].0, 132.0, "120 s after it last let somebody in");
 }
 
@@ -198,9 +198,9 @@ fn play(errands: &[(usize, f64, bool, Option<f64>)]) -> (World, BTreeSet<GoalId>
     }
     deeds.sort_by(|a, b| a.0.total_cmp(&b.0));
     let (mut stopped, mut ends) = (BTreeSet::new(), BTreeMap::new());
-    let mut keep = |events: Vec<BodyEvent>| {
+    let mut keep = |events: Vec<BackendEvent>| {
         for event in events {
-            if let BodyEvent::GoalEnded { goal, status, .. } = event {
+            if let BackendEvent::GoalEnded { goal, status, .. } = event {
                 ends.insert(goal, status);
             }
         }
@@ -217,7 +217,7 @@ fn play(errands: &[(usize, f64, bool, Option<f64>)]) -> (World, BTreeSet<GoalId>
                 ("B", false) if stands => "C",
                 _ => "B",
             };
-            let goal = go(&world, to);
+            let goal = drive_goal(&world, to);
             world.start(&name, GoalId(id), goal);
         } else {
             stopped.insert(GoalId(id));
@@ -237,15 +237,15 @@ proptest! {
     fn doorways_are_never_crowded_and_all_get_through(errands in errands()) {
         let (mut world, stopped, ends) = play(&errands);
         let mut inside: BTreeMap<String, BTreeSet<RobotId>> = BTreeMap::new();
-        for entry in world.drain_journal() {
-            match entry.what {
-                Happening::DoorEntered { robot, door } => {
+        for entry in world.drain_event_log() {
+            match entry.event {
+                WorldEvent::DoorEntered { robot, door } => {
                     let room = if door == "Narrow" { 1 } else { 2 };
                     let there = inside.entry(door).or_default();
                     there.insert(robot);
                     prop_assert!(there.len() <= room, "{:?} at {:?}", there, entry.time);
                 }
-                Happening::DoorLeft { robot, door } => {
+                WorldEvent::DoorLeft { robot, door } => {
                     inside.entry(door).or_default().remove(&robot);
                 }
                 _ => {}
@@ -263,6 +263,6 @@ proptest! {
     #[test]
     fn doors_are_fair_in_the_same_way_each_time(errands in errands()) {
         let ((mut first, ..), (mut again, ..)) = (play(&errands), play(&errands));
-        prop_assert_eq!(first.drain_journal(), again.drain_journal());
+        prop_assert_eq!(first.drain_event_log(), again.drain_event_log());
     }
 }

@@ -17,7 +17,7 @@ fn two_places(dx: f64, dy: f64) -> Map {
 fn a_leg_takes_its_length_over_the_speed_in_every_direction() {
     for (dx, dy) in [(5.0, 0.0), (0.0, -5.0), (3.0, 4.0), (-4.0, 3.0)] {
         let mut world = World::new(WorldSetup::new(two_places(dx, dy), 1).robot(carrier("r1", "A"))).unwrap();
-        let goal = go(&world, "B");
+        let goal = drive_goal(&world, "B");
         world.start(&robot("r1"), GoalId(1), goal);
         assert_eq!(world.next_due(), Some(at(10.0)), "5 m at 0.5 m/s towards ({dx}, {dy})");
         world.advance(at(4.0));
@@ -30,10 +30,10 @@ fn a_leg_takes_its_length_over_the_speed_in_every_direction() {
 #[test]
 fn feedback_counts_down_and_the_end_is_said_once() {
     let mut world = World::new(hospital(1).robot(carrier("r1", "Laboratory"))).unwrap();
-    let goal = go(&world, "Laboratory Corridor");
+    let goal = drive_goal(&world, "Laboratory Corridor");
     world.start(&robot("r1"), GoalId(1), goal);
     assert_eq!(world.advance(at(6.0)), []);
-    let feedback = Feedback::left(Metres::new(1.0).unwrap(), Seconds::new(2.0).unwrap());
+    let feedback = Feedback::remaining(Metres::new(1.0).unwrap(), Seconds::new(2.0).unwrap());
     assert_eq!(world.status(&robot("r1"), GoalId(1)), Some(GoalStatus::Executing(feedback)));
     assert_eq!(world.telemetry(&robot("r1")).unwrap().place, place("Laboratory"));
     assert_eq!(world.advance(at(100.0)), [ended("r1", 1, GoalStatus::Succeeded)]);
@@ -44,19 +44,19 @@ fn feedback_counts_down_and_the_end_is_said_once() {
 #[test]
 fn without_a_lane_there_is_no_way() {
     let mut world = World::new(hospital(1).robot(carrier("r1", "Laboratory"))).unwrap();
-    let goal = go(&world, "Dock");
-    let status = refusal(&mut world, "r1", 1, goal);
+    let goal = drive_goal(&world, "Dock");
+    let status = rejected_status(&mut world, "r1", 1, goal);
     assert_eq!(status, aborted(ErrorCode::NoRoute, "no lane from Laboratory to Dock"));
     let goal = Goal::NavigateToPose { pose: Pose::default(), place: Some(place("Labratory")) };
-    let status = refusal(&mut world, "r1", 2, goal);
+    let status = rejected_status(&mut world, "r1", 2, goal);
     let message = "there is no place \"Labratory\" here; did you mean \"Laboratory\"?";
     assert_eq!(status, aborted(ErrorCode::Unknown, message));
     let goal = Goal::NavigateToPose { pose: Pose::default(), place: Some(place("Laboratory Corridor")) };
-    let status = refusal(&mut world, "r1", 3, goal);
+    let status = rejected_status(&mut world, "r1", 3, goal);
     let message = "Laboratory Corridor is at (13.5, 7) on this map, not at (0, 0)";
     assert_eq!(status, aborted(ErrorCode::Unknown, message));
     let goal = Goal::NavigateToPose { pose: Pose::new(f64::NAN, 0.0, 0.0), place: None };
-    let status = refusal(&mut world, "r1", 4, goal);
+    let status = rejected_status(&mut world, "r1", 4, goal);
     assert_eq!(status, aborted(ErrorCode::Unknown, "(NaN, 0, 0) is not a pose on a floor"));
 }
 
@@ -68,23 +68,23 @@ fn canceled_in_mid_lane_it_stands_there_and_may_go_on_to_either_end() {
         ("Crossing", Some("no lane to Crossing from between Laboratory and Laboratory Corridor")),
     ] {
         let mut world = World::new(hospital(1).robot(carrier("r1", "Laboratory"))).unwrap();
-        let goal = go(&world, "Laboratory Corridor");
+        let goal = drive_goal(&world, "Laboratory Corridor");
         world.start(&robot("r1"), GoalId(1), goal);
         world.advance(at(2.0));
         world.cancel(&robot("r1"), GoalId(1));
         assert_eq!(world.advance(at(50.0)), [ended("r1", 1, GoalStatus::Canceled)]);
         let pose = world.telemetry(&robot("r1")).unwrap().pose;
         assert_eq!((pose.x, pose.y), (13.5, 10.0), "1 m of 4 m down the lane");
-        let goal = go(&world, next);
+        let goal = drive_goal(&world, next);
         match message {
             None => {
-                does(&mut world, "r1", 2, goal);
+                run_to_success(&mut world, "r1", 2, goal);
                 let left = if next == "Laboratory" { 2.0 } else { 6.0 };
                 assert_eq!(world.now(), at(50.0 + left));
                 assert_eq!(world.telemetry(&robot("r1")).unwrap().place, place(next));
             }
             Some(message) => {
-                assert_eq!(refusal(&mut world, "r1", 2, goal), aborted(ErrorCode::NoRoute, message));
+                assert_eq!(rejected_status(&mut world, "r1", 2, goal), aborted(ErrorCode::NoRoute, message));
             }
         }
     }
@@ -96,36 +96,36 @@ fn a_one_way_lane_is_not_driven_back() {
                 {name: C, kind: other, x_m: 0, y_m: 3}], lanes: [{between: [A, B], one_way: true, length_m: 6}, \
                 {between: [B, C], one_way: true}, {between: [C, A], one_way: true}]}";
     let mut world = World::new(WorldSetup::new(map::read(text, "ring").unwrap(), 1).robot(carrier("r1", "A"))).unwrap();
-    let (b, a) = (go(&world, "B"), go(&world, "A"));
+    let (b, a) = (drive_goal(&world, "B"), drive_goal(&world, "A"));
     world.start(&robot("r1"), GoalId(1), b.clone());
     world.advance(at(3.0));
     world.cancel(&robot("r1"), GoalId(1));
     world.advance(at(3.0));
-    let status = refusal(&mut world, "r1", 2, a.clone());
+    let status = rejected_status(&mut world, "r1", 2, a.clone());
     assert_eq!(status, aborted(ErrorCode::NoRoute, "the lane from A to B is one-way"));
-    does(&mut world, "r1", 3, b);
+    run_to_success(&mut world, "r1", 3, b);
     assert_eq!(world.now(), at(12.0), "6 m as the map says, not the 4 m of the straight line");
-    let status = refusal(&mut world, "r1", 4, a);
+    let status = rejected_status(&mut world, "r1", 4, a);
     assert_eq!(status, aborted(ErrorCode::NoRoute, "no lane from B to A"));
 }
 
 #[test]
 fn off_the_lanes_the_way_back_is_to_the_last_place() {
     let mut world = World::new(hospital(1).robot(carrier("r1", "Dock"))).unwrap();
-    does(&mut world, "r1", 1, Goal::NavigateToPose { pose: Pose::new(9.0, 6.5, 0.0), place: None });
+    run_to_success(&mut world, "r1", 1, Goal::NavigateToPose { pose: Pose::new(9.0, 6.5, 0.0), place: None });
     assert_eq!(world.now(), at(10.0));
-    let goal = go(&world, "Crossing");
+    let goal = drive_goal(&world, "Crossing");
     let message = "no lane to Crossing from off the lanes near Dock: the way back is to Dock";
-    assert_eq!(refusal(&mut world, "r1", 2, goal), aborted(ErrorCode::NoRoute, message));
-    let goal = go(&world, "Dock");
-    does(&mut world, "r1", 3, goal);
+    assert_eq!(rejected_status(&mut world, "r1", 2, goal), aborted(ErrorCode::NoRoute, message));
+    let goal = drive_goal(&world, "Dock");
+    run_to_success(&mut world, "r1", 3, goal);
     assert_eq!(world.now(), at(20.0));
 }
 
 #[test]
 fn one_goal_at_a_time_and_each_id_once() {
     let mut world = World::new(hospital(1).robot(carrier("r1", "Dock"))).unwrap();
-    let goal = go(&world, "Crossing");
+    let goal = drive_goal(&world, "Crossing");
     world.start(&robot("r1"), GoalId(1), goal.clone());
     world.start(&robot("r1"), GoalId(1), goal.clone());
     world.start(&robot("r1"), GoalId(2), Goal::Wait { time: Seconds::new(1.0).unwrap() });
@@ -150,7 +150,7 @@ fn ended_goals_are_forgotten_in_the_end_and_not_begun_again() {
     let mut world = World::new(setup).unwrap();
     let wait = Goal::Wait { time: Seconds::new(1.0).unwrap() };
     for id in 1..=3 {
-        does(&mut world, "r1", id, wait.clone());
+        run_to_success(&mut world, "r1", id, wait.clone());
     }
     let known: Vec<bool> = (1..=3).map(|id| world.status(&robot("r1"), GoalId(id)).is_some()).collect();
     assert_eq!(known, [false, true, true]);

@@ -2,12 +2,12 @@
 
 use super::*;
 
-fn thing(name: &str, weight_kg: f64, distance_m: f64) -> Object {
-    Object { name: name.into(), place: place("Laboratory"), weight_kg, distance_m }
+fn thing(name: &str, weight_kg: f64, distance_m: f64) -> ObjectSetup {
+    ObjectSetup { name: name.into(), place: place("Laboratory"), weight_kg, distance_m }
 }
 
-fn porter() -> RobotBody {
-    RobotBody { has_arm: true, ..carrier("r1", "Laboratory") }
+fn porter() -> RobotSetup {
+    RobotSetup { has_arm: true, ..carrier("r1", "Laboratory") }
 }
 
 fn store() -> World {
@@ -20,7 +20,7 @@ fn grasp(object: &str) -> Goal {
     Goal::Grasp { object: object.to_owned() }
 }
 
-fn keeper(world: &World, object: &str) -> Keeper {
+fn keeper(world: &World, object: &str) -> SampleHolder {
     world.sample(&object.into()).unwrap().keeper
 }
 
@@ -32,26 +32,26 @@ fn an_arm_takes_what_it_reaches_and_can_lift() {
         (2, "box", ErrorCode::OutOfReach, "box is 1.5 m away, r1 reaches 1 m"),
         (3, "cup", ErrorCode::OutOfReach, "no \"cup\" lies at Laboratory; there lies: tray, crate, box"),
     ] {
-        assert_eq!(refusal(&mut world, "r1", id, grasp(object)), aborted(code, message));
+        assert_eq!(rejected_status(&mut world, "r1", id, grasp(object)), aborted(code, message));
     }
-    let status = refusal(&mut world, "r2", 4, grasp("tray"));
+    let status = rejected_status(&mut world, "r2", 4, grasp("tray"));
     assert_eq!(status, aborted(ErrorCode::OutOfReach, "r2 has no arm"));
-    does(&mut world, "r1", 5, grasp("tray"));
-    assert_eq!((world.now(), keeper(&world, "tray")), (at(2.0), Keeper::Arm(robot("r1"))));
-    let status = refusal(&mut world, "r1", 6, grasp("box"));
+    run_to_success(&mut world, "r1", 5, grasp("tray"));
+    assert_eq!((world.now(), keeper(&world, "tray")), (at(2.0), SampleHolder::Arm(robot("r1"))));
+    let status = rejected_status(&mut world, "r1", 6, grasp("box"));
     assert_eq!(status, aborted(ErrorCode::Busy, "r1 already holds tray"));
 }
 
 #[test]
 fn a_thing_is_carried_and_put_down_elsewhere() {
     let mut world = store();
-    does(&mut world, "r1", 1, grasp("tray"));
-    let goal = go(&world, "Laboratory Corridor");
-    does(&mut world, "r1", 2, goal);
+    run_to_success(&mut world, "r1", 1, grasp("tray"));
+    let goal = drive_goal(&world, "Laboratory Corridor");
+    run_to_success(&mut world, "r1", 2, goal);
     assert_eq!(world.sample(&"tray".into()).unwrap().place, place("Laboratory Corridor"));
-    does(&mut world, "r1", 3, Goal::Deposit { into: None });
-    assert_eq!(keeper(&world, "tray"), Keeper::Table(place("Laboratory Corridor")));
-    does(&mut world, "r1", 4, grasp("tray"));
+    run_to_success(&mut world, "r1", 3, Goal::Deposit { into: None });
+    assert_eq!(keeper(&world, "tray"), SampleHolder::Table(place("Laboratory Corridor")));
+    run_to_success(&mut world, "r1", 4, grasp("tray"));
 }
 
 #[test]
@@ -61,29 +61,33 @@ fn a_grasp_that_is_broken_off_leaves_the_thing_where_it_is() {
     world.advance(at(1.0));
     world.cancel(&robot("r1"), GoalId(1));
     world.advance(at(9.0));
-    assert_eq!(keeper(&world, "tray"), Keeper::Table(place("Laboratory")));
+    assert_eq!(keeper(&world, "tray"), SampleHolder::Table(place("Laboratory")));
     world.start(&robot("r1"), GoalId(2), grasp("tray"));
     world.set_charge(&robot("r1"), BatteryShare::new(0.04).unwrap());
     world.advance(at(20.0));
-    assert_eq!(keeper(&world, "tray"), Keeper::Table(place("Laboratory")), "its battery ran down");
+    assert_eq!(keeper(&world, "tray"), SampleHolder::Table(place("Laboratory")), "its battery ran down");
 }
 
 #[test]
 fn a_robot_that_dies_under_way_keeps_what_it_carries_where_it_stands() {
     let mut world = store();
-    does(&mut world, "r1", 1, grasp("tray"));
-    let goal = go(&world, "Laboratory Corridor");
+    run_to_success(&mut world, "r1", 1, grasp("tray"));
+    let goal = drive_goal(&world, "Laboratory Corridor");
     world.start(&robot("r1"), GoalId(2), goal);
     world.advance(at(4.0));
     world.set_charge(&robot("r1"), BatteryShare::new(0.04).unwrap());
     world.advance(at(60.0));
     let left = world.sample(&"tray".into()).unwrap();
-    assert_eq!((left.keeper, left.place), (Keeper::Arm(robot("r1")), place("Laboratory")), "a metre down the lane");
+    assert_eq!(
+        (left.keeper, left.place),
+        (SampleHolder::Arm(robot("r1")), place("Laboratory")),
+        "a metre down the lane"
+    );
 }
 
 #[test]
 fn two_arms_do_not_take_one_thing() {
-    let mut setup = hospital(1).robot(porter()).robot(RobotBody { has_arm: true, ..carrier("r2", "Laboratory") });
+    let mut setup = hospital(1).robot(porter()).robot(RobotSetup { has_arm: true, ..carrier("r2", "Laboratory") });
     setup.objects = vec![thing("tray", 1.5, 0.5)];
     let mut world = World::new(setup).unwrap();
     world.start(&robot("r2"), GoalId(1), grasp("tray"));
@@ -95,8 +99,8 @@ fn two_arms_do_not_take_one_thing() {
 
 #[test]
 fn a_setup_with_things_that_cannot_be_is_refused() {
-    let mut setup = hospital(1).robot(RobotBody { reach_m: f64::NAN, ..porter() });
-    setup.objects = vec![thing("tray", -1.0, 0.0), Object { place: place("Attic"), ..thing("tray", 1.0, 0.0) }];
+    let mut setup = hospital(1).robot(RobotSetup { reach_m: f64::NAN, ..porter() });
+    setup.objects = vec![thing("tray", -1.0, 0.0), ObjectSetup { place: place("Attic"), ..thing("tray", 1.0, 0.0) }];
     let errors = World::new(setup).unwrap_err().to_string();
     assert_eq!(
         errors.lines().collect::<Vec<_>>(),

@@ -17,44 +17,47 @@ const WAY: [&str; 7] = [
 fn the_sample_comes_to_the_laboratory() {
     let setup = hospital(11)
         .robot(carrier("r1", "PC Corridor 3"))
-        .robot(RobotBody::arm(robot("lab_arm"), place("Laboratory")))
+        .robot(RobotSetup::arm(robot("lab_arm"), place("Laboratory")))
         .person(nurse("Nia", "PC Room 3", "s1"));
     let mut world = World::new(setup).unwrap();
-    let room = go(&world, "PC Room 3");
-    does(&mut world, "r1", 1, room);
-    does(&mut world, "r1", 2, Goal::ApproachPerson { role: role("nurse") });
-    does(&mut world, "r1", 3, Goal::AuthenticatePerson { role: role("nurse") });
-    assert!(world.body(&robot("r1")).unwrap().authenticated);
-    does(&mut world, "r1", 4, Goal::OperateDrawer { open: true });
-    world.ask_person(GoalId(1), deposit("r1"));
+    let room = drive_goal(&world, "PC Room 3");
+    run_to_success(&mut world, "r1", 1, room);
+    run_to_success(&mut world, "r1", 2, Goal::ApproachPerson { role: role("nurse") });
+    run_to_success(&mut world, "r1", 3, Goal::AuthenticatePerson { role: role("nurse") });
+    assert!(world.robot_report(&robot("r1")).unwrap().authenticated);
+    run_to_success(&mut world, "r1", 4, Goal::OperateDrawer { open: true });
+    world.request_person(GoalId(1), deposit("r1"));
     let due = world.next_due().unwrap();
-    assert_eq!(world.advance(due), [BodyEvent::PersonEnded { ask: GoalId(1), result: Ok(()) }]);
+    assert_eq!(world.advance(due), [BackendEvent::PersonRequestEnded { ask: GoalId(1), result: Ok(()) }]);
     let handed_over = world.now();
-    does(&mut world, "r1", 5, Goal::OperateDrawer { open: false });
+    run_to_success(&mut world, "r1", 5, Goal::OperateDrawer { open: false });
     for (id, to) in (6..).zip(WAY) {
-        let leg = go(&world, to);
-        does(&mut world, "r1", id, leg);
+        let leg = drive_goal(&world, to);
+        run_to_success(&mut world, "r1", id, leg);
     }
     assert_eq!(world.sample(&"s1".into()).unwrap().place, place("Laboratory"), "it travels with the robot");
-    does(&mut world, "r1", 20, Goal::ApproachRobot { robot: robot("lab_arm") });
-    does(&mut world, "r1", 21, Goal::OperateDrawer { open: true });
-    does(&mut world, "lab_arm", 1, Goal::PickUp { from: robot("r1") });
+    run_to_success(&mut world, "r1", 20, Goal::ApproachRobot { robot: robot("lab_arm") });
+    run_to_success(&mut world, "r1", 21, Goal::OperateDrawer { open: true });
+    run_to_success(&mut world, "lab_arm", 1, Goal::PickUp { from: robot("r1") });
     let picked_up = world.now();
-    does(&mut world, "r1", 22, Goal::OperateDrawer { open: false });
+    run_to_success(&mut world, "r1", 22, Goal::OperateDrawer { open: false });
     assert_eq!(
         world.samples(),
         [SampleReport {
             id: "s1".into(),
-            keeper: Keeper::Arm(robot("lab_arm")),
+            keeper: SampleHolder::Arm(robot("lab_arm")),
             place: place("Laboratory"),
-            history: vec![(handed_over, Keeper::Person("Nia".into())), (picked_up, Keeper::Drawer(robot("r1")))],
+            history: vec![
+                (handed_over, SampleHolder::Person("Nia".into())),
+                (picked_up, SampleHolder::Drawer(robot("r1")))
+            ],
         }]
     );
     let driven = (4.0 + 4.0 + 13.0 + 4.0) / 0.5;
     let took = world.now().as_secs() - driven - 8.0 * 2.0;
     assert!((2.0..=4.0).contains(&took), "driving, eight steps of 2 s, and the nurse: {took}");
-    does(&mut world, "lab_arm", 2, Goal::Deposit { into: None });
-    assert_eq!(world.samples()[0].keeper, Keeper::Table(place("Laboratory")));
+    run_to_success(&mut world, "lab_arm", 2, Goal::Deposit { into: None });
+    assert_eq!(world.samples()[0].keeper, SampleHolder::Table(place("Laboratory")));
 }
 
 #[test]
@@ -68,21 +71,21 @@ fn an_arm_on_wheels_carries_a_sample_from_one_drawer_to_another() {
         .person(nurse("Ana", "PC Room 1", "s1"));
     let mut world = World::new(setup).unwrap();
     let keeper = |world: &World| world.samples()[0].keeper.clone();
-    does(&mut world, "r1", 1, Goal::ApproachPerson { role: role("nurse") });
-    does(&mut world, "r1", 2, Goal::OperateDrawer { open: true });
-    world.ask_person(GoalId(1), deposit("r1"));
+    run_to_success(&mut world, "r1", 1, Goal::ApproachPerson { role: role("nurse") });
+    run_to_success(&mut world, "r1", 2, Goal::OperateDrawer { open: true });
+    world.request_person(GoalId(1), deposit("r1"));
     world.advance(at(20.0));
-    does(&mut world, "porter", 1, Goal::ApproachRobot { robot: robot("r1") });
-    does(&mut world, "porter", 2, Goal::PickUp { from: robot("r1") });
-    let status = refusal(&mut world, "porter", 3, Goal::PickUp { from: robot("r1") });
+    run_to_success(&mut world, "porter", 1, Goal::ApproachRobot { robot: robot("r1") });
+    run_to_success(&mut world, "porter", 2, Goal::PickUp { from: robot("r1") });
+    let status = rejected_status(&mut world, "porter", 3, Goal::PickUp { from: robot("r1") });
     assert_eq!(status, aborted(ErrorCode::Busy, "porter already holds s1"));
-    let out = go(&world, "PC Corridor 1");
-    does(&mut world, "porter", 4, out);
-    assert_eq!(keeper(&world), Keeper::Arm(robot("porter")));
-    does(&mut world, "r2", 1, Goal::OperateDrawer { open: true });
-    does(&mut world, "porter", 5, Goal::ApproachRobot { robot: robot("r2") });
-    does(&mut world, "porter", 6, Goal::Deposit { into: Some(robot("r2")) });
-    assert_eq!(keeper(&world), Keeper::Drawer(robot("r2")));
+    let out = drive_goal(&world, "PC Corridor 1");
+    run_to_success(&mut world, "porter", 4, out);
+    assert_eq!(keeper(&world), SampleHolder::Arm(robot("porter")));
+    run_to_success(&mut world, "r2", 1, Goal::OperateDrawer { open: true });
+    run_to_success(&mut world, "porter", 5, Goal::ApproachRobot { robot: robot("r2") });
+    run_to_success(&mut world, "porter", 6, Goal::Deposit { into: Some(robot("r2")) });
+    assert_eq!(keeper(&world), SampleHolder::Drawer(robot("r2")));
     assert_eq!(world.samples()[0].place, place("PC Corridor 1"));
 }
 
@@ -92,18 +95,18 @@ fn a_fixed_arm_lays_down_what_it_holds_before_it_takes_the_next() {
     nurse.samples.push("s2".into());
     let setup = hospital(1)
         .robot(carrier("r1", "Laboratory"))
-        .robot(RobotBody::arm(robot("lab_arm"), place("Laboratory")))
+        .robot(RobotSetup::arm(robot("lab_arm"), place("Laboratory")))
         .person(nurse);
     let mut world = World::new(setup).unwrap();
-    does(&mut world, "r1", 1, Goal::OperateDrawer { open: true });
+    run_to_success(&mut world, "r1", 1, Goal::OperateDrawer { open: true });
     for (turn, goals) in [(1, [2, 3]), (2, [4, 5])] {
-        does(&mut world, "r1", goals[0], Goal::ApproachPerson { role: role("nurse") });
-        world.ask_person(GoalId(turn), deposit("r1"));
+        run_to_success(&mut world, "r1", goals[0], Goal::ApproachPerson { role: role("nurse") });
+        world.request_person(GoalId(turn), deposit("r1"));
         let soon = at(world.now().as_secs() + 10.0);
         world.advance(soon);
-        does(&mut world, "r1", goals[1], Goal::ApproachRobot { robot: robot("lab_arm") });
-        does(&mut world, "lab_arm", turn, Goal::PickUp { from: robot("r1") });
+        run_to_success(&mut world, "r1", goals[1], Goal::ApproachRobot { robot: robot("lab_arm") });
+        run_to_success(&mut world, "lab_arm", turn, Goal::PickUp { from: robot("r1") });
     }
-    let keepers: Vec<Keeper> = world.samples().into_iter().map(|sample| sample.keeper).collect();
-    assert_eq!(keepers, [Keeper::Table(place("Laboratory")), Keeper::Arm(robot("lab_arm"))]);
+    let keepers: Vec<SampleHolder> = world.samples().into_iter().map(|sample| sample.keeper).collect();
+    assert_eq!(keepers, [SampleHolder::Table(place("Laboratory")), SampleHolder::Arm(robot("lab_arm"))]);
 }

@@ -17,7 +17,7 @@ pub(super) fn tower(capacity: u32) -> WorldSetup {
 }
 
 fn rides(world: &mut World, name: &str, id: u64, to: &str) {
-    let goal = go(world, to);
+    let goal = drive_goal(world, to);
     world.start(&robot(name), GoalId(id), goal);
 }
 
@@ -25,7 +25,7 @@ fn ends(world: &mut World, until: f64) -> Vec<(f64, String, GoalStatus)> {
     let mut ends = Vec::new();
     while let Some(due) = world.next_due().filter(|due| due.as_secs() <= until) {
         for event in world.advance(due) {
-            if let BodyEvent::GoalEnded { robot, status, .. } = event {
+            if let BackendEvent::GoalEnded { robot, status, .. } = event {
                 ends.push((due.as_secs(), robot.to_string(), status));
             }
         }
@@ -45,7 +45,7 @@ fn a_lift_opens_closes_goes_and_opens() {
     world.advance(at(5.0));
     let riding = world.telemetry(&robot("r1")).unwrap();
     assert_eq!(riding.place, place("L2"), "it gets out there whatever happens");
-    let status = refusal(&mut world, "r1", 9, Goal::OperateDrawer { open: true });
+    let status = rejected_status(&mut world, "r1", 9, Goal::OperateDrawer { open: true });
     assert!(matches!(status, GoalStatus::Aborted(why) if why.code == ErrorCode::Busy));
     assert_eq!(ends(&mut world, 60.0), arrived(&[(3.0 + 3.0 + 8.0 + 3.0, "r1")]));
     rides(&mut world, "r1", 2, "Room");
@@ -101,8 +101,8 @@ fn without_lifts_among_what_happens_there_is_no_way_up() {
     let mut setup = tower(1).robot(carrier("r1", "L0"));
     setup.systems.retain(|name| name != "lifts");
     let mut world = World::new(setup).unwrap();
-    let goal = go(&world, "L1");
-    let status = refusal(&mut world, "r1", 1, goal);
+    let goal = drive_goal(&world, "L1");
+    let status = rejected_status(&mut world, "r1", 1, goal);
     assert_eq!(status, aborted(ErrorCode::NoRoute, "no lane from L0 to L1"));
 }
 
@@ -125,9 +125,9 @@ proptest! {
         let mut order: Vec<usize> = (0..calls.len()).collect();
         order.sort_by(|a, b| calls[*a].2.total_cmp(&calls[*b].2));
         let mut got_there = BTreeSet::new();
-        let mut keep = |events: Vec<BodyEvent>| {
+        let mut keep = |events: Vec<BackendEvent>| {
             for event in events {
-                if let BodyEvent::GoalEnded { robot, status: GoalStatus::Succeeded, .. } = event {
+                if let BackendEvent::GoalEnded { robot, status: GoalStatus::Succeeded, .. } = event {
                     got_there.insert(robot.to_string());
                 }
             }
@@ -140,10 +140,10 @@ proptest! {
         keep(world.advance(at(3_000.0)));
         prop_assert_eq!(got_there.len(), calls.len());
         let mut riding = BTreeMap::new();
-        for entry in world.drain_journal() {
-            match entry.what {
-                Happening::LiftEntered { robot, .. } => drop(riding.insert(robot, ())),
-                Happening::LiftLeft { robot, .. } => drop(riding.remove(&robot)),
+        for entry in world.drain_event_log() {
+            match entry.event {
+                WorldEvent::LiftEntered { robot, .. } => drop(riding.insert(robot, ())),
+                WorldEvent::LiftLeft { robot, .. } => drop(riding.remove(&robot)),
                 _ => {}
             }
             prop_assert!(riding.len() <= capacity as usize, "{:?}", riding);

@@ -1,20 +1,20 @@
 //! Stories of the world, each file one theme.
 
-mod asks;
 mod docking;
 mod doors;
 mod driving;
 mod gripping;
 mod lab_samples;
 mod lifts;
-mod moods;
 mod obstacles;
+mod person_requests;
 mod power;
 mod preconditions;
 mod properties;
 mod sensing;
-mod setups;
+mod setup_errors;
 mod speed;
+mod spontaneous_actions;
 mod steered_journeys;
 mod steering;
 mod systems;
@@ -24,7 +24,9 @@ use crate::map;
 use consort_protocol::ids::{PlaceId, RobotId, RoleId, TaskType};
 use consort_protocol::mission::TaskSpec;
 use consort_protocol::units::{BatteryShare, MetresPerSecond, Seconds, SharePerSecond, WorldTime};
-use consort_skills::actions::{ActionError, BodyEvent, BodyHost, ErrorCode, Goal, GoalId, GoalStatus, PersonAsk};
+use consort_skills::actions::{
+    ActionError, BackendEvent, ErrorCode, Goal, GoalId, GoalStatus, PersonRequest, RobotBackend,
+};
 
 fn place(name: &str) -> PlaceId {
     PlaceId::new(name).unwrap()
@@ -43,13 +45,13 @@ fn at(seconds: f64) -> WorldTime {
 }
 
 /// A carrier of 0.5 m/s with a full battery that loses 0.1 % a second at work.
-fn carrier(name: &str, at: &str) -> RobotBody {
+fn carrier(name: &str, at: &str) -> RobotSetup {
     let (speed, discharge) = (MetresPerSecond::new(0.5).unwrap(), SharePerSecond::new(0.001).unwrap());
-    RobotBody::carrier(robot(name), place(at), speed, BatteryShare::FULL, discharge)
+    RobotSetup::carrier(robot(name), place(at), speed, BatteryShare::FULL, discharge)
 }
 
-fn nurse(name: &str, at: &str, sample: &str) -> Person {
-    Person { name: name.into(), role: role("nurse"), place: place(at), samples: vec![sample.into()], mood: vec![] }
+fn nurse(name: &str, at: &str, sample: &str) -> PersonSetup {
+    PersonSetup { name: name.into(), role: role("nurse"), place: place(at), samples: vec![sample.into()], mood: vec![] }
 }
 
 fn hospital(seed: u64) -> WorldSetup {
@@ -57,17 +59,17 @@ fn hospital(seed: u64) -> WorldSetup {
 }
 
 /// What the journal says since it was last asked, of those that `of` has something to say of: when, and what.
-fn noted<T>(world: &mut World, of: impl Fn(&Happening) -> Option<T>) -> Vec<(f64, T)> {
-    let journal = world.drain_journal().into_iter();
-    journal.filter_map(|entry| Some((entry.time.as_secs(), of(&entry.what)?))).collect()
+fn logged<T>(world: &mut World, of: impl Fn(&WorldEvent) -> Option<T>) -> Vec<(f64, T)> {
+    let journal = world.drain_event_log().into_iter();
+    journal.filter_map(|entry| Some((entry.time.as_secs(), of(&entry.event)?))).collect()
 }
 
-fn go(world: &World, to: &str) -> Goal {
+fn drive_goal(world: &World, to: &str) -> Goal {
     Goal::NavigateToPose { pose: world.map().place(&place(to)).unwrap().pose, place: Some(place(to)) }
 }
 
-fn ended(name: &str, goal: u64, status: GoalStatus) -> BodyEvent {
-    BodyEvent::GoalEnded { robot: robot(name), goal: GoalId(goal), status }
+fn ended(name: &str, goal: u64, status: GoalStatus) -> BackendEvent {
+    BackendEvent::GoalEnded { robot: robot(name), goal: GoalId(goal), status }
 }
 
 fn aborted(code: ErrorCode, message: &str) -> GoalStatus {
@@ -75,23 +77,23 @@ fn aborted(code: ErrorCode, message: &str) -> GoalStatus {
 }
 
 /// Asks a nurse to deposit into the drawer of whoever holds `r1`.
-fn deposit(holder: &str) -> PersonAsk {
+fn deposit(holder: &str) -> PersonRequest {
     let task = TaskSpec {
         parameters: [("into_role".to_owned(), "r1".to_owned())].into(),
         ..TaskSpec::of(TaskType::new("deposit").unwrap(), vec![role("nurse")])
     };
-    PersonAsk { role: role("nurse"), task, holders: [(role("r1"), robot(holder))].into() }
+    PersonRequest { role: role("nurse"), task, holders: [(role("r1"), robot(holder))].into() }
 }
 
 /// Begins a goal and lets time pass until it ends: how, and what else happened.
-fn run(world: &mut World, name: &str, id: u64, goal: Goal) -> (GoalStatus, Vec<BodyEvent>) {
+fn run(world: &mut World, name: &str, id: u64, goal: Goal) -> (GoalStatus, Vec<BackendEvent>) {
     world.start(&robot(name), GoalId(id), goal);
     let mut others = Vec::new();
     for _ in 0..100 {
         let due = world.next_due().expect("the goal has not ended");
         for event in world.advance(due) {
             match event {
-                BodyEvent::GoalEnded { robot, goal, status } if robot.as_str() == name && goal == GoalId(id) => {
+                BackendEvent::GoalEnded { robot, goal, status } if robot.as_str() == name && goal == GoalId(id) => {
                     return (status, others);
                 }
                 other => others.push(other),
@@ -102,15 +104,15 @@ fn run(world: &mut World, name: &str, id: u64, goal: Goal) -> (GoalStatus, Vec<B
 }
 
 /// The same for a goal that is to succeed while nothing else happens.
-fn does(world: &mut World, name: &str, id: u64, goal: Goal) {
+fn run_to_success(world: &mut World, name: &str, id: u64, goal: Goal) {
     assert_eq!(run(world, name, id, goal), (GoalStatus::Succeeded, vec![]), "{name}, goal {id}");
 }
 
-fn refusal(world: &mut World, name: &str, id: u64, goal: Goal) -> GoalStatus {
+fn rejected_status(world: &mut World, name: &str, id: u64, goal: Goal) -> GoalStatus {
     world.start(&robot(name), GoalId(id), goal);
     let now = world.now();
     match world.advance(now).as_slice() {
-        [BodyEvent::GoalEnded { status, .. }] => status.clone(),
+        [BackendEvent::GoalEnded { status, .. }] => status.clone(),
         other => panic!("one refusal at once, not {other:?}"),
     }
 }

@@ -28,14 +28,14 @@ fn a_robot_drives_until_it_sees_what_stands_in_the_way() {
     setup.obstacles.push(trolley());
     let mut world = World::new(setup).unwrap();
     assert_eq!(known(&world, "r1"), [], "it has not met it");
-    let goal = go(&world, "B");
+    let goal = drive_goal(&world, "B");
     assert_eq!(run(&mut world, "r1", 1, goal).0, aborted(ErrorCode::Blocked, BLOCKED));
     assert_eq!((world.now(), x(&world, "r1")), (at(8.0), 4.0));
     assert_eq!(known(&world, "r1"), [(place("A"), place("B"))]);
     assert_eq!(known(&world, "r2"), [], "nobody has told it");
-    let (again, back) = (go(&world, "B"), go(&world, "A"));
+    let (again, back) = (drive_goal(&world, "B"), drive_goal(&world, "A"));
     assert_eq!(run(&mut world, "r1", 2, again).0, aborted(ErrorCode::Blocked, BLOCKED), "it is still there");
-    does(&mut world, "r1", 3, back);
+    run_to_success(&mut world, "r1", 3, back);
     assert_eq!(world.now(), at(16.0));
 }
 
@@ -45,7 +45,7 @@ fn what_comes_while_a_robot_is_under_way_stops_it_unless_it_has_passed() {
         let mut setup = corridor().robot(carrier("r1", "A"));
         setup.obstacles.push(Obstacle { from_s: comes, ..trolley() });
         let mut world = World::new(setup).unwrap();
-        let goal = go(&world, "B");
+        let goal = drive_goal(&world, "B");
         let (status, _) = run(&mut world, "r1", 1, goal);
         assert_eq!(world.now(), at(ends), "it comes at {comes} s");
         let expected = if ends == 20.0 { GoalStatus::Succeeded } else { aborted(ErrorCode::Blocked, BLOCKED) };
@@ -58,32 +58,32 @@ fn what_has_gone_before_it_is_met_stops_nobody() {
     let mut setup = corridor().robot(carrier("r1", "B"));
     setup.obstacles.push(Obstacle { until_s: Some(7.0), ..trolley() });
     let mut world = World::new(setup).unwrap();
-    let goal = go(&world, "A");
-    does(&mut world, "r1", 1, goal);
+    let goal = drive_goal(&world, "A");
+    run_to_success(&mut world, "r1", 1, goal);
     assert_eq!((world.now(), known(&world, "r1")), (at(20.0), vec![]));
 }
 
 #[test]
 fn a_way_is_closed_and_opened_from_outside_and_knowledge_of_it_fades() {
     let mut world = World::new(corridor().robot(carrier("r1", "A"))).unwrap();
-    world.close_way(&Obstacle { at: 0.0, ..trolley() }).unwrap();
-    let goal = go(&world, "B");
+    world.add_obstacle(&Obstacle { at: 0.0, ..trolley() }).unwrap();
+    let goal = drive_goal(&world, "B");
     assert_eq!(run(&mut world, "r1", 1, goal.clone()).0, aborted(ErrorCode::Blocked, BLOCKED));
     assert_eq!(world.now(), at(0.0), "it stands right before the robot");
-    world.open_way("trolley");
+    world.remove_obstacle("trolley");
     world.advance(at(299.0));
     assert_eq!(known(&world, "r1").len(), 1, "nobody has told it that the way is open");
     world.advance(at(300.0));
     assert_eq!(known(&world, "r1"), []);
-    does(&mut world, "r1", 2, goal);
+    run_to_success(&mut world, "r1", 2, goal);
 }
 
 #[test]
 fn a_robot_believes_what_it_is_told() {
     let mut world = World::new(corridor().robot(carrier("r1", "A"))).unwrap();
-    world.tell_closed(&robot("r1"), &place("B"), &place("A"));
+    world.report_lane_closed(&robot("r1"), &place("B"), &place("A"));
     assert_eq!(known(&world, "r1"), [(place("A"), place("B"))]);
-    world.tell_open(&robot("r1"), &place("A"), &place("B"));
+    world.report_lane_open(&robot("r1"), &place("A"), &place("B"));
     assert_eq!(known(&world, "r1"), []);
 }
 
@@ -112,9 +112,9 @@ fn a_setup_with_an_obstacle_nowhere_is_refused() {
 #[test]
 fn worlds_share_no_obstacles() {
     let mut closed = World::new(corridor().robot(carrier("r1", "A"))).unwrap();
-    closed.close_way(&trolley()).unwrap();
+    closed.add_obstacle(&trolley()).unwrap();
     let mut open = World::new(corridor().robot(carrier("r1", "A"))).unwrap();
-    let goal = go(&open, "B");
-    does(&mut open, "r1", 1, goal);
+    let goal = drive_goal(&open, "B");
+    run_to_success(&mut open, "r1", 1, goal);
     assert_eq!(open.now(), at(20.0));
 }

@@ -3,8 +3,8 @@
 use super::*;
 use crate::map::{MapFile, PlaceEntry, PlaceKind};
 
-fn weak(charge: f64) -> RobotBody {
-    RobotBody { battery: BatteryShare::new(charge).unwrap(), ..carrier("r1", "Laboratory") }
+fn weak(charge: f64) -> RobotSetup {
+    RobotSetup { battery: BatteryShare::new(charge).unwrap(), ..carrier("r1", "Laboratory") }
 }
 
 fn charge(world: &World, name: &str) -> f64 {
@@ -14,9 +14,9 @@ fn charge(world: &World, name: &str) -> f64 {
 #[test]
 fn a_goal_costs_its_time_at_the_rate_that_estimates_use() {
     let mut world = World::new(hospital(1).robot(carrier("r1", "Laboratory"))).unwrap();
-    let rate = world.setup_of(&robot("r1")).unwrap().discharge;
-    let goal = go(&world, "Laboratory Corridor");
-    does(&mut world, "r1", 1, goal);
+    let rate = world.robot_setup(&robot("r1")).unwrap().discharge;
+    let goal = drive_goal(&world, "Laboratory Corridor");
+    run_to_success(&mut world, "r1", 1, goal);
     assert!((charge(&world, "r1") - (1.0 - rate.over(Seconds::new(8.0).unwrap()))).abs() < 1e-12);
     world.advance(at(108.0));
     assert!((charge(&world, "r1") - (1.0 - 0.008 - 100.0 * 0.0001)).abs() < 1e-12, "a tenth when idle");
@@ -25,28 +25,28 @@ fn a_goal_costs_its_time_at_the_rate_that_estimates_use() {
 #[test]
 fn a_battery_that_fails_stops_its_robot_at_once() {
     let mut world = World::new(hospital(1).robot(carrier("r1", "Laboratory"))).unwrap();
-    let goal = go(&world, "Laboratory Corridor");
+    let goal = drive_goal(&world, "Laboratory Corridor");
     world.start(&robot("r1"), GoalId(1), goal);
     world.advance(at(2.0));
     world.set_charge(&robot("r1"), BatteryShare::new(0.01).unwrap());
     let low = aborted(ErrorCode::BatteryLow, "the battery of r1 is down to 1.0 %");
-    assert_eq!(world.advance(at(3.0)), [ended("r1", 1, low), BodyEvent::Stranded { robot: robot("r1") }]);
+    assert_eq!(world.advance(at(3.0)), [ended("r1", 1, low), BackendEvent::Stranded { robot: robot("r1") }]);
 }
 
 #[test]
 fn under_five_percent_it_stops_dead_where_it_is() {
     let mut world = World::new(hospital(1).robot(weak(0.054))).unwrap();
-    let goal = go(&world, "Laboratory Corridor");
+    let goal = drive_goal(&world, "Laboratory Corridor");
     world.start(&robot("r1"), GoalId(1), goal);
     let due = world.next_due().unwrap();
     assert!((due.as_secs() - 4.0).abs() < 1e-9, "0.4 % at 0.1 %/s, {due:?}");
     let low = aborted(ErrorCode::BatteryLow, "the battery of r1 is down to 5.0 %");
-    assert_eq!(world.advance(at(100.0)), [ended("r1", 1, low.clone()), BodyEvent::Stranded { robot: robot("r1") }]);
+    assert_eq!(world.advance(at(100.0)), [ended("r1", 1, low.clone()), BackendEvent::Stranded { robot: robot("r1") }]);
     let telemetry = world.telemetry(&robot("r1")).unwrap();
     assert!(!telemetry.able);
     assert!((telemetry.pose.y - 9.0).abs() < 1e-9, "2 m of 4 m down the lane: {:?}", telemetry.pose);
     assert!((telemetry.battery.get() - (0.05 - 96.0 * 0.0001)).abs() < 1e-9);
-    let status = refusal(&mut world, "r1", 2, Goal::Wait { time: Seconds::ZERO });
+    let status = rejected_status(&mut world, "r1", 2, Goal::Wait { time: Seconds::ZERO });
     assert_eq!(status, aborted(ErrorCode::BatteryLow, "the battery of r1 is down to 4.0 %"));
     assert_eq!(world.advance(at(1e7)), [], "stranded once");
     assert_eq!(charge(&world, "r1"), 0.0, "and never below empty");
@@ -55,13 +55,13 @@ fn under_five_percent_it_stops_dead_where_it_is() {
 #[test]
 fn a_robot_that_stands_empty_moves_again_once_its_battery_was_exchanged() {
     let mut world = World::new(hospital(1).robot(weak(0.03))).unwrap();
-    assert_eq!(world.advance(at(1.0)), [BodyEvent::Stranded { robot: robot("r1") }]);
+    assert_eq!(world.advance(at(1.0)), [BackendEvent::Stranded { robot: robot("r1") }]);
     world.set_charge(&robot("r1"), BatteryShare::FULL);
     assert!(!world.telemetry(&robot("r1")).unwrap().able, "the charge alone does not bring it back");
-    world.exchange_battery(&robot("r1"));
+    world.replace_battery(&robot("r1"));
     assert!(world.telemetry(&robot("r1")).unwrap().able);
     assert_eq!(charge(&world, "r1"), 1.0);
-    does(&mut world, "r1", 1, Goal::Wait { time: Seconds::new(1.0).unwrap() });
+    run_to_success(&mut world, "r1", 1, Goal::Wait { time: Seconds::new(1.0).unwrap() });
 }
 
 #[test]
@@ -71,15 +71,15 @@ fn an_idle_robot_runs_down_too_and_one_that_starts_low_never_moves() {
     let mut low = World::new(hospital(1).robot(weak(0.03))).unwrap();
     assert_eq!(low.next_due(), Some(at(0.0)));
     for world in [&mut world, &mut low] {
-        assert_eq!(world.advance(at(200.0)), [BodyEvent::Stranded { robot: robot("r1") }]);
+        assert_eq!(world.advance(at(200.0)), [BackendEvent::Stranded { robot: robot("r1") }]);
         assert_eq!(world.next_due(), None);
     }
 }
 
 #[test]
 fn on_mains_power_nothing_is_lost() {
-    let mut world = World::new(hospital(1).robot(RobotBody::arm(robot("lab_arm"), place("Laboratory")))).unwrap();
-    does(&mut world, "lab_arm", 1, Goal::Wait { time: Seconds::new(1e6).unwrap() });
+    let mut world = World::new(hospital(1).robot(RobotSetup::arm(robot("lab_arm"), place("Laboratory")))).unwrap();
+    run_to_success(&mut world, "lab_arm", 1, Goal::Wait { time: Seconds::new(1e6).unwrap() });
     assert_eq!(charge(&world, "lab_arm"), 1.0);
     assert_eq!(world.next_due(), None, "nothing will ever happen here by itself");
 }
@@ -96,5 +96,5 @@ fn an_hour_of_two_hundred_idle_robots_is_nothing_to_do() {
     let mut world = World::new(setup).unwrap();
     assert!(world.next_due().unwrap() > at(3600.0));
     assert_eq!(world.advance(at(3600.0)), []);
-    assert!(world.drain_journal().is_empty());
+    assert!(world.drain_event_log().is_empty());
 }

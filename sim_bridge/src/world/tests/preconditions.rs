@@ -6,7 +6,7 @@ fn lab() -> World {
     let setup = hospital(1)
         .robot(carrier("r1", "Laboratory"))
         .robot(carrier("r2", "Laboratory"))
-        .robot(RobotBody::arm(robot("lab_arm"), place("Laboratory")))
+        .robot(RobotSetup::arm(robot("lab_arm"), place("Laboratory")))
         .person(nurse("Ana", "PC Room 1", "s1"));
     World::new(setup).unwrap()
 }
@@ -19,7 +19,7 @@ fn pick_up() -> Goal {
 fn refusals_name_who_which_and_where() {
     use ErrorCode::*;
     let nurse = role("nurse");
-    let corridor = go(&lab(), "Laboratory Corridor");
+    let corridor = drive_goal(&lab(), "Laboratory Corridor");
     for (name, goal, code, message) in [
         ("r1", Goal::ApproachPerson { role: nurse.clone() }, OutOfReach, "r1: no nurse is at Laboratory"),
         ("r1", Goal::AuthenticatePerson { role: nurse }, OutOfReach, "r1 has not approached a nurse"),
@@ -37,32 +37,32 @@ fn refusals_name_who_which_and_where() {
         ("lab_arm", pick_up(), OutOfReach, "neither of lab_arm and r1 has approached the other"),
         ("lab_arm", Goal::Deposit { into: None }, DrawerState, "lab_arm holds nothing"),
     ] {
-        assert_eq!(refusal(&mut lab(), name, 1, goal), aborted(code, message));
+        assert_eq!(rejected_status(&mut lab(), name, 1, goal), aborted(code, message));
     }
 }
 
 #[test]
 fn a_drawer_must_be_open_and_hold_something_to_be_picked_from() {
     let mut world = lab();
-    does(&mut world, "r1", 1, Goal::ApproachRobot { robot: robot("lab_arm") });
-    let status = refusal(&mut world, "lab_arm", 1, pick_up());
+    run_to_success(&mut world, "r1", 1, Goal::ApproachRobot { robot: robot("lab_arm") });
+    let status = rejected_status(&mut world, "lab_arm", 1, pick_up());
     assert_eq!(status, aborted(ErrorCode::DrawerState, "the drawer of r1 is closed"));
-    does(&mut world, "r1", 2, Goal::OperateDrawer { open: true });
-    let status = refusal(&mut world, "lab_arm", 2, pick_up());
+    run_to_success(&mut world, "r1", 2, Goal::OperateDrawer { open: true });
+    let status = rejected_status(&mut world, "lab_arm", 2, pick_up());
     assert_eq!(status, aborted(ErrorCode::DrawerState, "the drawer of r1 is empty"));
 }
 
 #[test]
 fn a_robot_that_left_is_no_longer_beside_anyone() {
     let mut world = lab();
-    does(&mut world, "lab_arm", 1, Goal::ApproachRobot { robot: robot("r1") });
-    does(&mut world, "r1", 1, Goal::OperateDrawer { open: true });
-    let (out, back) = (go(&world, "Laboratory Corridor"), go(&world, "Laboratory"));
-    does(&mut world, "r1", 2, out);
-    let status = refusal(&mut world, "lab_arm", 2, pick_up());
+    run_to_success(&mut world, "lab_arm", 1, Goal::ApproachRobot { robot: robot("r1") });
+    run_to_success(&mut world, "r1", 1, Goal::OperateDrawer { open: true });
+    let (out, back) = (drive_goal(&world, "Laboratory Corridor"), drive_goal(&world, "Laboratory"));
+    run_to_success(&mut world, "r1", 2, out);
+    let status = rejected_status(&mut world, "lab_arm", 2, pick_up());
     assert_eq!(status, aborted(ErrorCode::OutOfReach, "lab_arm is at Laboratory, r1 at Laboratory Corridor"));
-    does(&mut world, "r1", 3, back);
-    let status = refusal(&mut world, "lab_arm", 3, pick_up());
+    run_to_success(&mut world, "r1", 3, back);
+    let status = rejected_status(&mut world, "lab_arm", 3, pick_up());
     assert_eq!(status, aborted(ErrorCode::OutOfReach, "neither of lab_arm and r1 has approached the other"));
 }
 
@@ -71,11 +71,11 @@ fn preconditions_hold_to_the_end_or_nothing_changes() {
     let mut world = lab();
     world.start(&robot("r1"), GoalId(1), Goal::ApproachRobot { robot: robot("r2") });
     world.advance(at(1.0));
-    let out = go(&world, "Laboratory Corridor");
+    let out = drive_goal(&world, "Laboratory Corridor");
     world.start(&robot("r2"), GoalId(1), out);
     let between = "r1 is at Laboratory, r2 between Laboratory and Laboratory Corridor";
     assert_eq!(world.advance(at(2.0)), [ended("r1", 1, aborted(ErrorCode::OutOfReach, between))]);
-    assert_eq!(world.body(&robot("r1")).unwrap().beside_robot, None);
+    assert_eq!(world.robot_report(&robot("r1")).unwrap().beside_robot, None);
 }
 
 #[test]
@@ -85,13 +85,13 @@ fn a_canceled_goal_changes_nothing() {
     world.advance(at(1.0));
     world.cancel(&robot("r1"), GoalId(1));
     assert_eq!(world.advance(at(9.0)), [ended("r1", 1, GoalStatus::Canceled)]);
-    assert!(!world.body(&robot("r1")).unwrap().drawer_open);
+    assert!(!world.robot_report(&robot("r1")).unwrap().drawer_open);
 }
 
 #[test]
 fn the_wrong_person_is_not_authenticated() {
     let mut setup = hospital(1).robot(carrier("r1", "PC Room 1")).person(nurse("Ana", "PC Room 1", "s1"));
-    setup.people.push(Person {
+    setup.people.push(PersonSetup {
         name: "Eve".into(),
         role: role("visitor"),
         place: place("PC Room 1"),
@@ -99,7 +99,7 @@ fn the_wrong_person_is_not_authenticated() {
         mood: vec![],
     });
     let mut world = World::new(setup).unwrap();
-    does(&mut world, "r1", 1, Goal::ApproachPerson { role: role("visitor") });
-    let status = refusal(&mut world, "r1", 2, Goal::AuthenticatePerson { role: role("nurse") });
+    run_to_success(&mut world, "r1", 1, Goal::ApproachPerson { role: role("visitor") });
+    let status = rejected_status(&mut world, "r1", 2, Goal::AuthenticatePerson { role: role("nurse") });
     assert_eq!(status, aborted(ErrorCode::NotAuthenticated, "r1: Eve is a visitor, not a nurse"));
 }

@@ -23,7 +23,7 @@ fn stage(seed: u64) -> World {
     let setup = hospital(seed)
         .robot(carrier("r1", "PC Corridor 1"))
         .robot(weak)
-        .robot(RobotBody::arm(robot("lab_arm"), place("Laboratory")))
+        .robot(RobotSetup::arm(robot("lab_arm"), place("Laboratory")))
         .person(mia);
     World::new(setup).unwrap()
 }
@@ -59,7 +59,7 @@ fn deeds() -> impl Strategy<Value = Vec<(f64, Deed)>> {
 }
 
 /// Plays the deeds, each pause in so many steps: what happened, and every robot's telemetry at each deed and at the end.
-fn play(seed: u64, deeds: &[(f64, Deed)], mut steps: impl FnMut() -> u32) -> (Vec<BodyEvent>, Vec<[f64; 4]>, World) {
+fn play(seed: u64, deeds: &[(f64, Deed)], mut steps: impl FnMut() -> u32) -> (Vec<BackendEvent>, Vec<[f64; 4]>, World) {
     let mut world = stage(seed);
     let (mut events, mut telemetry) = (Vec::new(), Vec::new());
     let rest = [(120.0, Deed::Dismiss)];
@@ -79,8 +79,8 @@ fn play(seed: u64, deeds: &[(f64, Deed)], mut steps: impl FnMut() -> u32) -> (Ve
         match deed {
             Deed::Start(who, goal) => world.start(&robot(ROBOTS[*who]), GoalId(id), goal.clone()),
             Deed::Cancel(who) => (1..id).for_each(|id| world.cancel(&robot(ROBOTS[*who]), GoalId(id))),
-            Deed::Ask(who) => world.ask_person(GoalId(id), deposit(ROBOTS[*who])),
-            Deed::Dismiss => (1..id).for_each(|id| world.dismiss_person(GoalId(id))),
+            Deed::Ask(who) => world.request_person(GoalId(id), deposit(ROBOTS[*who])),
+            Deed::Dismiss => (1..id).for_each(|id| world.cancel_person_request(GoalId(id))),
         }
     }
     (events, telemetry, world)
@@ -100,7 +100,7 @@ proptest! {
             prop_assert!((a - b).abs() <= 1e-9, "{} and {}", a, b);
         }
         prop_assert_eq!(whole.samples(), cut.samples());
-        prop_assert_eq!(whole.drain_journal(), cut.drain_journal());
+        prop_assert_eq!(whole.drain_event_log(), cut.drain_event_log());
     }
 
     /// One seed, one run; and a world between two others is none the worse for it.
@@ -111,7 +111,7 @@ proptest! {
         let (events_again, telemetry_again, mut again) = play(seed, &deeds, || 1);
         prop_assert_eq!(events, events_again);
         prop_assert_eq!(telemetry, telemetry_again);
-        prop_assert_eq!(first.drain_journal(), again.drain_journal());
+        prop_assert_eq!(first.drain_event_log(), again.drain_event_log());
     }
 
     /// Every goal that was accepted or refused ends once, or is still under way.
@@ -120,7 +120,7 @@ proptest! {
         let (events, _, world) = play(seed, &deeds, || 1);
         let mut ends = BTreeMap::new();
         for event in &events {
-            if let BodyEvent::GoalEnded { robot, goal, status } = event {
+            if let BackendEvent::GoalEnded { robot, goal, status } = event {
                 prop_assert!(status.is_final());
                 prop_assert!(ends.insert((robot.clone(), *goal), status.clone()).is_none(), "{:?}", event);
             }
@@ -149,7 +149,7 @@ proptest! {
         body.speed = MetresPerSecond::new(speed).unwrap();
         body.discharge = SharePerSecond::new(0.0).unwrap();
         let mut world = World::new(WorldSetup::new(map, 1).robot(body)).unwrap();
-        let goal = go(&world, "B");
+        let goal = drive_goal(&world, "B");
         world.start(&robot("r1"), GoalId(1), goal);
         let due = world.next_due().unwrap().as_secs();
         prop_assert!((due - dx.hypot(dy) / speed).abs() < 1e-9);
@@ -160,9 +160,9 @@ proptest! {
 fn another_seed_is_another_pace() {
     let pace = |seed| {
         let mut world = stage(seed);
-        does(&mut world, "r2", 1, Goal::ApproachPerson { role: role("nurse") });
-        does(&mut world, "r2", 2, Goal::OperateDrawer { open: true });
-        world.ask_person(GoalId(1), deposit("r2"));
+        run_to_success(&mut world, "r2", 1, Goal::ApproachPerson { role: role("nurse") });
+        run_to_success(&mut world, "r2", 2, Goal::OperateDrawer { open: true });
+        world.request_person(GoalId(1), deposit("r2"));
         world.next_due().unwrap().as_secs()
     };
     assert_eq!(pace(1), pace(1));
@@ -171,13 +171,13 @@ fn another_seed_is_another_pace() {
 
 #[test]
 fn each_person_has_a_pace_of_their_own() {
-    let pace = |people: &[Person]| {
+    let pace = |people: &[PersonSetup]| {
         let mut setup = hospital(5).robot(carrier("r1", "PC Room 1"));
         setup.people = people.to_vec();
         let mut world = World::new(setup).unwrap();
-        does(&mut world, "r1", 1, Goal::ApproachPerson { role: role("nurse") });
-        does(&mut world, "r1", 2, Goal::OperateDrawer { open: true });
-        world.ask_person(GoalId(1), deposit("r1"));
+        run_to_success(&mut world, "r1", 1, Goal::ApproachPerson { role: role("nurse") });
+        run_to_success(&mut world, "r1", 2, Goal::OperateDrawer { open: true });
+        world.request_person(GoalId(1), deposit("r1"));
         world.next_due().unwrap().as_secs()
     };
     let (ana, bea) = (nurse("Ana", "PC Room 1", "s1"), nurse("Bea", "PC Room 2", "s2"));
@@ -195,11 +195,11 @@ fn random_runs_come_to_the_point() {
     for seed in 0..200 {
         let deeds = deeds().new_tree(&mut runner).unwrap().current();
         let (_, _, mut world) = play(seed, &deeds, || 1);
-        for entry in world.drain_journal() {
-            match entry.what {
-                Happening::SampleMoved { .. } => moved += 1,
-                Happening::Stranded { .. } => stranded += 1,
-                Happening::GoalEnded { status: GoalStatus::Aborted(_), .. } => refused += 1,
+        for entry in world.drain_event_log() {
+            match entry.event {
+                WorldEvent::SampleMoved { .. } => moved += 1,
+                WorldEvent::Stranded { .. } => stranded += 1,
+                WorldEvent::GoalEnded { status: GoalStatus::Aborted(_), .. } => refused += 1,
                 _ => {}
             }
         }

@@ -13,16 +13,16 @@ fn rooms() -> Map {
 }
 
 fn world_with(sensors: Vec<Sensor>) -> World {
-    let setup = WorldSetup::new(rooms(), 1).robot(RobotBody { sensors, ..carrier("r1", "A") });
+    let setup = WorldSetup::new(rooms(), 1).robot(RobotSetup { sensors, ..carrier("r1", "A") });
     let setup = setup.robot(carrier("east", "B")).robot(carrier("north", "C")).person(nurse("Nia", "D", "s1"));
     World::new(setup).unwrap()
 }
 
-fn names(reading: &Reading) -> Vec<String> {
-    let (Reading::Camera(seen) | Reading::Proximity(seen)) = reading else { panic!("{reading:?}") };
-    let name = |sighting: &Sighting| match &sighting.who {
-        Seen::Robot(robot) => robot.as_str().to_owned(),
-        Seen::Person(person) => person.as_str().to_owned(),
+fn names(reading: &SensorReading) -> Vec<String> {
+    let (SensorReading::Camera(seen) | SensorReading::Proximity(seen)) = reading else { panic!("{reading:?}") };
+    let name = |sighting: &Detection| match &sighting.object {
+        DetectedObject::Robot(robot) => robot.as_str().to_owned(),
+        DetectedObject::Person(person) => person.as_str().to_owned(),
     };
     seen.iter().map(name).collect()
 }
@@ -31,17 +31,19 @@ fn names(reading: &Reading) -> Vec<String> {
 fn a_ray_ends_at_the_first_wall_or_body() {
     let ray = |bearing_rad, reach_m| Sensor::Range { bearing_rad, reach_m };
     let mut world = world_with(vec![ray(0.0, 10.0), ray(FRAC_PI_2, 10.0), ray(0.0, 3.0), ray(-FRAC_PI_2, 10.0)]);
-    let [east, north, short, south] = world.sense(&robot("r1")).unwrap().try_into().unwrap();
-    assert_eq!(east, Reading::Range(Some(3.75)), "the edge of the robot at B");
-    let Reading::Range(Some(wall_m)) = north else { panic!("{north:?}") };
+    let [east, north, short, south] = world.read_sensors(&robot("r1")).unwrap().try_into().unwrap();
+    assert_eq!(east, SensorReading::Range(Some(3.75)), "the edge of the robot at B");
+    let SensorReading::Range(Some(wall_m)) = north else { panic!("{north:?}") };
     assert!((wall_m - 2.0).abs() < 1e-9, "{wall_m}");
-    assert_eq!(short, Reading::Range(None));
-    let Reading::Range(Some(nurse_m)) = south else { panic!("{south:?}") };
+    assert_eq!(short, SensorReading::Range(None));
+    let SensorReading::Range(Some(nurse_m)) = south else { panic!("{south:?}") };
     assert!((nurse_m - 1.75).abs() < 1e-9, "{nurse_m}");
     // The robot at B drives off: behind it is a wall.
-    let goal = go(&world, "C");
-    does(&mut world, "east", 1, goal);
-    let Some(Reading::Range(Some(wall_m))) = world.sense(&robot("r1")).unwrap().first().cloned() else { panic!() };
+    let goal = drive_goal(&world, "C");
+    run_to_success(&mut world, "east", 1, goal);
+    let Some(SensorReading::Range(Some(wall_m))) = world.read_sensors(&robot("r1")).unwrap().first().cloned() else {
+        panic!()
+    };
     assert!((wall_m - 8.0).abs() < 1e-9, "{wall_m}");
 }
 
@@ -55,10 +57,10 @@ fn a_camera_sees_what_is_in_its_cone_and_not_behind_a_wall() {
         camera(0.0, tau, 10.0),
         camera(0.0, tau, 3.0),
     ]);
-    let readings = world.sense(&robot("r1")).unwrap();
+    let readings = world.read_sensors(&robot("r1")).unwrap();
     let seen: Vec<Vec<String>> = readings.iter().map(names).collect();
     assert_eq!(seen, [vec!["east"], vec![], vec!["Nia", "east"], vec!["Nia"]]);
-    let Reading::Camera(sightings) = &readings[2] else { panic!() };
+    let SensorReading::Camera(sightings) = &readings[2] else { panic!() };
     assert_eq!((sightings[1].distance_m, sightings[1].bearing_rad), (4.0, 0.0));
     assert!((sightings[0].bearing_rad + FRAC_PI_2).abs() < 1e-9, "to the right");
 }
@@ -66,17 +68,17 @@ fn a_camera_sees_what_is_in_its_cone_and_not_behind_a_wall() {
 #[test]
 fn a_feeler_notices_what_is_near_through_walls_too() {
     let world = world_with(vec![Sensor::Proximity { reach_m: 3.5 }, Sensor::Proximity { reach_m: 1.0 }]);
-    let seen: Vec<Vec<String>> = world.sense(&robot("r1")).unwrap().iter().map(names).collect();
+    let seen: Vec<Vec<String>> = world.read_sensors(&robot("r1")).unwrap().iter().map(names).collect();
     assert_eq!(seen, [vec!["Nia", "east", "north"], vec![]]);
-    assert_eq!(world.readings().keys().map(RobotId::as_str).collect::<Vec<_>>(), ["r1"]);
-    assert_eq!((world.sense(&robot("east")), world.sense(&robot("r9"))), (Some(vec![]), None));
+    assert_eq!(world.read_all_sensors().keys().map(RobotId::as_str).collect::<Vec<_>>(), ["r1"]);
+    assert_eq!((world.read_sensors(&robot("east")), world.read_sensors(&robot("r9"))), (Some(vec![]), None));
 }
 
 #[test]
 fn sensors_are_read_from_files_and_checked() {
     let sensor: Sensor = serde_json::from_str(r#"{"kind": "camera", "opening_rad": 1.2, "reach_m": 8}"#).unwrap();
     assert_eq!(sensor, Sensor::Camera { bearing_rad: 0.0, opening_rad: 1.2, reach_m: 8.0 });
-    let body = RobotBody { sensors: vec![Sensor::Proximity { reach_m: f64::NAN }], ..carrier("r1", "A") };
+    let body = RobotSetup { sensors: vec![Sensor::Proximity { reach_m: f64::NAN }], ..carrier("r1", "A") };
     let said = World::new(WorldSetup::new(rooms(), 1).robot(body)).unwrap_err().to_string();
     assert_eq!(said, "robot r1: reach_m is NaN, allowed is a number of metres from 0 to 1000");
 }

@@ -6,19 +6,19 @@ use crate::kinematics::Kinematics;
 
 /// How long a robot of 0.5 m/s takes to drive from A to B, 10 m away, and back, having been told to drive so fast once it
 /// had left A.
-fn there_and_back(body: RobotBody, speed: f64) -> (f64, f64) {
+fn there_and_back(body: RobotSetup, speed: f64) -> (f64, f64) {
     let text = "{name: hall, places: [{name: A, kind: other, x_m: 0, y_m: 0}, {name: B, kind: other, x_m: 10, y_m: 0}], \
                 lanes: [{between: [A, B]}]}";
     let setup = WorldSetup::new(map::read(text, "hall").unwrap(), 1);
     let mut world = World::new(setup.robot(body)).unwrap();
-    let goal = go(&world, "B");
+    let goal = drive_goal(&world, "B");
     world.start(&robot("r1"), GoalId(1), goal);
     world.advance(at(1.0));
     world.set_speed(&robot("r1"), MetresPerSecond::new(speed).unwrap());
     world.set_speed(&robot("who"), MetresPerSecond::new(9.0).unwrap());
     assert_eq!(until_ended(&mut world, "r1", 1), GoalStatus::Succeeded);
     let there = world.now().as_secs();
-    let goal = go(&world, "A");
+    let goal = drive_goal(&world, "A");
     world.start(&robot("r1"), GoalId(2), goal);
     assert_eq!(until_ended(&mut world, "r1", 2), GoalStatus::Succeeded);
     (there, world.now().as_secs() - there)

@@ -9,7 +9,7 @@ use consort_protocol::pose::Pose;
 use consort_skills::actions::Waypoint;
 
 fn set_off(world: &mut World, name: &str, id: u64, to: &str) {
-    let goal = go(world, to);
+    let goal = drive_goal(world, to);
     world.start(&robot(name), GoalId(id), goal);
 }
 
@@ -26,7 +26,7 @@ fn every_chassis_waits_before_a_door_and_is_there_only_when_it_has_passed() {
         while world.status(&robot("r1"), GoalId(1)).is_some_and(|status| !status.is_final()) {
             let due = world.next_due().expect("under way");
             world.advance(due);
-            let lines = noted(&mut world, doors_only);
+            let lines = logged(&mut world, doors_only);
             for (_, line) in &lines {
                 let x = pose_of(&world, "r1").x;
                 match line.as_str() {
@@ -59,7 +59,7 @@ fn a_door_does_not_stop_what_has_been_let_in() {
         let due = world.next_due().expect("under way");
         world.advance(due);
         if (5.2..6.5).contains(&x(&world, "r1")) {
-            slowest = slowest.min(world.mover(&robot("r1")).unwrap().as_differential().unwrap().speeds().0);
+            slowest = slowest.min(world.kinematic_model(&robot("r1")).unwrap().as_differential().unwrap().speeds().0);
         }
     }
     assert!(slowest > 0.4, "{slowest} m/s where it leaves the doorway");
@@ -73,13 +73,13 @@ fn canceled_before_the_door_it_keeps_nobody_waiting_and_canceled_in_it_it_keeps_
     let mut world = World::new(setup).unwrap();
     set_off(&mut world, "r1", 1, "B");
     world.advance(at(11.0));
-    assert_eq!(noted(&mut world, doors_only).len(), 1, "it waits");
+    assert_eq!(logged(&mut world, doors_only).len(), 1, "it waits");
     world.cancel(&robot("r1"), GoalId(1));
     world.advance(at(40.0));
-    let lines: Vec<_> = noted(&mut world, doors_only).into_iter().map(|(_, line)| line).collect();
+    let lines: Vec<_> = logged(&mut world, doors_only).into_iter().map(|(_, line)| line).collect();
     assert_eq!(lines, ["r1 leaves", "open", "closed"]);
     set_off(&mut world, "r1", 2, "B");
-    while !noted(&mut world, doors_only).iter().any(|(_, line)| line == "r1 enters") {
+    while !logged(&mut world, doors_only).iter().any(|(_, line)| line == "r1 enters") {
         let due = world.next_due().expect("the door opens");
         world.advance(due);
     }
@@ -87,7 +87,7 @@ fn canceled_before_the_door_it_keeps_nobody_waiting_and_canceled_in_it_it_keeps_
     let now = world.now().as_secs();
     set_off(&mut world, "r2", 1, "A");
     world.advance(at(now + 60.0));
-    let lines: Vec<_> = noted(&mut world, doors_only).into_iter().map(|(_, line)| line).collect();
+    let lines: Vec<_> = logged(&mut world, doors_only).into_iter().map(|(_, line)| line).collect();
     assert_eq!(lines, ["r2 waits"], "it stands in the doorway");
     set_off(&mut world, "r1", 3, "A");
     assert_eq!(until_ended(&mut world, "r1", 3), GoalStatus::Succeeded);
@@ -100,7 +100,7 @@ fn every_chassis_stops_where_it_sees_what_stands_in_the_way() {
         let mut setup = corridor().robot(steered("r1", "A", kinematics));
         setup.obstacles.push(trolley());
         let mut world = World::new(setup).unwrap();
-        let goal = go(&world, "B");
+        let goal = drive_goal(&world, "B");
         world.start(&robot("r1"), GoalId(1), goal);
         assert_eq!(until_ended(&mut world, "r1", 1), aborted(ErrorCode::Blocked, BLOCKED), "{kinematics:?}");
         assert!((x(&world, "r1") - 4.0).abs() < 0.05, "{} m: {kinematics:?}", x(&world, "r1"));
@@ -162,7 +162,7 @@ fn every_chassis_rides_the_lift_and_drives_on_from_where_it_gets_out() {
 
 #[test]
 fn in_a_lift_it_is_in_nobodys_way() {
-    let quick = RobotBody { speed: MetresPerSecond::new(1.0).unwrap(), ..steered("r2", "Room", all()[1]) };
+    let quick = RobotSetup { speed: MetresPerSecond::new(1.0).unwrap(), ..steered("r2", "Room", all()[1]) };
     let setup = tower(2).robot(differential("r1", "L0")).robot(quick);
     let mut world = World::new(setup).unwrap();
     set_off(&mut world, "r1", 1, "L2");
@@ -185,7 +185,7 @@ fn it_follows_waypoints_to_the_last() {
     }
     assert_eq!(world.status(&robot("r1"), GoalId(1)), Some(GoalStatus::Succeeded));
     assert!((furthest - 20.0).abs() < 0.05 && (x(&world, "r1") - 10.0).abs() < 0.05, "{furthest}");
-    let lines = noted(&mut world, doors_only);
+    let lines = logged(&mut world, doors_only);
     assert_eq!(lines.iter().filter(|(_, line)| line == "r1 enters").count(), 3, "{lines:?}");
 }
 
@@ -217,7 +217,7 @@ fn it_keeps_to_limits_and_drives_backward_where_the_lane_says_so() {
 fn it_looks_where_it_has_turned_to_and_drives_off_from_there() {
     for kinematics in all() {
         let mut world = World::new(corridor().robot(steered("r1", "A", kinematics))).unwrap();
-        does(&mut world, "r1", 1, Goal::Spin { angle_rad: 2.0 });
+        run_to_success(&mut world, "r1", 1, Goal::Spin { angle_rad: 2.0 });
         assert!((pose_of(&world, "r1").yaw - 2.0).abs() < 1e-9, "{kinematics:?}");
         set_off(&mut world, "r1", 2, "B");
         world.advance(at(2.1));

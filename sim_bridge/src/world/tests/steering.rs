@@ -14,11 +14,11 @@ pub(super) fn all() -> [Kinematics; 4] {
 }
 
 /// On a battery that never runs down, so that nothing is due but what it does.
-pub(super) fn steered(name: &str, at: &str, kinematics: Kinematics) -> RobotBody {
-    RobotBody { kinematics: Some(kinematics), discharge: SharePerSecond::new(0.0).unwrap(), ..carrier(name, at) }
+pub(super) fn steered(name: &str, at: &str, kinematics: Kinematics) -> RobotSetup {
+    RobotSetup { kinematics: Some(kinematics), discharge: SharePerSecond::new(0.0).unwrap(), ..carrier(name, at) }
 }
 
-pub(super) fn differential(name: &str, at: &str) -> RobotBody {
+pub(super) fn differential(name: &str, at: &str) -> RobotSetup {
     steered(name, at, all()[0])
 }
 
@@ -58,7 +58,7 @@ fn every_chassis_drives_the_lanes_and_then_the_world_rests() {
     for kinematics in all() {
         let mut world = World::new(WorldSetup::new(hall(), 1).robot(steered("r1", "A", kinematics))).unwrap();
         for (id, to) in [(1, "B"), (2, "C"), (3, "B")] {
-            let goal = go(&world, to);
+            let goal = drive_goal(&world, to);
             world.start(&robot("r1"), GoalId(id), goal);
             assert_eq!(until_ended(&mut world, "r1", id), GoalStatus::Succeeded, "{kinematics:?} to {to}");
             let there = world.map().place(&place(to)).unwrap().pose;
@@ -77,7 +77,7 @@ fn steps_of_any_length_give_the_same_arrival() {
         let [coarse, fine] = [0.1, 1.0 / 60.0].map(|step_s| {
             let setup = WorldSetup { step_s, ..WorldSetup::new(hall(), 1) };
             let mut world = World::new(setup.robot(steered("r1", "A", kinematics))).unwrap();
-            let goal = go(&world, "B");
+            let goal = drive_goal(&world, "B");
             world.start(&robot("r1"), GoalId(1), goal);
             assert_eq!(until_ended(&mut world, "r1", 1), GoalStatus::Succeeded);
             world.now().as_secs()
@@ -89,7 +89,7 @@ fn steps_of_any_length_give_the_same_arrival() {
 #[test]
 fn under_way_it_tells_how_far_it_is_and_may_be_looked_at_at_any_time() {
     let mut world = World::new(WorldSetup::new(hall(), 1).robot(differential("r1", "A"))).unwrap();
-    let goal = go(&world, "B");
+    let goal = drive_goal(&world, "B");
     world.start(&robot("r1"), GoalId(1), goal);
     world.advance(at(10.013));
     let x = pose_of(&world, "r1").x;
@@ -97,14 +97,14 @@ fn under_way_it_tells_how_far_it_is_and_may_be_looked_at_at_any_time() {
     let Some(GoalStatus::Executing(feedback)) = world.status(&robot("r1"), GoalId(1)) else { panic!("under way") };
     assert!((feedback.distance_remaining.get() - (10.0 - x)).abs() < 0.05, "{feedback:?} at {x}");
     assert!((10.0..14.0).contains(&feedback.time_remaining.get()), "{feedback:?}");
-    assert!(world.mover(&robot("r1")).unwrap().is_moving());
-    assert!(world.mover(&robot("r2")).is_none());
+    assert!(world.kinematic_model(&robot("r1")).unwrap().is_moving());
+    assert!(world.kinematic_model(&robot("r2")).is_none());
 }
 
 #[test]
 fn canceled_it_brakes_and_drives_on_from_there() {
     let mut world = World::new(WorldSetup::new(hall(), 1).robot(differential("r1", "A"))).unwrap();
-    let goal = go(&world, "B");
+    let goal = drive_goal(&world, "B");
     world.start(&robot("r1"), GoalId(1), goal.clone());
     world.advance(at(8.02));
     let before = pose_of(&world, "r1").x;
@@ -120,15 +120,15 @@ fn canceled_it_brakes_and_drives_on_from_there() {
 #[test]
 fn without_a_lane_there_is_no_way_for_a_chassis_either() {
     let mut world = World::new(WorldSetup::new(hall(), 1).robot(differential("r1", "A"))).unwrap();
-    let goal = go(&world, "C");
-    assert_eq!(refusal(&mut world, "r1", 1, goal), aborted(ErrorCode::NoRoute, "no lane from A to C"));
+    let goal = drive_goal(&world, "C");
+    assert_eq!(rejected_status(&mut world, "r1", 1, goal), aborted(ErrorCode::NoRoute, "no lane from A to C"));
     assert_eq!(world.next_due(), None);
 }
 
 #[test]
 fn a_wall_stops_it_and_is_said_once() {
     let mut world = World::new(WorldSetup::new(walled(), 1).robot(differential("r1", "A"))).unwrap();
-    let (there, back) = (go(&world, "B"), go(&world, "A"));
+    let (there, back) = (drive_goal(&world, "B"), drive_goal(&world, "A"));
     world.start(&robot("r1"), GoalId(1), there);
     let status = until_ended(&mut world, "r1", 1);
     assert_eq!(status, aborted(ErrorCode::NoRoute, "r1 ran into a wall"));
@@ -136,16 +136,16 @@ fn a_wall_stops_it_and_is_said_once() {
     assert!((4.74..4.8).contains(&x), "its edge is 0.25 m ahead of its middle: {x}");
     world.start(&robot("r1"), GoalId(2), back);
     assert_eq!(until_ended(&mut world, "r1", 2), GoalStatus::Succeeded, "the way back is free");
-    let collided = Happening::Collided { robot: robot("r1"), with: None };
-    let journal = world.drain_journal();
-    assert_eq!(journal.iter().filter(|entry| entry.what == collided).count(), 1);
+    let collided = WorldEvent::Collided { robot: robot("r1"), with: None };
+    let journal = world.drain_event_log();
+    assert_eq!(journal.iter().filter(|entry| entry.event == collided).count(), 1);
 }
 
 #[test]
 fn two_that_meet_on_a_lane_run_into_each_other() {
     let setup = WorldSetup::new(hall(), 1).robot(differential("r1", "A")).robot(differential("r2", "B"));
     let mut world = World::new(setup).unwrap();
-    let (there, back) = (go(&world, "B"), go(&world, "A"));
+    let (there, back) = (drive_goal(&world, "B"), drive_goal(&world, "A"));
     world.start(&robot("r1"), GoalId(1), there);
     world.start(&robot("r2"), GoalId(1), back);
     assert_eq!(until_ended(&mut world, "r1", 1), aborted(ErrorCode::NoRoute, "r1 ran into r2"));
@@ -156,10 +156,10 @@ fn two_that_meet_on_a_lane_run_into_each_other() {
 
 #[test]
 fn drones_pass_each_other_where_others_collide() {
-    let drone = |name, at| RobotBody { speed: MetresPerSecond::new(3.0).unwrap(), ..steered(name, at, all()[3]) };
+    let drone = |name, at| RobotSetup { speed: MetresPerSecond::new(3.0).unwrap(), ..steered(name, at, all()[3]) };
     let setup = WorldSetup::new(hall(), 1).robot(drone("r1", "A")).robot(drone("r2", "B"));
     let mut world = World::new(setup).unwrap();
-    let (there, back) = (go(&world, "B"), go(&world, "A"));
+    let (there, back) = (drive_goal(&world, "B"), drive_goal(&world, "A"));
     world.start(&robot("r1"), GoalId(1), there);
     world.start(&robot("r2"), GoalId(1), back);
     assert_eq!(until_ended(&mut world, "r1", 1), GoalStatus::Succeeded);
@@ -170,21 +170,21 @@ fn drones_pass_each_other_where_others_collide() {
 fn where_another_stands_already_it_stops_beside_and_is_there() {
     let setup = WorldSetup::new(hall(), 1).robot(differential("r1", "A")).robot(carrier("r2", "B"));
     let mut world = World::new(setup).unwrap();
-    let goal = go(&world, "B");
+    let goal = drive_goal(&world, "B");
     world.start(&robot("r1"), GoalId(1), goal);
     assert_eq!(until_ended(&mut world, "r1", 1), GoalStatus::Succeeded);
     let apart = pose_of(&world, "r1").distance(pose_of(&world, "r2")).get();
     assert!((0.55..0.65).contains(&apart), "{apart} m");
-    does(&mut world, "r1", 2, Goal::ApproachRobot { robot: robot("r2") });
+    run_to_success(&mut world, "r1", 2, Goal::ApproachRobot { robot: robot("r2") });
 }
 
 #[test]
 fn gusts_push_what_hovers_and_nothing_else() {
-    let gusts = Some(Gusts { every_s: 0.7, chance: 1.0, strength_mps: 0.5 });
+    let gusts = Some(WindSettings { every_s: 0.7, chance: 1.0, strength_mps: 0.5 });
     let setup = WorldSetup { gusts, ..WorldSetup::new(hall(), 1) };
     let setup = setup.robot(steered("r1", "A", all()[3])).robot(differential("r2", "B"));
     let mut world = World::new(setup).unwrap();
-    let goal = go(&world, "B");
+    let goal = drive_goal(&world, "B");
     world.start(&robot("r1"), GoalId(1), goal.clone());
     assert_eq!(until_ended(&mut world, "r1", 1), GoalStatus::Succeeded);
     let (before, mut strayed_m) = (pose_of(&world, "r1"), 0.0_f64);
@@ -202,7 +202,7 @@ fn what_a_chassis_is_set_up_with_is_checked() {
     let settings = AckermannSettings { turning_radius_m: 0.0, ..AckermannSettings::default() };
     let mut setup = WorldSetup::new(hall(), 1).robot(steered("r1", "A", Kinematics::Ackermann(settings)));
     setup.robots[0].radius_m = -1.0;
-    (setup.step_s, setup.gusts) = (0.0, Some(Gusts { chance: 2.0, ..Gusts::default() }));
+    (setup.step_s, setup.gusts) = (0.0, Some(WindSettings { chance: 2.0, ..WindSettings::default() }));
     setup.systems.retain(|name| name != "steering");
     let said = World::new(setup).unwrap_err().to_string();
     assert_eq!(
@@ -222,10 +222,10 @@ fn what_a_chassis_is_set_up_with_is_checked() {
 fn a_chassis_is_read_from_a_file() {
     let text = r#"{"id": "r1", "place": "A", "speed_mps": 0.5, "battery": 1.0, "discharge_share_per_s": 0.001,
         "radius_m": 0.3, "kinematics": {"kind": "ackermann", "turning_radius_m": 2}}"#;
-    let body: RobotBody = serde_json::from_str(text).unwrap();
+    let body: RobotSetup = serde_json::from_str(text).unwrap();
     let settings = AckermannSettings { turning_radius_m: 2.0, ..AckermannSettings::default() };
     assert_eq!((body.radius_m, body.kinematics), (0.3, Some(Kinematics::Ackermann(settings))));
     let wrong = text.replace("turning_radius_m", "turning_radius");
-    let said = serde_json::from_str::<RobotBody>(&wrong).unwrap_err().to_string();
+    let said = serde_json::from_str::<RobotSetup>(&wrong).unwrap_err().to_string();
     assert!(said.contains("unknown field `turning_radius`"), "{said}");
 }

@@ -1,11 +1,11 @@
 //! Systems are held to what they say of themselves.
 
 use super::*;
-use crate::world::floor::Floor;
-use crate::world::reach::refused;
+use crate::world::location::RobotLocation;
+use crate::world::preconditions::action_error;
 use crate::world::samples::Custody;
-use crate::world::system::{Kind, System, kinds};
-use crate::world::whereabouts::Whereabouts;
+use crate::world::sim_state::SimState;
+use crate::world::system::{ComponentType, System, kinds};
 use hecs::Entity;
 
 /// Looks at where robots are, and says that it does; looks at who has what, and does not say so.
@@ -19,19 +19,19 @@ impl System for Nosy {
         "nosy"
     }
 
-    fn reads(&self) -> Vec<Kind> {
-        kinds![Whereabouts]
+    fn reads(&self) -> Vec<ComponentType> {
+        kinds![RobotLocation]
     }
 
-    fn writes(&self) -> Vec<Kind> {
-        if self.whereabouts_are_named_as_written { kinds![Whereabouts] } else { kinds![] }
+    fn writes(&self) -> Vec<ComponentType> {
+        if self.whereabouts_are_named_as_written { kinds![RobotLocation] } else { kinds![] }
     }
 
-    fn permit(&self, floor: &Floor, robot: Entity, _goal: &Goal) -> Result<(), ActionError> {
-        drop(floor.get::<Whereabouts>(robot));
-        drop(floor.get_mut::<Whereabouts>(robot));
+    fn check_goal_allowed(&self, floor: &SimState, robot: Entity, _goal: &Goal) -> Result<(), ActionError> {
+        drop(floor.get::<RobotLocation>(robot));
+        drop(floor.get_mut::<RobotLocation>(robot));
         if self.looks_at_custody && floor.find::<Custody>(robot).is_some() {
-            return Err(refused(ErrorCode::Busy, "a robot is no sample".to_owned()));
+            return Err(action_error(ErrorCode::Busy, "a robot is no sample".to_owned()));
         }
         Ok(())
     }
@@ -40,7 +40,7 @@ impl System for Nosy {
 fn with(system: &'static dyn System) {
     let mut world = World::new(hospital(1).robot(carrier("r1", "Dock"))).unwrap();
     world.systems.push(system);
-    does(&mut world, "r1", 1, Goal::Wait { time: Seconds::ZERO });
+    run_to_success(&mut world, "r1", 1, Goal::Wait { time: Seconds::ZERO });
 }
 
 #[test]

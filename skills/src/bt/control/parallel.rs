@@ -1,8 +1,8 @@
 //! `Parallel`: children side by side, until enough of them have ended.
 
-use crate::bt::node::{Node, Slot, halt_all};
+use crate::bt::node::{ChildNode, Node, halt_all};
 use crate::bt::ports::{PortError, Ports};
-use crate::bt::status::Status;
+use crate::bt::status::NodeStatus;
 use crate::bt::tick::{Cause, Tick};
 
 /// Ticks every child that has not ended. Succeeds once `success_count` of them did; fails once `failure_count` of them
@@ -10,12 +10,12 @@ use crate::bt::tick::{Cause, Tick};
 /// is all of them. Children that are still running at the end are halted.
 pub(crate) struct Parallel {
     ports: Ports,
-    children: Vec<Slot>,
-    ended: Vec<Option<Status>>,
+    children: Vec<ChildNode>,
+    ended: Vec<Option<NodeStatus>>,
 }
 
 impl Parallel {
-    pub(crate) fn new(ports: Ports, children: Vec<Slot>) -> Parallel {
+    pub(crate) fn new(ports: Ports, children: Vec<ChildNode>) -> Parallel {
         let ended = vec![None; children.len()];
         Parallel { ports, children, ended }
     }
@@ -26,20 +26,20 @@ impl Parallel {
         Ok(if count < 0 { (all + count + 1).max(0) } else { count } as usize)
     }
 
-    fn end(&mut self, tick: &mut Tick<'_>, status: Status) -> Status {
+    fn end(&mut self, tick: &mut Tick<'_>, status: NodeStatus) -> NodeStatus {
         self.halt(tick);
         status
     }
 }
 
 impl Node for Parallel {
-    fn tick(&mut self, tick: &mut Tick<'_>) -> Status {
+    fn tick(&mut self, tick: &mut Tick<'_>) -> NodeStatus {
         let counts = self.count(tick, "success_count").and_then(|m| Ok((m, self.count(tick, "failure_count")?)));
         let (successes, failures) = match counts {
             Ok(counts) => counts,
             Err(error) => {
-                tick.fail("Parallel", Cause::from(error));
-                return self.end(tick, Status::Failure);
+                tick.set_cause("Parallel", Cause::from(error));
+                return self.end(tick, NodeStatus::Failure);
             }
         };
         for index in 0..self.children.len() {
@@ -48,15 +48,15 @@ impl Node for Parallel {
                 self.ended[index] = status.is_final().then_some(status);
             }
             let ended = |wanted| self.ended.iter().filter(|status| **status == Some(wanted)).count();
-            let failed = ended(Status::Failure);
-            if ended(Status::Success) >= successes {
-                return self.end(tick, Status::Success);
+            let failed = ended(NodeStatus::Failure);
+            if ended(NodeStatus::Success) >= successes {
+                return self.end(tick, NodeStatus::Success);
             }
             if self.children.len() - failed < successes || (failed > 0 && failed >= failures) {
-                return self.end(tick, Status::Failure);
+                return self.end(tick, NodeStatus::Failure);
             }
         }
-        Status::Running
+        NodeStatus::Running
     }
 
     fn halt(&mut self, tick: &mut Tick<'_>) {

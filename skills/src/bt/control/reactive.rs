@@ -1,30 +1,30 @@
 //! `ReactiveSequence` and `ReactiveFallback`: children are asked anew from the first at every tick.
 
-use crate::bt::node::{Node, Slot, halt_all};
-use crate::bt::status::Status;
+use crate::bt::node::{ChildNode, Node, halt_all};
+use crate::bt::status::NodeStatus;
 use crate::bt::tick::Tick;
 
 /// Like its namesake without memory. While one child is running, all others are halted: an earlier child that changes
 /// its answer interrupts a later one.
-pub(crate) struct Reactive {
-    go_on: Status,
-    children: Vec<Slot>,
+pub(crate) struct ReactiveControl {
+    go_on: NodeStatus,
+    children: Vec<ChildNode>,
 }
 
-impl Reactive {
+impl ReactiveControl {
     /// Succeeds when all children do in one tick.
-    pub(crate) fn sequence(children: Vec<Slot>) -> Reactive {
-        Reactive { go_on: Status::Success, children }
+    pub(crate) fn sequence(children: Vec<ChildNode>) -> ReactiveControl {
+        ReactiveControl { go_on: NodeStatus::Success, children }
     }
 
     /// Fails when all children do in one tick.
-    pub(crate) fn fallback(children: Vec<Slot>) -> Reactive {
-        Reactive { go_on: Status::Failure, children }
+    pub(crate) fn fallback(children: Vec<ChildNode>) -> ReactiveControl {
+        ReactiveControl { go_on: NodeStatus::Failure, children }
     }
 }
 
-impl Node for Reactive {
-    fn tick(&mut self, tick: &mut Tick<'_>) -> Status {
+impl Node for ReactiveControl {
+    fn tick(&mut self, tick: &mut Tick<'_>) -> NodeStatus {
         for index in 0..self.children.len() {
             let status = self.children[index].tick(tick);
             if status == self.go_on {

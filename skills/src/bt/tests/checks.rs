@@ -8,7 +8,7 @@ fn main(root: NodeSpec) -> TreeSpec {
 
 #[test]
 fn an_unknown_node_names_those_there_are() {
-    let error = refusal(&main(sequence([NodeSpec::new("Pay")])));
+    let error = check_error(&main(sequence([NodeSpec::new("Pay")])));
     assert!(error.starts_with("main: main/Pay: there is no node `Pay`; known are Sequence, Fallback, "), "{error}");
     assert!(error.ends_with("Copy, IsHome, Play"), "{error}");
 }
@@ -39,7 +39,7 @@ fn ports_are_checked() {
             "main: main/Sleep (nap): port `msec` takes a whole number, but its key {x} is a place elsewhere",
         ),
     ] {
-        assert_eq!(refusal(&main(node)), expected);
+        assert_eq!(check_error(&main(node)), expected);
     }
 }
 
@@ -56,30 +56,30 @@ fn children_are_counted() {
             "main: main/Parallel: it has 1 children; allowed is 3 or more, as `success_count` is 3",
         ),
     ] {
-        assert_eq!(refusal(&main(node)), expected);
+        assert_eq!(check_error(&main(node)), expected);
     }
 }
 
 #[test]
 fn an_explicit_kind_must_be_the_right_one() {
     let node = NodeSpec { kind: Some(NodeKind::Condition), ..play("a", "S") };
-    assert_eq!(refusal(&main(node)), "main: main/Play: `Play` is written as <Condition>, but is of kind <Action>");
+    assert_eq!(check_error(&main(node)), "main: main/Play: `Play` is written as <Condition>, but is of kind <Action>");
 }
 
 #[test]
 fn sub_trees_must_be_there_and_not_go_in_circles() {
     assert_eq!(
-        refusal(&main(NodeSpec::subtree("sub"))),
+        check_error(&main(NodeSpec::subtree("sub"))),
         "main: main/sub: there is no tree `sub` in this file; there are main"
     );
     let circle =
         main(sequence([NodeSpec::subtree("a")])).with("a", NodeSpec::subtree("b")).with("b", NodeSpec::subtree("a"));
-    assert_eq!(refusal(&circle), "main: b/a: the sub-trees go round in a circle: main → a → b → a");
+    assert_eq!(check_error(&circle), "main: b/a: the sub-trees go round in a circle: main → a → b → a");
     let given = main(NodeSpec::subtree("a").port("x", "1").port("y", "2"))
         .with("a", NodeSpec::new("IsHome").port("place", "{x}"));
-    assert_eq!(refusal(&given), "main: main/a: there is no port `y`; allowed are x");
+    assert_eq!(check_error(&given), "main: main/a: there is no port `y`; allowed are x");
     let absent = TreeSpec { main: "other".to_owned(), ..main(play("a", "S")) };
-    assert_eq!(refusal(&absent), "main: there is no tree `other` in this file; there are main");
+    assert_eq!(check_error(&absent), "main: there is no tree `other` in this file; there are main");
 }
 
 #[test]
@@ -89,24 +89,24 @@ fn sub_trees_that_double_at_every_level_are_refused() {
         let next = || NodeSpec::subtree(&format!("t{}", level + 1));
         spec = spec.with(&format!("t{level}"), sequence([next(), next()]));
     }
-    let error = refusal(&spec.with("t40", play("a", "S")));
+    let error = check_error(&spec.with("t40", play("a", "S")));
     assert!(error.ends_with("the tree has more than 10000 nodes, sub-trees included"), "{error}");
 }
 
 #[test]
 fn a_tree_that_is_too_deep_is_refused_and_the_deepest_allowed_runs() {
     let deep = |levels: usize| (1..levels).fold(play("a", "RS"), |tree, _| inverter(inverter(tree)));
-    let error = refusal(&main(deep(51)));
+    let error = check_error(&main(deep(51)));
     assert!(error.ends_with("it stands deeper than 100 levels, sub-trees included"), "{error}");
-    let mut stage = Stage::set(deep(50));
+    let mut stage = TreeFixture::from_root(deep(50));
     stage.expect(&[('R', "a"), ('S', "a")]);
 }
 
 #[test]
 fn a_name_is_registered_once_and_for_a_leaf() {
     let mut registry = registry();
-    let never = |_: &Log| -> Box<dyn Leaf> { Box::new(Instant(|_: &mut LeafContext<'_, '_>| Ok(true))) };
-    let mut refuse = |id, kind| registry.register(Manifest::new(id, kind, []), never).unwrap_err().to_string();
+    let never = |_: &CallLog| -> Box<dyn Leaf> { Box::new(SyncLeaf(|_: &mut LeafContext<'_, '_>| Ok(true))) };
+    let mut refuse = |id, kind| registry.register(NodeManifest::new(id, kind, []), never).unwrap_err().to_string();
     assert_eq!(refuse("Play", NodeKind::Action), "a node `Play` is there already");
     assert_eq!(refuse("Sequence", NodeKind::Action), "a node `Sequence` is there already");
     assert_eq!(refuse("Mine", NodeKind::Control), "`Mine` is of kind <Control>; allowed are <Action> and <Condition>");

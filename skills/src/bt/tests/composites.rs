@@ -4,19 +4,19 @@ use super::*;
 
 #[test]
 fn a_sequence_goes_on_where_it_was() {
-    let mut stage = Stage::set(sequence([play("a", "S"), play("b", "RRS"), play("c", "S")]));
+    let mut stage = TreeFixture::from_root(sequence([play("a", "S"), play("b", "RRS"), play("c", "S")]));
     stage.expect(&[('R', "a b"), ('R', "b"), ('S', "b c")]);
 }
 
 #[test]
 fn a_sequence_ends_with_the_first_failure_and_starts_afresh() {
-    let mut stage = Stage::set(sequence([play("a", "S"), play("b", "FS"), play("c", "S")]));
+    let mut stage = TreeFixture::from_root(sequence([play("a", "S"), play("b", "FS"), play("c", "S")]));
     stage.expect(&[('F', "a b"), ('S', "a b c")]);
 }
 
 #[test]
 fn a_halted_sequence_halts_the_child_that_runs_and_no_other() {
-    let mut stage = Stage::set(sequence([play("a", "S"), play("b", "R"), play("c", "S")]));
+    let mut stage = TreeFixture::from_root(sequence([play("a", "S"), play("b", "R"), play("c", "S")]));
     stage.expect(&[('R', "a b")]);
     assert_eq!(stage.halt(), "b!");
     assert_eq!(stage.halt(), "", "nothing runs any more");
@@ -25,41 +25,43 @@ fn a_halted_sequence_halts_the_child_that_runs_and_no_other() {
 
 #[test]
 fn a_fallback_ends_with_the_first_success() {
-    let mut stage = Stage::set(fallback([play("a", "F"), play("b", "RS"), play("c", "S")]));
+    let mut stage = TreeFixture::from_root(fallback([play("a", "F"), play("b", "RS"), play("c", "S")]));
     stage.expect(&[('R', "a b"), ('S', "b"), ('S', "a b")]);
 }
 
 #[test]
 fn a_fallback_fails_when_all_do_with_the_last_cause() {
-    let mut stage = Stage::set(fallback([play("a", "F"), play("b", "F")]));
+    let mut stage = TreeFixture::from_root(fallback([play("a", "F"), play("b", "F")]));
     stage.expect(&[('F', "a b")]);
     assert_eq!(stage.tree.cause().unwrap().text, "Play: b says no");
 }
 
 #[test]
 fn a_parallel_succeeds_when_m_of_n_do_and_halts_the_rest() {
-    let mut stage = Stage::set(parallel(2, [play("a", "S"), play("b", "R"), play("c", "RS"), play("d", "F")]));
+    let mut stage =
+        TreeFixture::from_root(parallel(2, [play("a", "S"), play("b", "R"), play("c", "RS"), play("d", "F")]));
     stage.expect(&[('R', "a b c d"), ('S', "b c b!")]);
 }
 
 #[test]
 fn a_parallel_fails_when_more_than_n_minus_m_do() {
-    let mut stage = Stage::set(parallel(2, [play("a", "F"), play("b", "RF"), play("c", "R")]));
+    let mut stage = TreeFixture::from_root(parallel(2, [play("a", "F"), play("b", "RF"), play("c", "R")]));
     stage.expect(&[('R', "a b c"), ('F', "b c!")]);
 }
 
 #[test]
 fn a_parallel_from_a_file_fails_with_the_first_failure_unless_told_otherwise() {
-    let mut stage =
-        Stage::set(NodeSpec::new("Parallel").port("success_count", "1").children([play("a", "R"), play("b", "F")]));
+    let mut stage = TreeFixture::from_root(
+        NodeSpec::new("Parallel").port("success_count", "1").children([play("a", "R"), play("b", "F")]),
+    );
     stage.expect(&[('F', "a b a!")]);
-    let mut stage = Stage::set(NodeSpec::new("Parallel").children([play("a", "RS"), play("b", "S")]));
+    let mut stage = TreeFixture::from_root(NodeSpec::new("Parallel").children([play("a", "RS"), play("b", "S")]));
     stage.expect(&[('R', "a b"), ('S', "a")]);
 }
 
 #[test]
 fn a_halted_parallel_forgets_who_had_ended() {
-    let mut stage = Stage::set(parallel(3, [play("a", "S"), play("b", "R"), play("c", "R")]));
+    let mut stage = TreeFixture::from_root(parallel(3, [play("a", "S"), play("b", "R"), play("c", "R")]));
     stage.expect(&[('R', "a b c"), ('R', "b c")]);
     assert_eq!(stage.halt(), "b! c!");
     stage.expect(&[('R', "a b c")]);
@@ -67,41 +69,45 @@ fn a_halted_parallel_forgets_who_had_ended() {
 
 #[test]
 fn a_reactive_sequence_asks_again_and_interrupts() {
-    let mut stage = Stage::set(reactive_sequence([play("a", "SSF"), play("b", "R")]));
+    let mut stage = TreeFixture::from_root(reactive_sequence([play("a", "SSF"), play("b", "R")]));
     stage.expect(&[('R', "a b"), ('R', "a b"), ('F', "a b!")]);
 }
 
 #[test]
 fn a_reactive_sequence_halts_a_later_child_while_an_earlier_one_runs() {
-    let mut stage = Stage::set(reactive_sequence([play("a", "SRS"), play("b", "RS")]));
+    let mut stage = TreeFixture::from_root(reactive_sequence([play("a", "SRS"), play("b", "RS")]));
     stage.expect(&[('R', "a b"), ('R', "a b!"), ('S', "a b")]);
 }
 
 #[test]
 fn a_reactive_fallback_prefers_the_first_child_at_every_tick() {
-    let mut stage = Stage::set(reactive_fallback([play("a", "FFS"), play("b", "R")]));
+    let mut stage = TreeFixture::from_root(reactive_fallback([play("a", "FFS"), play("b", "R")]));
     stage.expect(&[('R', "a b"), ('R', "a b"), ('S', "a b!")]);
 }
 
 #[test]
 fn halting_reaches_the_leaf_at_the_bottom() {
-    let mut stage =
-        Stage::set(sequence([inverter(retry(2, fallback([play("a", "F"), timeout(9000, play("b", "R"))])))]));
+    let mut stage = TreeFixture::from_root(sequence([inverter(retry(
+        2,
+        fallback([play("a", "F"), timeout(9000, play("b", "R"))]),
+    ))]));
     stage.expect(&[('R', "a b")]);
     assert_eq!(stage.halt(), "b!");
 }
 
 #[test]
 fn a_panic_in_a_leaf_passes_through() {
-    let mut stage = Stage::set(sequence([play("a", "X")]));
+    let mut stage = TreeFixture::from_root(sequence([play("a", "X")]));
     let caught = std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| stage.tick()));
     assert!(caught.is_err());
 }
 
 #[test]
 fn a_cause_does_not_outlive_its_run() {
-    let mut stage =
-        Stage::set(sequence([NodeSpec::new("ForceSuccess").child(play("a", "FS")), NodeSpec::new("AlwaysFailure")]));
+    let mut stage = TreeFixture::from_root(sequence([
+        NodeSpec::new("ForceSuccess").child(play("a", "FS")),
+        NodeSpec::new("AlwaysFailure"),
+    ]));
     stage.expect(&[('F', "a")]);
     assert_eq!(stage.tree.cause().unwrap().text, "Play: a says no");
     stage.expect(&[('F', "a")]);

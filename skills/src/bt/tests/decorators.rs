@@ -4,25 +4,25 @@ use super::*;
 
 #[test]
 fn an_inverter_turns_final_answers_round() {
-    Stage::set(inverter(play("a", "RSF"))).expect(&[('R', "a"), ('F', "a"), ('S', "a")]);
+    TreeFixture::from_root(inverter(play("a", "RSF"))).expect(&[('R', "a"), ('F', "a"), ('S', "a")]);
 }
 
 #[test]
 fn forced_answers_wait_for_the_child() {
-    Stage::set(NodeSpec::new("ForceSuccess").child(play("a", "RF"))).expect(&[('R', "a"), ('S', "a")]);
-    Stage::set(NodeSpec::new("ForceFailure").child(play("a", "RS"))).expect(&[('R', "a"), ('F', "a")]);
+    TreeFixture::from_root(NodeSpec::new("ForceSuccess").child(play("a", "RF"))).expect(&[('R', "a"), ('S', "a")]);
+    TreeFixture::from_root(NodeSpec::new("ForceFailure").child(play("a", "RS"))).expect(&[('R', "a"), ('F', "a")]);
 }
 
 #[test]
 fn a_retry_tries_as_often_as_it_may() {
-    Stage::set(retry(3, play("a", "FFS"))).expect(&[('S', "a a a")]);
-    Stage::set(retry(3, play("a", "FRFFS"))).expect(&[('R', "a a"), ('F', "a a"), ('S', "a")]);
-    Stage::set(retry(0, play("a", "S"))).expect(&[('F', "")]);
+    TreeFixture::from_root(retry(3, play("a", "FFS"))).expect(&[('S', "a a a")]);
+    TreeFixture::from_root(retry(3, play("a", "FRFFS"))).expect(&[('R', "a a"), ('F', "a a"), ('S', "a")]);
+    TreeFixture::from_root(retry(0, play("a", "S"))).expect(&[('F', "")]);
 }
 
 #[test]
 fn a_halted_retry_counts_afresh() {
-    let mut stage = Stage::set(retry(2, play("a", "FRFFF")));
+    let mut stage = TreeFixture::from_root(retry(2, play("a", "FRFFF")));
     stage.expect(&[('R', "a a")]);
     assert_eq!(stage.halt(), "a!");
     stage.expect(&[('F', "a a")]);
@@ -30,13 +30,13 @@ fn a_halted_retry_counts_afresh() {
 
 #[test]
 fn a_repeat_ends_with_the_first_failure() {
-    Stage::set(repeat(3, play("a", "SRSS"))).expect(&[('R', "a a"), ('S', "a a")]);
-    Stage::set(repeat(3, play("a", "SF"))).expect(&[('F', "a a")]);
+    TreeFixture::from_root(repeat(3, play("a", "SRSS"))).expect(&[('R', "a a"), ('S', "a a")]);
+    TreeFixture::from_root(repeat(3, play("a", "SF"))).expect(&[('F', "a a")]);
 }
 
 #[test]
 fn a_loop_without_end_takes_one_turn_a_tick_and_asks_to_be_woken() {
-    let mut stage = Stage::set(NodeSpec::new("Repeat").port("num_cycles", "-1").child(play("a", "S")));
+    let mut stage = TreeFixture::from_root(NodeSpec::new("Repeat").port("num_cycles", "-1").child(play("a", "S")));
     stage.at(5.0).expect(&[('R', "a"), ('R', "a")]);
     assert_eq!(stage.tree.wake_at(), Some(WorldTime::from_secs(5.0)));
 }
@@ -44,22 +44,22 @@ fn a_loop_without_end_takes_one_turn_a_tick_and_asks_to_be_woken() {
 #[test]
 fn loops_within_loops_cannot_hold_up_a_tick() {
     let many = |child| NodeSpec::new("Repeat").port("num_cycles", "2000000000").child(child);
-    let mut stage = Stage::set(many(many(many(NodeSpec::new("AlwaysSuccess")))));
+    let mut stage = TreeFixture::from_root(many(many(many(NodeSpec::new("AlwaysSuccess")))));
     stage.expect(&[('R', ""), ('R', "")]);
 }
 
 #[test]
 fn a_long_loop_goes_on_at_the_next_tick() {
-    let mut stage = Stage::set(repeat(MAX_TURNS + 500, play("a", "S")));
+    let mut stage = TreeFixture::from_root(repeat(MAX_LOOP_ITERATIONS_PER_TICK + 500, play("a", "S")));
     let (status, log) = stage.tick();
-    assert_eq!((status, log.split(' ').count()), ('R', MAX_TURNS as usize));
+    assert_eq!((status, log.split(' ').count()), ('R', MAX_LOOP_ITERATIONS_PER_TICK as usize));
     let (status, log) = stage.tick();
     assert_eq!((status, log.split(' ').count()), ('S', 500));
 }
 
 #[test]
 fn a_timeout_halts_its_child_on_world_time() {
-    let mut stage = Stage::set(timeout(1500, play("a", "R")));
+    let mut stage = TreeFixture::from_root(timeout(1500, play("a", "R")));
     stage.at(10.0).expect(&[('R', "a")]);
     assert_eq!(stage.tree.wake_at(), Some(WorldTime::from_secs(11.5)));
     stage.at(11.4).expect(&[('R', "a")]);
@@ -71,14 +71,14 @@ fn a_timeout_halts_its_child_on_world_time() {
 
 #[test]
 fn a_timeout_of_nothing_is_no_limit() {
-    let mut stage = Stage::set(timeout(0, play("a", "R")));
+    let mut stage = TreeFixture::from_root(timeout(0, play("a", "R")));
     stage.at(0.0).expect(&[('R', "a")]);
     stage.at(1.0e6).expect(&[('R', "a")]);
 }
 
 #[test]
 fn a_sleep_ends_on_world_time() {
-    let mut stage = Stage::set(NodeSpec::new("Sleep").port("msec", "2000"));
+    let mut stage = TreeFixture::from_root(NodeSpec::new("Sleep").port("msec", "2000"));
     stage.at(1.0).expect(&[('R', "")]);
     assert_eq!(stage.tree.wake_at(), Some(WorldTime::from_secs(3.0)));
     stage.at(3.0).expect(&[('S', ""), ('R', "")]);
@@ -91,7 +91,7 @@ fn for_each(queue: &str, child: NodeSpec) -> NodeSpec {
 #[test]
 fn a_loop_over_a_list_hands_each_element_to_its_child() {
     let child = NodeSpec::new("Play").port("as", "{each}").port("plays", "S");
-    let mut stage = Stage::set(for_each(
+    let mut stage = TreeFixture::from_root(for_each(
         "x;y;z",
         sequence([child, NodeSpec::new("Copy").port("value", "{each}").port("to", "{last}")]),
     ));
@@ -102,12 +102,12 @@ fn a_loop_over_a_list_hands_each_element_to_its_child() {
 
 #[test]
 fn a_loop_over_a_list_fails_with_its_child_and_starts_afresh() {
-    let mut stage = Stage::set(for_each("x;y", play("a", "SRFSS")));
+    let mut stage = TreeFixture::from_root(for_each("x;y", play("a", "SRFSS")));
     stage.expect(&[('R', "a a"), ('F', "a"), ('S', "a a")]);
 }
 
 #[test]
 fn a_loop_over_nothing_answers_as_told() {
-    Stage::set(for_each("", play("a", "S"))).expect(&[('S', "")]);
-    Stage::set(for_each("", play("a", "S")).port("if_empty", "FAILURE")).expect(&[('F', "")]);
+    TreeFixture::from_root(for_each("", play("a", "S"))).expect(&[('S', "")]);
+    TreeFixture::from_root(for_each("", play("a", "S")).port("if_empty", "FAILURE")).expect(&[('F', "")]);
 }

@@ -15,9 +15,9 @@ use std::sync::{Arc, Mutex};
 
 /// What happened to the fake children: `a` when `a` was ticked, `a!` when it was halted.
 #[derive(Clone, Default)]
-struct Log(Arc<Mutex<Vec<String>>>);
+struct CallLog(Arc<Mutex<Vec<String>>>);
 
-impl Log {
+impl CallLog {
     fn note(&self, what: String) {
         self.0.lock().unwrap().push(what);
     }
@@ -50,11 +50,11 @@ impl RobotActions for NoBody {
 struct Play {
     name: String,
     left: Option<VecDeque<char>>,
-    log: Log,
+    log: CallLog,
 }
 
 impl Leaf for Play {
-    fn tick(&mut self, context: &mut LeafContext<'_, '_>) -> Result<Status, Cause> {
+    fn tick(&mut self, context: &mut LeafContext<'_, '_>) -> Result<NodeStatus, Cause> {
         if self.left.is_none() {
             self.name = context.read("as")?;
             self.left = Some(context.read::<String>("plays")?.chars().collect());
@@ -63,8 +63,8 @@ impl Leaf for Play {
         let left = self.left.as_mut().expect("it was just filled");
         let letter = if left.len() > 1 { left.pop_front() } else { left.front().copied() };
         match letter {
-            Some('R') => Ok(Status::Running),
-            Some('S') => Ok(Status::Success),
+            Some('R') => Ok(NodeStatus::Running),
+            Some('S') => Ok(NodeStatus::Success),
             Some('F') => Err(Cause::new(format!("{} says no", self.name))),
             other => panic!("{other:?} is no status"),
         }
@@ -75,18 +75,19 @@ impl Leaf for Play {
     }
 }
 
-fn registry() -> Registry<Log> {
+fn registry() -> Registry<CallLog> {
     let mut registry = Registry::new();
     let text = |name| PortSpec::input(name, PortType::Text);
-    let manifest = Manifest::new("Play", NodeKind::Action, [text("as"), text("plays")]);
-    let make = |log: &Log| -> Box<dyn Leaf> { Box::new(Play { name: String::new(), left: None, log: log.clone() }) };
+    let manifest = NodeManifest::new("Play", NodeKind::Action, [text("as"), text("plays")]);
+    let make =
+        |log: &CallLog| -> Box<dyn Leaf> { Box::new(Play { name: String::new(), left: None, log: log.clone() }) };
     registry.register(manifest, make).unwrap();
     let place = [PortSpec::input("place", PortType::Place)];
-    registry.condition("IsHome", place, |leaf| Ok(leaf.read::<String>("place")? == "Home")).unwrap();
+    registry.register_condition("IsHome", place, |leaf| Ok(leaf.read::<String>("place")? == "Home")).unwrap();
     let ports = [PortSpec::input("value", PortType::Any), PortSpec::output("to", PortType::Any)];
     registry
-        .register(Manifest::new("Copy", NodeKind::Action, ports), |_| {
-            Box::new(Instant(|leaf: &mut LeafContext<'_, '_>| {
+        .register(NodeManifest::new("Copy", NodeKind::Action, ports), |_| {
+            Box::new(SyncLeaf(|leaf: &mut LeafContext<'_, '_>| {
                 let value: Value = leaf.read("value")?;
                 leaf.write("to", value)?;
                 Ok(true)
@@ -102,29 +103,29 @@ fn play(name: &str, plays: &str) -> NodeSpec {
 }
 
 /// A tree under test, on a clock of its own.
-struct Stage {
+struct TreeFixture {
     tree: Tree,
-    log: Log,
+    log: CallLog,
     now: WorldTime,
 }
 
-impl Stage {
-    fn set(root: NodeSpec) -> Stage {
-        Stage::of(&TreeSpec::single("main", root))
+impl TreeFixture {
+    fn from_root(root: NodeSpec) -> TreeFixture {
+        TreeFixture::from_spec(&TreeSpec::single("main", root))
     }
 
-    fn of(spec: &TreeSpec) -> Stage {
-        let log = Log::default();
-        let tree = registry().check(spec).unwrap_or_else(|error| panic!("{error}")).start(&log);
-        Stage { tree, log, now: WorldTime::ZERO }
+    fn from_spec(spec: &TreeSpec) -> TreeFixture {
+        let log = CallLog::default();
+        let tree = registry().check(spec).unwrap_or_else(|error| panic!("{error}")).instantiate(&log);
+        TreeFixture { tree, log, now: WorldTime::ZERO }
     }
 
     /// Ticks once: the status's letter, and what happened.
     fn tick(&mut self) -> (char, String) {
         let status = match self.tree.tick(&mut NoBody, self.now) {
-            Status::Running => 'R',
-            Status::Success => 'S',
-            Status::Failure => 'F',
+            NodeStatus::Running => 'R',
+            NodeStatus::Success => 'S',
+            NodeStatus::Failure => 'F',
         };
         (status, self.log.take())
     }
@@ -141,14 +142,14 @@ impl Stage {
         self.log.take()
     }
 
-    fn at(&mut self, seconds: f64) -> &mut Stage {
+    fn at(&mut self, seconds: f64) -> &mut TreeFixture {
         self.now = WorldTime::from_secs(seconds);
         self
     }
 }
 
 /// Why a description is refused.
-fn refusal(spec: &TreeSpec) -> String {
+fn check_error(spec: &TreeSpec) -> String {
     match registry().check(spec) {
         Ok(_) => panic!("it was accepted"),
         Err(error) => error.to_string(),

@@ -17,14 +17,14 @@ fn main(root: NodeSpec) -> TreeSpec {
 
 #[test]
 fn text_becomes_what_the_ports_of_its_key_take() {
-    let mut stage = Stage::set(sequence([copy("Home", "{here}"), is_home("{here}")]));
+    let mut stage = TreeFixture::from_root(sequence([copy("Home", "{here}"), is_home("{here}")]));
     stage.expect(&[('S', "")]);
     assert_eq!(stage.tree.get("here").unwrap(), Some(PlaceId::new("Home").unwrap()));
 }
 
 #[test]
 fn a_value_that_is_not_what_the_key_takes_fails_the_writer_and_says_so() {
-    let mut stage = Stage::set(sequence([copy(" bad", "{here}"), is_home("{here}")]));
+    let mut stage = TreeFixture::from_root(sequence([copy(" bad", "{here}"), is_home("{here}")]));
     stage.expect(&[('F', "")]);
     let cause = &stage.tree.cause().unwrap().text;
     assert!(cause.starts_with("Copy: port `to`: {here}: \" bad\" is not a place: "), "{cause}");
@@ -32,7 +32,7 @@ fn a_value_that_is_not_what_the_key_takes_fails_the_writer_and_says_so() {
 
 #[test]
 fn a_key_read_before_it_is_written_is_named() {
-    let mut stage = Stage::set(sequence([is_home("{here}"), copy("Home", "{here}")]));
+    let mut stage = TreeFixture::from_root(sequence([is_home("{here}"), copy("Home", "{here}")]));
     stage.expect(&[('F', "")]);
     assert_eq!(stage.tree.cause().unwrap().text, "IsHome: port `place`: {here} holds nothing yet");
 }
@@ -41,7 +41,7 @@ fn a_key_read_before_it_is_written_is_named() {
 fn a_sub_tree_sees_only_what_it_is_given() {
     let spec = main(sequence([copy("Home", "{here}"), NodeSpec::subtree("sub").port("where", "{here}")]))
         .with("sub", sequence([is_home("{where}"), copy("1", "{here}")]));
-    let mut stage = Stage::of(&spec);
+    let mut stage = TreeFixture::from_spec(&spec);
     stage.expect(&[('S', "")]);
     assert_eq!(stage.tree.get::<String>("here").unwrap().as_deref(), Some("Home"), "its own `here` is another");
     assert!(stage.tree.get::<String>("where").is_err());
@@ -50,7 +50,7 @@ fn a_sub_tree_sees_only_what_it_is_given() {
 #[test]
 fn a_sub_tree_hands_back_through_a_remapped_key() {
     let spec = main(NodeSpec::subtree("sub").port("out", "{result}")).with("sub", copy("7", "{out}"));
-    let mut stage = Stage::of(&spec);
+    let mut stage = TreeFixture::from_spec(&spec);
     stage.expect(&[('S', "")]);
     assert_eq!(stage.tree.get::<String>("result").unwrap().as_deref(), Some("7"));
 }
@@ -58,23 +58,23 @@ fn a_sub_tree_hands_back_through_a_remapped_key() {
 #[test]
 fn a_sub_tree_can_be_given_a_fixed_value_which_is_checked() {
     let spec = |place| main(NodeSpec::subtree("sub").port("where", place)).with("sub", is_home("{where}"));
-    Stage::of(&spec("Home")).expect(&[('S', "")]);
-    Stage::of(&spec("Elsewhere")).expect(&[('F', "")]);
-    assert!(refusal(&spec("")).contains("{sub/where}: \"\" is not a place"), "{}", refusal(&spec("")));
+    TreeFixture::from_spec(&spec("Home")).expect(&[('S', "")]);
+    TreeFixture::from_spec(&spec("Elsewhere")).expect(&[('F', "")]);
+    assert!(check_error(&spec("")).contains("{sub/where}: \"\" is not a place"), "{}", check_error(&spec("")));
 }
 
 #[test]
 fn two_uses_of_a_sub_tree_do_not_share_keys() {
     let sub = |place| NodeSpec::subtree("sub").port("where", place);
     let spec = main(sequence([inverter(sub("Away")), sub("Home")])).with("sub", is_home("{where}"));
-    Stage::of(&spec).expect(&[('S', "")]);
+    TreeFixture::from_spec(&spec).expect(&[('S', "")]);
 }
 
 #[test]
 fn autoremap_shares_every_key_but_private_ones() {
     let sub = sequence([is_home("{here}"), copy("1", "{out}"), copy("2", "{_own}")]);
     let spec = main(sequence([copy("Home", "{here}"), NodeSpec::subtree("sub").autoremap()])).with("sub", sub);
-    let mut stage = Stage::of(&spec);
+    let mut stage = TreeFixture::from_spec(&spec);
     stage.expect(&[('S', "")]);
     assert_eq!(stage.tree.get::<String>("out").unwrap().as_deref(), Some("1"));
     assert!(stage.tree.get::<String>("_own").is_err());
@@ -84,14 +84,14 @@ fn autoremap_shares_every_key_but_private_ones() {
 fn an_explicit_remapping_goes_before_autoremap() {
     let sub = NodeSpec::subtree("sub").autoremap().port("here", "{there}");
     let spec = main(sequence([copy("Away", "{here}"), copy("Home", "{there}"), sub])).with("sub", is_home("{here}"));
-    Stage::of(&spec).expect(&[('S', "")]);
+    TreeFixture::from_spec(&spec).expect(&[('S', "")]);
 }
 
 #[test]
 fn a_sub_tree_that_is_not_given_what_it_reads_is_refused() {
     let spec = main(NodeSpec::subtree("sub")).with("sub", is_home("{where}"));
     assert_eq!(
-        refusal(&spec),
+        check_error(&spec),
         "main: sub/IsHome: port `place` reads {where}, which nothing writes and the sub-tree is not given"
     );
 }
@@ -100,8 +100,8 @@ fn a_sub_tree_that_is_not_given_what_it_reads_is_refused() {
 fn what_the_main_tree_reads_and_nobody_writes_are_its_inputs() {
     let root = sequence([is_home("{to}"), copy("{mine}", "{mine}"), copy("1", "{written}"), copy("{written}", "{_}")]);
     let blueprint = registry().check(&main(root)).unwrap_or_else(|error| panic!("{error}"));
-    assert_eq!(blueprint.inputs(), [Input { key: "to".to_owned(), port_type: PortType::Place, required: true }]);
-    let mut tree = blueprint.start(&Log::default());
+    assert_eq!(blueprint.inputs(), [TreeInput { key: "to".to_owned(), port_type: PortType::Place, required: true }]);
+    let mut tree = blueprint.instantiate(&CallLog::default());
     let error = tree.set("too", "Home").unwrap_err().to_string();
     assert_eq!(error, "no port uses the key {too}; used are _, mine, to, written");
 }

@@ -32,7 +32,7 @@ const BOTH_FORMS: &str = r#"<?xml version="1.0" encoding="UTF-8"?>
 
 #[test]
 fn compact_and_explicit_forms_are_read() {
-    let mut stage = Stage::of(&read_xml("t.xml", BOTH_FORMS).unwrap());
+    let mut stage = TreeFixture::from_spec(&read_xml("t.xml", BOTH_FORMS).unwrap());
     stage.expect(&[('R', "a"), ('S', "a")]);
 }
 

@@ -3,8 +3,8 @@
 //! [`Registry::check`]: crate::bt::Registry::check
 
 use crate::bt::blueprint::{MAX_DEPTH, MAX_NODES};
-use crate::bt::error::{Problem, TreeError};
-use crate::bt::ports::{NodeKind, listed};
+use crate::bt::error::{TreeError, TreeErrorKind};
+use crate::bt::ports::{NodeKind, join_names};
 use crate::bt::spec::{NodeSpec, TreeSpec};
 use crate::xml;
 use roxmltree::Node;
@@ -30,7 +30,7 @@ pub fn read_xml(source: &str, text: &str) -> Result<TreeSpec, TreeError> {
         source: source.to_owned(),
         line,
         node: None,
-        problem: Box::new(Problem::Syntax(problem)),
+        kind: Box::new(TreeErrorKind::Syntax(problem)),
     };
     if text.len() > MAX_BYTES {
         return Err(refuse(None, format!("the file has {} bytes; allowed are {MAX_BYTES}", text.len())));
@@ -80,7 +80,7 @@ impl Reader<'_> {
             (None, 1) => trees.keys().next().cloned().unwrap_or_default(),
             (None, 0) => return Err(self.refuse(root, "there is no <BehaviorTree>".to_owned())),
             (None, _) => {
-                let known = listed(trees.keys().map(String::as_str));
+                let known = join_names(trees.keys().map(String::as_str));
                 let text = format!("main_tree_to_execute is missing; the trees are {known}");
                 return Err(self.refuse(root, text));
             }
@@ -101,7 +101,7 @@ impl Reader<'_> {
 
     fn node(&self, element: Node<'_, '_>, depth: usize) -> Result<NodeSpec, TreeError> {
         if depth > MAX_DEPTH {
-            return Err(self.error(element, Problem::TooDeep { limit: MAX_DEPTH }));
+            return Err(self.error(element, TreeErrorKind::TooDeep { limit: MAX_DEPTH }));
         }
         let tag = element.tag_name().name();
         let kinds = [NodeKind::Action, NodeKind::Condition, NodeKind::Control, NodeKind::Decorator, NodeKind::SubTree];
@@ -155,15 +155,15 @@ impl Reader<'_> {
     }
 
     fn refuse(&self, element: Node<'_, '_>, problem: String) -> TreeError {
-        self.error(element, Problem::Syntax(problem))
+        self.error(element, TreeErrorKind::Syntax(problem))
     }
 
-    fn error(&self, element: Node<'_, '_>, problem: Problem) -> TreeError {
+    fn error(&self, element: Node<'_, '_>, problem: TreeErrorKind) -> TreeError {
         TreeError {
             source: self.source.to_owned(),
             line: Some(self.line(element)),
             node: None,
-            problem: Box::new(problem),
+            kind: Box::new(problem),
         }
     }
 }

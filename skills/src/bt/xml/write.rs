@@ -1,6 +1,6 @@
 //! Writing, with the model of our leaves so that an editor knows their ports.
 
-use crate::bt::ports::{Direction, Manifest, NodeKind, PortSpec, Presence};
+use crate::bt::ports::{NodeKind, NodeManifest, PortDirection, PortPresence, PortSpec};
 use crate::bt::registry::Registry;
 use crate::bt::spec::{NodeSpec, TreeSpec};
 use std::fmt::Write;
@@ -48,7 +48,7 @@ fn node(xml: &mut String, depth: usize, node: &NodeSpec) {
     line(xml, depth, &format!("</{tag}>"));
 }
 
-fn model(xml: &mut String, manifest: &Manifest) {
+fn model(xml: &mut String, manifest: &NodeManifest) {
     let tag = if manifest.kind == NodeKind::Condition { "Condition" } else { "Action" };
     let open = format!("<{tag}{}", attribute("ID", &manifest.id));
     if manifest.ports.is_empty() {
@@ -62,10 +62,10 @@ fn model(xml: &mut String, manifest: &Manifest) {
 }
 
 fn port_model(xml: &mut String, port: &PortSpec) {
-    let tag = if port.direction == Direction::Input { "input_port" } else { "output_port" };
+    let tag = if port.direction == PortDirection::Input { "input_port" } else { "output_port" };
     let default = match &port.presence {
-        Presence::Default(text) => attribute("default", text),
-        Presence::Required | Presence::Optional => String::new(),
+        PortPresence::Default(text) => attribute("default", text),
+        PortPresence::Required | PortPresence::Optional => String::new(),
     };
     line(
         xml,

@@ -2,7 +2,7 @@
 //! name is one of its own, each time that it is made.
 
 use super::Invariant;
-use crate::{Entry, Fleet, slug};
+use crate::{Fleet, Observation, slug};
 use consort_protocol::ids::{MissionId, NodeId};
 use consort_protocol::ledger::Ledger;
 use std::collections::{BTreeMap, BTreeSet};
@@ -23,7 +23,7 @@ impl Acknowledged {
         };
         replica.read(|ledger| {
             for (request, mission) in &self.missions {
-                let found = ledger.requested(&slug(request)).map(|entry| &entry.id);
+                let found = ledger.mission_of_request(&slug(request)).map(|entry| &entry.id);
                 if found != Some(mission) {
                     let found = found.map_or("no mission".to_owned(), ToString::to_string);
                     return Err(format!(
@@ -54,30 +54,32 @@ impl Invariant for Acknowledged {
         "acknowledged"
     }
 
-    fn see(&mut self, _: Duration, entry: &Entry, fleet: &Fleet) -> Result<(), String> {
+    fn observe(&mut self, _: Duration, entry: &Observation, fleet: &Fleet) -> Result<(), String> {
         match entry {
-            Entry::Acknowledged { request: None, mission, .. } => {
+            Observation::RequestAcknowledged { request: None, mission, .. } => {
                 let asked_for = self.missions.values().any(|known| known == mission);
                 if asked_for || !self.nameless.insert(mission.clone()) {
                     return Err(format!("{mission} was acknowledged to a request without a name, and to another one"));
                 }
                 Ok(())
             }
-            Entry::Acknowledged { request: Some(request), mission, .. } => match self.missions.get(request) {
-                Some(known) if known != mission => {
-                    Err(format!("{request} was acknowledged as {known} and then as {mission}"))
+            Observation::RequestAcknowledged { request: Some(request), mission, .. } => {
+                match self.missions.get(request) {
+                    Some(known) if known != mission => {
+                        Err(format!("{request} was acknowledged as {known} and then as {mission}"))
+                    }
+                    _ => {
+                        self.missions.insert(request.clone(), mission.clone());
+                        Ok(())
+                    }
                 }
-                _ => {
-                    self.missions.insert(request.clone(), mission.clone());
-                    Ok(())
-                }
-            },
-            Entry::Believes { node, leads: Some(_), .. } => self.all_in_ledger_of(node, fleet),
+            }
+            Observation::LeadershipChanged { node, leading_as: Some(_), .. } => self.all_in_ledger_of(node, fleet),
             _ => Ok(()),
         }
     }
 
-    fn end(&mut self, fleet: &Fleet) -> Result<(), String> {
+    fn check_end(&mut self, fleet: &Fleet) -> Result<(), String> {
         fleet.coordinating().map_or(Ok(()), |node| self.all_in_ledger_of(&node, fleet))
     }
 }

@@ -4,7 +4,7 @@
 //! another node or of a slow disk may cause that.
 
 use super::Invariant;
-use crate::{Entry, Fleet};
+use crate::{Fleet, Observation};
 use std::time::Duration;
 
 pub(super) struct Alive;
@@ -14,7 +14,7 @@ impl Invariant for Alive {
         "alive"
     }
 
-    fn see(&mut self, _: Duration, _: &Entry, fleet: &Fleet) -> Result<(), String> {
+    fn observe(&mut self, _: Duration, _: &Observation, fleet: &Fleet) -> Result<(), String> {
         match fleet.nodes.iter().find(|(_, node)| node.has_ended()) {
             Some((name, _)) => Err(format!("the node {name} ended by itself")),
             None => Ok(()),

@@ -5,7 +5,7 @@
 //! and lost disks.
 
 use super::Invariant;
-use crate::{Entry, Fleet};
+use crate::{Fleet, Observation};
 use consort_protocol::ids::NodeId;
 use std::collections::BTreeMap;
 use std::time::Duration;
@@ -23,12 +23,12 @@ impl Invariant for Committed {
         "committed"
     }
 
-    fn see(&mut self, _: Duration, entry: &Entry, _: &Fleet) -> Result<(), String> {
+    fn observe(&mut self, _: Duration, entry: &Observation, _: &Fleet) -> Result<(), String> {
         match entry {
-            Entry::Done { node, what: "starts again" } => {
+            Observation::TestAction { node, action: "starts again" } => {
                 self.last.remove(node);
             }
-            Entry::Applied { node, at, digest, .. } => {
+            Observation::EntryApplied { node, at, digest, .. } => {
                 let known = self.entries.entry(at.index).or_insert_with(|| (at.term, *digest, node.clone()));
                 if (known.0, known.1) != (at.term, *digest) {
                     let (term, _, who) = known;

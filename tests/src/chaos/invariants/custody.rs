@@ -1,8 +1,8 @@
 //! A sample goes its way once: from a person into one drawer, from there to one arm.
 
 use super::Invariant;
-use crate::{Entry, Fleet};
-use consort_sim::world::{Happening as InWorld, JournalEntry, Keeper, SampleId};
+use crate::{Fleet, Observation};
+use consort_sim::world::{LoggedEvent, SampleHolder, SampleId, WorldEvent as InWorld};
 use std::collections::BTreeMap;
 use std::time::Duration;
 
@@ -17,16 +17,16 @@ impl Invariant for Custody {
         "custody"
     }
 
-    fn see(&mut self, _: Duration, _: &Entry, _: &Fleet) -> Result<(), String> {
+    fn observe(&mut self, _: Duration, _: &Observation, _: &Fleet) -> Result<(), String> {
         Ok(())
     }
 
-    fn see_world(&mut self, _: Duration, entry: &JournalEntry, _: &Fleet) -> Result<(), String> {
-        let InWorld::SampleMoved { sample, from, to } = &entry.what else { return Ok(()) };
+    fn observe_world(&mut self, _: Duration, entry: &LoggedEvent, _: &Fleet) -> Result<(), String> {
+        let InWorld::SampleMoved { sample, from, to } = &entry.event else { return Ok(()) };
         let counts = self.samples.entry(sample.clone()).or_default();
         match (from, to) {
-            (Keeper::Person(_), _) => counts.0 += 1,
-            (Keeper::Drawer(_), Keeper::Arm(_)) => counts.1 += 1,
+            (SampleHolder::Person(_), _) => counts.0 += 1,
+            (SampleHolder::Drawer(_), SampleHolder::Arm(_)) => counts.1 += 1,
             _ => {}
         }
         if counts.0 > 1 || counts.1 > 1 {

@@ -3,9 +3,9 @@
 //! Else the loss of the robot at that instant would leave a ledger that cannot tell whether it has the item.
 
 use super::Invariant;
-use super::reference::Reference;
-use crate::{Entry, Fleet};
-use consort_protocol::event::Happening;
+use super::reference_ledger::ReferenceLedger;
+use crate::{Fleet, Observation};
+use consort_protocol::event::EventKind;
 use consort_protocol::ids::{MissionId, NodeId, RoleId};
 use consort_protocol::plan::{LocalPlan, StepAction, StepIndex};
 use std::collections::BTreeSet;
@@ -13,7 +13,7 @@ use std::time::Duration;
 
 #[derive(Default)]
 pub(super) struct Guarded {
-    reference: Reference,
+    reference: ReferenceLedger,
 }
 
 impl Guarded {
@@ -60,14 +60,14 @@ impl Invariant for Guarded {
         "guarded"
     }
 
-    fn see(&mut self, _: Duration, entry: &Entry, fleet: &Fleet) -> Result<(), String> {
-        self.reference.see(entry);
+    fn observe(&mut self, _: Duration, entry: &Observation, fleet: &Fleet) -> Result<(), String> {
+        self.reference.observe(entry);
         let node = entry.node();
-        match entry.happening() {
-            Some(Happening::TaskBegan { mission, role, task }) if fleet.is_robot(node) => {
+        match entry.event_kind() {
+            Some(EventKind::TaskBegan { mission, role, task }) if fleet.is_robot(node) => {
                 self.performs(node, mission, role, |action| matches!(action, StepAction::Task { id, .. } if id == task))
             }
-            Some(Happening::Sent { mission, signal }) if fleet.is_robot(node) => {
+            Some(EventKind::Sent { mission, signal }) if fleet.is_robot(node) => {
                 let is = |action: &StepAction| matches!(action, StepAction::Send(sent) if sent == signal);
                 self.performs(node, mission, &signal.from, is)
             }

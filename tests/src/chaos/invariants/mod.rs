@@ -8,17 +8,17 @@ mod alive;
 mod committed;
 mod custody;
 mod guarded;
-mod keepers;
 mod one_holder;
 mod one_leader;
-mod reference;
+mod reference_ledger;
 mod replayed;
 mod settled;
 mod signals;
+mod single_voter_change;
 mod under_lease;
 
-use crate::{Entry, Fleet};
-use consort_sim::world::JournalEntry;
+use crate::{Fleet, Observation};
+use consort_sim::world::LoggedEvent;
 use std::time::Duration;
 
 /// Something that must hold.
@@ -30,13 +30,13 @@ pub trait Invariant {
     ///
     /// # Errors
     /// Why it does not hold any more, in words.
-    fn see(&mut self, at: Duration, entry: &Entry, fleet: &Fleet) -> Result<(), String>;
+    fn observe(&mut self, at: Duration, entry: &Observation, fleet: &Fleet) -> Result<(), String>;
 
     /// Something has happened in the world.
     ///
     /// # Errors
     /// As [`see`](Invariant::see).
-    fn see_world(&mut self, _at: Duration, _entry: &JournalEntry, _fleet: &Fleet) -> Result<(), String> {
+    fn observe_world(&mut self, _at: Duration, _entry: &LoggedEvent, _fleet: &Fleet) -> Result<(), String> {
         Ok(())
     }
 
@@ -44,7 +44,7 @@ pub trait Invariant {
     ///
     /// # Errors
     /// As [`see`](Invariant::see).
-    fn end(&mut self, _fleet: &Fleet) -> Result<(), String> {
+    fn check_end(&mut self, _fleet: &Fleet) -> Result<(), String> {
         Ok(())
     }
 }
@@ -62,7 +62,7 @@ pub fn all() -> Vec<Box<dyn Invariant>> {
         Box::<signals::Signals>::default(),
         Box::<custody::Custody>::default(),
         Box::<guarded::Guarded>::default(),
-        Box::<keepers::Keepers>::default(),
+        Box::<single_voter_change::SingleVoterChange>::default(),
         Box::<replayed::Replayed>::default(),
     ]
 }

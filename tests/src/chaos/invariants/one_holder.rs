@@ -5,8 +5,8 @@
 //! themselves tell, each at its own place.
 
 use super::Invariant;
-use crate::{Entry, Fleet};
-use consort_protocol::event::Happening;
+use crate::{Fleet, Observation};
+use consort_protocol::event::EventKind;
 use consort_protocol::ids::{MissionId, NodeId, RoleId};
 use consort_protocol::lease::Epoch;
 use std::collections::BTreeMap;
@@ -40,13 +40,13 @@ impl Invariant for OneHolder {
         "one_holder"
     }
 
-    fn see(&mut self, _: Duration, entry: &Entry, _: &Fleet) -> Result<(), String> {
+    fn observe(&mut self, _: Duration, entry: &Observation, _: &Fleet) -> Result<(), String> {
         let node = entry.node();
-        if let Entry::Done { what: "killed", .. } = entry {
+        if let Observation::TestAction { action: "killed", .. } = entry {
             self.active.retain(|_, who| who != node);
         }
-        match entry.happening() {
-            Some(Happening::Started { mission, role, epoch }) => {
+        match entry.event_kind() {
+            Some(EventKind::Started { mission, role, epoch }) => {
                 let part = (mission.clone(), role.clone());
                 if let Some(latest) = self.latest.insert(part, *epoch)
                     && latest > *epoch
@@ -57,8 +57,8 @@ impl Invariant for OneHolder {
                 }
                 self.begins(node, mission, role)
             }
-            Some(Happening::Resumed { mission, role }) => self.begins(node, mission, role),
-            Some(Happening::Suspended { mission, role } | Happening::Halted { mission, role, .. }) => {
+            Some(EventKind::Resumed { mission, role }) => self.begins(node, mission, role),
+            Some(EventKind::Suspended { mission, role } | EventKind::Halted { mission, role, .. }) => {
                 let part = (mission.clone(), role.clone());
                 if self.active.get(&part) == Some(node) {
                     self.active.remove(&part);

@@ -5,8 +5,8 @@
 //! made voters forget whom they had voted for.
 
 use super::Invariant;
-use crate::{Entry, Fleet};
-use consort_actors::replica::Reign;
+use crate::{Fleet, Observation};
+use consort_actors::raft::LeaderId;
 use consort_protocol::ids::NodeId;
 use std::collections::BTreeMap;
 use std::time::Duration;
@@ -14,8 +14,8 @@ use std::time::Duration;
 #[derive(Default)]
 pub(super) struct OneLeader {
     /// Who believes at this instant that it leads.
-    leading: BTreeMap<NodeId, Reign>,
-    latest: Option<(Reign, NodeId)>,
+    leading: BTreeMap<NodeId, LeaderId>,
+    latest: Option<(LeaderId, NodeId)>,
 }
 
 impl Invariant for OneLeader {
@@ -23,15 +23,15 @@ impl Invariant for OneLeader {
         "one_leader"
     }
 
-    fn see(&mut self, _: Duration, entry: &Entry, _: &Fleet) -> Result<(), String> {
+    fn observe(&mut self, _: Duration, entry: &Observation, _: &Fleet) -> Result<(), String> {
         match entry {
-            Entry::Done { node, what: "killed" } => {
+            Observation::TestAction { node, action: "killed" } => {
                 self.leading.remove(node);
             }
-            Entry::Believes { node, leads: None, .. } => {
+            Observation::LeadershipChanged { node, leading_as: None, .. } => {
                 self.leading.remove(node);
             }
-            Entry::Believes { node, leads: Some(reign), .. } => {
+            Observation::LeadershipChanged { node, leading_as: Some(reign), .. } => {
                 self.leading.insert(node.clone(), *reign);
                 if let Some((other, since)) = self.leading.iter().find(|(other, _)| *other != node) {
                     return Err(format!("{node} leads in reign {reign} while {other} leads in {since}"));

@@ -4,13 +4,13 @@
 //! from the first entry on, read from a disk after a restart, or handed over as a snapshot.
 
 use super::Invariant;
-use super::reference::Reference;
-use crate::{Entry, Fleet};
+use super::reference_ledger::ReferenceLedger;
+use crate::{Fleet, Observation};
 use std::time::Duration;
 
 #[derive(Default)]
 pub(super) struct Replayed {
-    reference: Reference,
+    reference: ReferenceLedger,
 }
 
 impl Replayed {
@@ -45,15 +45,15 @@ impl Invariant for Replayed {
         "replayed"
     }
 
-    fn see(&mut self, _: Duration, entry: &Entry, fleet: &Fleet) -> Result<(), String> {
-        self.reference.see(entry);
+    fn observe(&mut self, _: Duration, entry: &Observation, fleet: &Fleet) -> Result<(), String> {
+        self.reference.observe(entry);
         match entry {
-            Entry::Believes { leads: Some(_), .. } => self.compare(fleet),
+            Observation::LeadershipChanged { leading_as: Some(_), .. } => self.compare(fleet),
             _ => Ok(()),
         }
     }
 
-    fn end(&mut self, fleet: &Fleet) -> Result<(), String> {
+    fn check_end(&mut self, fleet: &Fleet) -> Result<(), String> {
         self.compare(fleet)
     }
 }

@@ -4,10 +4,10 @@
 //! may do so only once some copy of the ledger says the same: what was reported is written down before it is acknowledged.
 
 use super::Invariant;
-use crate::{Entry, Fleet};
-use consort_protocol::event::Happening;
+use crate::{Fleet, Observation};
+use consort_protocol::event::EventKind;
 use consort_protocol::ids::{MissionId, RoleId};
-use consort_protocol::lease::Ending;
+use consort_protocol::lease::EndReason;
 use consort_protocol::ledger::{Ledger, RolePhase};
 use std::collections::BTreeSet;
 use std::time::Duration;
@@ -25,20 +25,20 @@ impl Invariant for Settled {
         "settled"
     }
 
-    fn see(&mut self, _: Duration, entry: &Entry, fleet: &Fleet) -> Result<(), String> {
-        if let Entry::Applied { at, .. } = entry {
+    fn observe(&mut self, _: Duration, entry: &Observation, fleet: &Fleet) -> Result<(), String> {
+        if let Observation::EntryApplied { at, .. } = entry {
             self.applied.insert((at.index, at.term));
         }
         let node = entry.node();
-        match entry.happening() {
-            Some(Happening::Started { mission, role, epoch }) if !self.applied.contains(&(epoch.index, epoch.term)) => {
+        match entry.event_kind() {
+            Some(EventKind::Started { mission, role, epoch }) if !self.applied.contains(&(epoch.index, epoch.term)) => {
                 return Err(format!("{node} begins {role} of {mission} under {epoch}, which was never committed"));
             }
-            Some(Happening::Halted { mission, role, reason: Ending::Over }) => {
+            Some(EventKind::Halted { mission, role, reason: EndReason::Over }) => {
                 let part = (mission.clone(), role.clone());
                 let over = |ledger: &Ledger| {
                     ledger.mission(mission).is_none_or(|entry| {
-                        entry.state.is_end() || entry.roles.get(role).is_none_or(|r| r.phase == RolePhase::Ended)
+                        entry.state.is_final() || entry.roles.get(role).is_none_or(|r| r.phase == RolePhase::Ended)
                     })
                 };
                 let somewhere = fleet.nodes.values().filter_map(|node| node.replica.as_ref()).any(|r| r.read(over));

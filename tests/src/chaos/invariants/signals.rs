@@ -6,9 +6,9 @@
 //! is of no account then.
 
 use super::Invariant;
-use super::reference::Reference;
-use crate::{Entry, Fleet};
-use consort_protocol::event::Happening;
+use super::reference_ledger::ReferenceLedger;
+use crate::{Fleet, Observation};
+use consort_protocol::event::EventKind;
 use consort_protocol::ids::{MissionId, RoleId};
 use consort_protocol::ledger::{MissionEntry, MissionState};
 use consort_protocol::plan::{Signal, Step, StepAction};
@@ -20,7 +20,7 @@ pub(super) struct Signals {
     said: BTreeMap<MissionId, BTreeSet<Signal>>,
     heard: BTreeMap<MissionId, BTreeSet<Signal>>,
     /// Of what was told to the ledger, for when nobody who keeps one is left.
-    reference: Reference,
+    reference: ReferenceLedger,
 }
 
 /// Whether a role ended before all its steps had, because it was taken from its holder.
@@ -41,17 +41,17 @@ impl Invariant for Signals {
         "signals"
     }
 
-    fn see(&mut self, _: Duration, entry: &Entry, _: &Fleet) -> Result<(), String> {
-        self.reference.see(entry);
-        match entry.happening() {
-            Some(Happening::Sent { mission, signal }) => {
+    fn observe(&mut self, _: Duration, entry: &Observation, _: &Fleet) -> Result<(), String> {
+        self.reference.observe(entry);
+        match entry.event_kind() {
+            Some(EventKind::Sent { mission, signal }) => {
                 self.said.entry(mission.clone()).or_default().insert(signal.clone());
             }
-            Some(Happening::Heard { mission, signal }) => {
+            Some(EventKind::Heard { mission, signal }) => {
                 let said = self.said.get(mission).is_some_and(|said| said.contains(signal));
                 // A teller that was lost in the act has told the ledger before it told anybody.
                 let of_mission = self.reference.ledger.mission(mission);
-                let told = of_mission.is_some_and(|entry| entry.told(&signal.to).contains(signal));
+                let told = of_mission.is_some_and(|entry| entry.signals_to(&signal.to).contains(signal));
                 if !said && !told {
                     return Err(format!("{} goes on in {mission} after {signal:?}, which nobody said", entry.node()));
                 }
@@ -62,9 +62,9 @@ impl Invariant for Signals {
         Ok(())
     }
 
-    fn end(&mut self, fleet: &Fleet) -> Result<(), String> {
+    fn check_end(&mut self, fleet: &Fleet) -> Result<(), String> {
         for (mission, said) in &self.said {
-            if fleet.state_of(mission) != Some(MissionState::Completed) {
+            if fleet.mission_state(mission) != Some(MissionState::Completed) {
                 continue;
             }
             let heard = self.heard.get(mission);

@@ -4,10 +4,10 @@
 //! begins a role, the body of whoever had it before is at rest: in the world, where messages under way no longer count.
 
 use super::Invariant;
-use crate::{Entry, Fleet};
-use consort_protocol::event::Happening;
+use crate::{Fleet, Observation};
+use consort_protocol::event::EventKind;
 use consort_protocol::ids::{MissionId, NodeId, RoleId};
-use consort_sim::world::{Happening as InWorld, JournalEntry};
+use consort_sim::world::{LoggedEvent, WorldEvent as InWorld};
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
 
@@ -48,26 +48,26 @@ impl Invariant for UnderLease {
         "under_lease"
     }
 
-    fn see(&mut self, _: Duration, entry: &Entry, fleet: &Fleet) -> Result<(), String> {
+    fn observe(&mut self, _: Duration, entry: &Observation, fleet: &Fleet) -> Result<(), String> {
         let node = entry.node();
-        if let Entry::Done { what: "killed", .. } = entry {
+        if let Observation::TestAction { action: "killed", .. } = entry {
             self.active.retain(|(who, _)| who != node);
         }
-        match entry.happening() {
-            Some(Happening::Started { mission, role, .. } | Happening::Resumed { mission, role }) => {
+        match entry.event_kind() {
+            Some(EventKind::Started { mission, role, .. } | EventKind::Resumed { mission, role }) => {
                 self.begins(node, (mission.clone(), role.clone()))
             }
-            Some(Happening::Suspended { mission, role } | Happening::Halted { mission, role, .. }) => {
+            Some(EventKind::Suspended { mission, role } | EventKind::Halted { mission, role, .. }) => {
                 self.active.remove(&(node.clone(), (mission.clone(), role.clone())));
                 Ok(())
             }
-            Some(Happening::TaskBegan { mission, role, task }) => {
+            Some(EventKind::TaskBegan { mission, role, task }) => {
                 self.acts(node, mission, role, &format!("begins {task}"), fleet)
             }
-            Some(Happening::Sent { mission, signal }) => {
+            Some(EventKind::Sent { mission, signal }) => {
                 self.acts(node, mission, &signal.from, &format!("says {:?} of {}", signal.kind, signal.task), fleet)
             }
-            Some(Happening::Heard { mission, signal }) => self.acts(
+            Some(EventKind::Heard { mission, signal }) => self.acts(
                 node,
                 mission,
                 &signal.to,
@@ -78,32 +78,32 @@ impl Invariant for UnderLease {
         }
     }
 
-    fn see_world(&mut self, _: Duration, entry: &JournalEntry, _: &Fleet) -> Result<(), String> {
-        match &entry.what {
-            InWorld::GoalBegan { robot, id, .. } => {
+    fn observe_world(&mut self, _: Duration, entry: &LoggedEvent, _: &Fleet) -> Result<(), String> {
+        match &entry.event {
+            InWorld::GoalStarted { robot, id, .. } => {
                 self.at_work.insert((robot.to_string(), id.0), self.last.get(robot.as_str()).cloned());
             }
             InWorld::GoalEnded { robot, id, .. } => {
                 self.at_work.remove(&(robot.to_string(), id.0));
             }
             InWorld::Stranded { robot } => self.at_work.retain(|(who, _), _| who != robot.as_str()),
-            InWorld::Drawer { .. }
+            InWorld::DrawerMoved { .. }
             | InWorld::Approached { .. }
-            | InWorld::CalledOff { .. }
-            | InWorld::Declined { .. }
-            | InWorld::WalkedAway { .. }
-            | InWorld::CameBack { .. }
-            | InWorld::HandsOut { .. }
+            | InWorld::MissionCanceled { .. }
+            | InWorld::HandoverDeclined { .. }
+            | InWorld::PersonLeft { .. }
+            | InWorld::PersonReturned { .. }
+            | InWorld::HandoverStarted { .. }
             | InWorld::SampleMoved { .. }
-            | InWorld::DoorAwaited { .. }
+            | InWorld::DoorRequested { .. }
             | InWorld::DoorEntered { .. }
             | InWorld::DoorLeft { .. }
-            | InWorld::Door { .. }
-            | InWorld::LiftAwaited { .. }
+            | InWorld::DoorMoved { .. }
+            | InWorld::LiftRequested { .. }
             | InWorld::LiftEntered { .. }
             | InWorld::LiftLeft { .. }
-            | InWorld::WayClosed { .. }
-            | InWorld::WayOpened { .. }
+            | InWorld::LaneBlocked { .. }
+            | InWorld::LaneCleared { .. }
             | InWorld::Docked { .. }
             | InWorld::Collided { .. } => {}
         }

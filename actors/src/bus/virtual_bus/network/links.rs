@@ -1,7 +1,7 @@
 //! Who can hear whom, and how long it takes.
 
-use super::agenda::Event;
-use super::{Network, Place};
+use super::event_queue::Event;
+use super::{Network, NodeIndex};
 use crate::bus::virtual_bus::LinkModel;
 use crate::bus::virtual_bus::faults::Faults;
 use consort_protocol::ids::NodeId;
@@ -12,19 +12,19 @@ use tokio::time::Instant;
 
 impl Network {
     pub(in super::super) fn set_model(&mut self, model: LinkModel) {
-        self.model = model.checked();
+        self.model = model.validated();
         self.models.clear();
         self.refresh_models();
     }
 
     pub(in super::super) fn set_model_between(&mut self, from: NodeId, to: NodeId, model: LinkModel) {
-        self.models.insert((from, to), model.checked());
+        self.models.insert((from, to), model.validated());
         self.refresh_models();
     }
 
     pub(super) fn refresh_models(&mut self) {
-        let place = |id: &NodeId| self.places.get(id).copied();
-        self.models_here = self
+        let place = |id: &NodeId| self.indexes.get(id).copied();
+        self.models_by_index = self
             .models
             .iter()
             .filter_map(|((from, to), model)| Some(((place(from)?, place(to)?), model.clone())))
@@ -37,37 +37,43 @@ impl Network {
 
     pub(in super::super) fn change_faults(&mut self, change: impl FnOnce(&mut Faults)) {
         change(&mut self.faults);
-        self.refresh_silence();
+        self.refresh_reachability();
     }
 
     /// Compares who can hear whom with the faults in force; a lease begins where silence falls, and news travel where
     /// it ends.
-    pub(super) fn refresh_silence(&mut self) {
+    pub(super) fn refresh_reachability(&mut self) {
         for at in 0..self.nodes.len() {
             for of in (0..self.nodes.len()).filter(|of| *of != at) {
-                let cut = self.faults.sever(&self.nodes[of].id, &self.nodes[at].id);
+                let cut = self.faults.blocks(&self.nodes[of].id, &self.nodes[at].id);
                 let silent = cut || self.nodes[at].paused || self.nodes[of].paused;
                 let peer = &mut self.nodes[at].peers[of];
-                peer.cut = cut;
+                peer.blocked = cut;
                 if peer.silent == silent {
                     continue;
                 }
                 peer.silent = silent;
-                peer.change += 1;
-                let change = peer.change;
+                peer.silence_changes += 1;
+                let change = peer.silence_changes;
                 if silent {
                     if let Some(end) = self.now.checked_add(self.lease) {
-                        self.at(end, Event::LeaseOver { at, of, change });
+                        self.schedule(end, Event::LeaseExpired { at, of, change });
                     }
                 } else {
-                    self.tell_news(at, of);
+                    self.send_presence_update(at, of);
                 }
             }
         }
     }
 
     /// When a message that leaves now arrives, unless it is lost. What has no size costs nothing.
-    pub(super) fn cross(&mut self, from: Place, to: Place, kind: KeyKind, bytes: Option<usize>) -> Option<Instant> {
+    pub(super) fn transmit(
+        &mut self,
+        from: NodeIndex,
+        to: NodeIndex,
+        kind: KeyKind,
+        bytes: Option<usize>,
+    ) -> Option<Instant> {
         self.counters.sent += 1;
         if from == to {
             return Some(self.now);
@@ -75,7 +81,7 @@ impl Network {
         if let Some(bytes) = bytes {
             self.nodes[from].traffic.sent(kind, bytes);
         }
-        if self.nodes[to].peers[from].cut {
+        if self.nodes[to].peers[from].blocked {
             self.counters.dropped += 1;
             return None;
         }
@@ -87,16 +93,16 @@ impl Network {
         Some(self.now + self.latency(from, to))
     }
 
-    pub(super) fn latency(&mut self, from: Place, to: Place) -> Duration {
+    pub(super) fn latency(&mut self, from: NodeIndex, to: NodeIndex) -> Duration {
         if from == to {
             return Duration::ZERO;
         }
         let model = self.model_between(from, to);
         let (min, max) = (model.latency_min, model.latency_max);
-        self.between(min, max)
+        self.random_duration(min, max)
     }
 
-    pub(super) fn between(&mut self, min: Duration, max: Duration) -> Duration {
+    pub(super) fn random_duration(&mut self, min: Duration, max: Duration) -> Duration {
         if min >= max {
             return min;
         }
@@ -104,10 +110,10 @@ impl Network {
         min + Duration::from_nanos(self.rng.random_range(0..=spread))
     }
 
-    pub(super) fn model_between(&self, from: Place, to: Place) -> &LinkModel {
-        if self.models_here.is_empty() {
+    pub(super) fn model_between(&self, from: NodeIndex, to: NodeIndex) -> &LinkModel {
+        if self.models_by_index.is_empty() {
             return &self.model;
         }
-        self.models_here.get(&(from, to)).unwrap_or(&self.model)
+        self.models_by_index.get(&(from, to)).unwrap_or(&self.model)
     }
 }

@@ -1,14 +1,14 @@
 //! Presence: tokens as each node knows them, which is later than they are, and what watchers hear of it.
 
-use super::agenda::Event;
-use super::{Life, Network, Number, Place};
+use super::event_queue::Event;
+use super::{EntityId, Incarnation, Network, NodeIndex};
 use crate::bus::Presence;
 use std::collections::BTreeMap;
 use tokio::sync::mpsc::UnboundedSender;
 use zenoh_keyexpr::OwnedKeyExpr;
 
-pub(super) struct Watch {
-    pub(super) place: Place,
+pub(super) struct PresenceWatch {
+    pub(super) node: NodeIndex,
     wanted: OwnedKeyExpr,
     mailbox: UnboundedSender<Presence>,
     /// How many tokens are known under each key.
@@ -16,42 +16,42 @@ pub(super) struct Watch {
 }
 
 impl Network {
-    pub(in super::super) fn announce(&mut self, life: Life, key: OwnedKeyExpr) -> Number {
-        let number = self.number();
-        self.nodes[life.place].tokens.insert(number, key);
-        self.spread(life.place);
+    pub(in super::super) fn announce(&mut self, life: Incarnation, key: OwnedKeyExpr) -> EntityId {
+        let number = self.next_id();
+        self.nodes[life.index].tokens.insert(number, key);
+        self.spread(life.index);
         number
     }
 
-    pub(in super::super) fn renounce(&mut self, number: Number) {
+    pub(in super::super) fn withdraw_token(&mut self, number: EntityId) {
         let owner = self.nodes.iter_mut().position(|node| node.tokens.remove(&number).is_some());
         if let Some(place) = owner {
             self.spread(place);
         }
     }
 
-    fn spread(&mut self, of: Place) {
+    fn spread(&mut self, of: NodeIndex) {
         for at in 0..self.nodes.len() {
-            self.tell_news(at, of);
+            self.send_presence_update(at, of);
         }
     }
 
-    pub(super) fn tell_news(&mut self, at: Place, of: Place) {
+    pub(super) fn send_presence_update(&mut self, at: NodeIndex, of: NodeIndex) {
         if !self.nodes[at].peers[of].silent {
             let latency = self.latency(of, at);
-            self.at(self.now + latency, Event::News { at, of });
+            self.schedule(self.now + latency, Event::PresenceUpdate { at, of });
         }
     }
 
     pub(in super::super) fn watch(
         &mut self,
-        life: Life,
+        life: Incarnation,
         wanted: OwnedKeyExpr,
         mailbox: UnboundedSender<Presence>,
-    ) -> Number {
-        let number = self.number();
-        let mut watch = Watch { place: life.place, wanted, mailbox, present: BTreeMap::new() };
-        for peer in &self.nodes[life.place].peers {
+    ) -> EntityId {
+        let number = self.next_id();
+        let mut watch = PresenceWatch { node: life.index, wanted, mailbox, present: BTreeMap::new() };
+        for peer in &self.nodes[life.index].peers {
             for key in peer.tokens.values() {
                 watch.see(key, true);
             }
@@ -60,12 +60,12 @@ impl Network {
         number
     }
 
-    pub(in super::super) fn stop_watching(&mut self, number: Number) {
+    pub(in super::super) fn stop_watching(&mut self, number: EntityId) {
         self.watches.remove(&number);
     }
 
     /// Brings what `at` knows of `of` to `connected` and `tokens`, and tells those who watch at `at`.
-    fn learn(&mut self, at: Place, of: Place, connected: bool, tokens: BTreeMap<Number, OwnedKeyExpr>) {
+    fn learn(&mut self, at: NodeIndex, of: NodeIndex, connected: bool, tokens: BTreeMap<EntityId, OwnedKeyExpr>) {
         let peer = &mut self.nodes[at].peers[of];
         peer.connected = connected;
         let before = std::mem::replace(&mut peer.tokens, tokens);
@@ -73,32 +73,32 @@ impl Network {
         let gone = before.iter().filter(|(number, _)| !after.contains_key(number)).map(|(_, key)| (key, false));
         let new = after.iter().filter(|(number, _)| !before.contains_key(number)).map(|(_, key)| (key, true));
         for (key, alive) in gone.chain(new) {
-            for watch in self.watches.values_mut().filter(|watch| watch.place == at) {
+            for watch in self.watches.values_mut().filter(|watch| watch.node == at) {
                 watch.see(key, alive);
             }
         }
     }
 
-    pub(super) fn deliver_news(&mut self, at: Place, of: Place) {
+    pub(super) fn deliver_presence_update(&mut self, at: NodeIndex, of: NodeIndex) {
         if self.nodes[at].peers[of].silent || !self.nodes[at].alive {
             return; // news travel again when the silence ends
         }
-        let of_now = self.life(of);
-        let alive = self.lives(of_now);
+        let of_now = self.incarnation(of);
+        let alive = self.is_running(of_now);
         self.learn(at, of, alive, self.nodes[of].tokens.clone());
-        self.give_up(at, of, |leg| !alive || leg.service != of_now);
+        self.drop_parts(at, of, |leg| !alive || leg.service != of_now);
     }
 
-    pub(super) fn end_lease(&mut self, at: Place, of: Place, change: u32) {
+    pub(super) fn expire_lease(&mut self, at: NodeIndex, of: NodeIndex, change: u32) {
         let peer = &self.nodes[at].peers[of];
-        if peer.silent && peer.change == change {
+        if peer.silent && peer.silence_changes == change {
             self.learn(at, of, false, BTreeMap::new());
-            self.give_up(at, of, |_| true);
+            self.drop_parts(at, of, |_| true);
         }
     }
 }
 
-impl Watch {
+impl PresenceWatch {
     fn see(&mut self, key: &OwnedKeyExpr, alive: bool) {
         if !self.wanted.intersects(key) {
             return;

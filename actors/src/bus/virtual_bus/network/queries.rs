@@ -1,10 +1,10 @@
 //! Queries: one leg to each service, which ends when the service lets go of it.
 
-use super::agenda::Event;
-use super::directory::Declaration;
-use super::{Life, Network, Number, Place};
-use crate::bus::virtual_bus::responder::{Leg, Responder};
-use crate::bus::{Query, Reply, Whom};
+use super::event_queue::Event;
+use super::routing_table::Declaration;
+use super::{EntityId, Incarnation, Network, NodeIndex};
+use crate::bus::virtual_bus::responder::{QueryPart, VirtualReplier};
+use crate::bus::{Query, Reply, ServiceSelection};
 use bytes::Bytes;
 use consort_protocol::keys::KeyKind;
 use std::collections::BTreeMap;
@@ -15,18 +15,18 @@ use tokio::time::Instant;
 use zenoh_keyexpr::OwnedKeyExpr;
 
 /// A query that has not ended.
-pub(super) struct Pending {
-    pub(super) asker: Place,
+pub(super) struct PendingQuery {
+    pub(super) requester: NodeIndex,
     replies: UnboundedSender<Reply>,
     /// The latest answer on each key, to be given at the end, where one is enough.
     latest: Option<BTreeMap<String, Reply>>,
-    question: Arc<Question>,
+    question: Arc<QueryRequest>,
     kind: KeyKind,
     /// By number of the service asked.
-    legs: BTreeMap<Number, LegState>,
+    legs: BTreeMap<EntityId, QueryPartState>,
 }
 
-impl Drop for Pending {
+impl Drop for PendingQuery {
     fn drop(&mut self) {
         for (_, reply) in self.latest.take().unwrap_or_default() {
             // Nobody may listen any more.
@@ -35,22 +35,22 @@ impl Drop for Pending {
     }
 }
 
-pub(in super::super) struct Question {
-    pub(in super::super) wanted: OwnedKeyExpr,
+pub(in super::super) struct QueryRequest {
+    pub(in super::super) key_expr: OwnedKeyExpr,
     pub(in super::super) parameters: String,
     pub(in super::super) payload: Bytes,
-    pub(in super::super) beside: Bytes,
+    pub(in super::super) attachment: Bytes,
 }
 
-impl Question {
+impl QueryRequest {
     fn bytes(&self) -> usize {
-        self.wanted.len() + self.parameters.len() + self.payload.len() + self.beside.len()
+        self.key_expr.len() + self.parameters.len() + self.payload.len() + self.attachment.len()
     }
 }
 
 /// What is left of one service's part in a query.
-pub(super) struct LegState {
-    pub(super) service: Life,
+pub(super) struct QueryPartState {
+    pub(super) service: Incarnation,
     /// Something of it got lost, and so will all that follows.
     broken: bool,
     /// When the latest answer arrives; none arrives before it.
@@ -59,45 +59,45 @@ pub(super) struct LegState {
 
 /// Bytes of an answer.
 fn size(reply: &Reply) -> usize {
-    reply.key.len() + reply.payload.as_ref().map_or_else(String::len, Bytes::len) + reply.beside.len()
+    reply.key.len() + reply.payload.as_ref().map_or_else(String::len, Bytes::len) + reply.attachment.len()
 }
 
 impl Network {
     pub(in super::super) fn serve(
         &mut self,
-        life: Life,
+        life: Incarnation,
         wanted: OwnedKeyExpr,
         complete: bool,
         mailbox: UnboundedSender<Query>,
-    ) -> Number {
-        let number = self.number();
-        self.services.declare(number, Declaration { place: life.place, wanted, complete, mailbox });
+    ) -> EntityId {
+        let number = self.next_id();
+        self.services.declare(number, Declaration { node: life.index, key_expr: wanted, complete, mailbox });
         number
     }
 
-    pub(in super::super) fn stop_serving(&mut self, number: Number) {
-        self.services.withdraw(number);
+    pub(in super::super) fn stop_serving(&mut self, number: EntityId) {
+        self.services.remove(number);
     }
 
-    pub(in super::super) fn ask(
+    pub(in super::super) fn query(
         &mut self,
-        life: Life,
-        question: Question,
+        life: Incarnation,
+        question: QueryRequest,
         limit: Duration,
-        whom: Whom,
+        whom: ServiceSelection,
         replies: UnboundedSender<Reply>,
-    ) -> Number {
-        let asker = life.place;
-        let query = self.number();
-        let route = self.services.route(&question.wanted);
+    ) -> EntityId {
+        let asker = life.index;
+        let query = self.next_id();
+        let route = self.services.route(&question.key_expr);
         let mut legs = BTreeMap::new();
         // What is given up is known no more.
-        let is_known = |network: &Network, place: Place| {
-            !network.nodes[place].peers[asker].cut || network.nodes[asker].peers[place].connected
+        let is_known = |network: &Network, place: NodeIndex| {
+            !network.nodes[place].peers[asker].blocked || network.nodes[asker].peers[place].connected
         };
         let nearest = match whom {
-            Whom::All => None,
-            Whom::Nearest => {
+            ServiceSelection::All => None,
+            ServiceSelection::Nearest => {
                 let known = || route.complete.iter().filter(|(place, _)| is_known(self, *place));
                 known().find(|(place, _)| *place == asker).or_else(|| known().next())
             }
@@ -108,53 +108,53 @@ impl Network {
                 continue;
             }
             for service in services {
-                let arrival = self.cross(asker, *place, route.kind, Some(question.bytes()));
-                let state = LegState { service: self.life(*place), broken: false, floor: self.now };
+                let arrival = self.transmit(asker, *place, route.kind, Some(question.bytes()));
+                let state = QueryPartState { service: self.incarnation(*place), broken: false, floor: self.now };
                 if let Some(arrival) = arrival {
-                    let leg = Leg { query, service: *service };
-                    self.at(arrival, Event::Question { from: asker, to: state.service, leg });
+                    let leg = QueryPart { query, service: *service };
+                    self.schedule(arrival, Event::Query { from: asker, to: state.service, leg });
                 }
                 legs.insert(*service, state);
             }
         }
         if !legs.is_empty() {
             let (kind, question) = (route.kind, Arc::new(question));
-            let latest = (whom == Whom::Nearest).then(BTreeMap::new);
-            self.queries.insert(query, Pending { asker, replies, latest, question, kind, legs });
+            let latest = (whom == ServiceSelection::Nearest).then(BTreeMap::new);
+            self.queries.insert(query, PendingQuery { requester: asker, replies, latest, question, kind, legs });
             if let Some(end) = self.now.checked_add(limit) {
-                self.at(end, Event::Limit { query });
+                self.schedule(end, Event::QueryTimeout { query });
             }
         }
         query
     }
 
-    pub(in super::super) fn stop_asking(&mut self, query: Number) {
+    pub(in super::super) fn cancel_query(&mut self, query: EntityId) {
         self.queries.remove(&query);
     }
 
-    pub(in super::super) fn answer(&mut self, leg: Leg, reply: Reply) {
+    pub(in super::super) fn reply(&mut self, leg: QueryPart, reply: Reply) {
         if let Some((from, to, due)) = self.send_answer(leg, Some(size(&reply))) {
-            self.at(due, Event::Answer { from, to, leg, reply });
+            self.schedule(due, Event::Reply { from, to, leg, reply });
         }
     }
 
-    pub(in super::super) fn finish(&mut self, leg: Leg) {
+    pub(in super::super) fn finish_part(&mut self, leg: QueryPart) {
         if let Some((from, to, due)) = self.send_answer(leg, None) {
-            self.at(due, Event::Finished { from, to, leg });
+            self.schedule(due, Event::Finished { from, to, leg });
         }
     }
 
     /// From, to and arrival of the next message of a leg, if the query goes on and the message is not lost. Only
     /// answers, which have a size, are counted; the end of a leg is a message like any other in every other respect.
-    fn send_answer(&mut self, leg: Leg, bytes: Option<usize>) -> Option<(Place, Place, Instant)> {
+    fn send_answer(&mut self, leg: QueryPart, bytes: Option<usize>) -> Option<(NodeIndex, NodeIndex, Instant)> {
         let pending = self.queries.get(&leg.query)?;
         let state = pending.legs.get(&leg.service)?;
-        let (from, to, kind) = (state.service.place, pending.asker, pending.kind);
-        if state.broken || !self.lives(state.service) {
+        let (from, to, kind) = (state.service.index, pending.requester, pending.kind);
+        if state.broken || !self.is_running(state.service) {
             return None;
         }
         let before = self.counters;
-        let arrival = self.cross(from, to, kind, bytes);
+        let arrival = self.transmit(from, to, kind, bytes);
         if bytes.is_none() {
             self.counters = before;
         }
@@ -171,28 +171,28 @@ impl Network {
         }
     }
 
-    pub(super) fn deliver_question(&mut self, from: Place, to: Life, leg: Leg) {
+    pub(super) fn deliver_query(&mut self, from: NodeIndex, to: Incarnation, leg: QueryPart) {
         let question = self.queries.get(&leg.query).map(|query| (Arc::clone(&query.question), query.kind));
-        let service = self.services.declared.get(&leg.service).filter(|_| self.lives(to));
+        let service = self.services.declared.get(&leg.service).filter(|_| self.is_running(to));
         let (Some((question, kind)), Some(service)) = (question, service) else {
-            self.count(false);
-            return self.finish(leg); // nobody listens there any more
+            self.count_delivery(false);
+            return self.finish_part(leg); // nobody listens there any more
         };
         let query = Query {
-            key: question.wanted.to_string(),
+            key: question.key_expr.to_string(),
             parameters: question.parameters.clone(),
             payload: question.payload.clone(),
-            beside: question.beside.clone(),
-            replier: Box::new(Responder::new(self.home.clone(), leg, to, Arc::clone(&question))),
+            attachment: question.attachment.clone(),
+            replier: Box::new(VirtualReplier::new(self.shared.clone(), leg, to, Arc::clone(&question))),
         };
         let heard = service.mailbox.send(query).is_ok();
-        self.note_received(from, to.place, kind, question.bytes());
-        self.trace.note(self.now, from, to.place, leg.service, &question.payload);
-        self.count(heard);
+        self.count_received(from, to.index, kind, question.bytes());
+        self.trace.record(self.now, from, to.index, leg.service, &question.payload);
+        self.count_delivery(heard);
     }
 
-    pub(super) fn deliver_answer(&mut self, from: Place, to: Place, leg: Leg, reply: Reply) {
-        let Some(query) = self.queries.get_mut(&leg.query) else { return self.count(false) };
+    pub(super) fn deliver_reply(&mut self, from: NodeIndex, to: NodeIndex, leg: QueryPart, reply: Reply) {
+        let Some(query) = self.queries.get_mut(&leg.query) else { return self.count_delivery(false) };
         let content = match &reply.payload {
             Ok(payload) => payload.clone(),
             Err(reason) => Bytes::copy_from_slice(reason.as_bytes()),
@@ -206,18 +206,18 @@ impl Network {
             }
             _ => query.replies.send(reply).is_ok(),
         };
-        self.note_received(from, to, kind, bytes);
-        self.trace.note(self.now, from, to, leg.service, &content);
-        self.count(heard);
+        self.count_received(from, to, kind, bytes);
+        self.trace.record(self.now, from, to, leg.service, &content);
+        self.count_delivery(heard);
     }
 
-    pub(super) fn break_leg(&mut self, leg: Leg) {
+    pub(super) fn break_part(&mut self, leg: QueryPart) {
         if let Some(state) = self.queries.get_mut(&leg.query).and_then(|query| query.legs.get_mut(&leg.service)) {
             state.broken = true;
         }
     }
 
-    pub(super) fn end_leg(&mut self, leg: Leg) {
+    pub(super) fn end_part(&mut self, leg: QueryPart) {
         if let Some(query) = self.queries.get_mut(&leg.query) {
             query.legs.remove(&leg.service);
             if query.legs.is_empty() {
@@ -227,10 +227,10 @@ impl Network {
     }
 
     /// Ends the legs of `at`'s queries at services of `of` that fit.
-    pub(super) fn give_up(&mut self, at: Place, of: Place, fits: impl Fn(&LegState) -> bool) {
+    pub(super) fn drop_parts(&mut self, at: NodeIndex, of: NodeIndex, fits: impl Fn(&QueryPartState) -> bool) {
         self.queries.retain(|_, query| {
-            if query.asker == at {
-                query.legs.retain(|_, leg| leg.service.place != of || !fits(leg));
+            if query.requester == at {
+                query.legs.retain(|_, leg| leg.service.index != of || !fits(leg));
             }
             !query.legs.is_empty()
         });

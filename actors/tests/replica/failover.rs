@@ -1,0 +1,130 @@
+//! How long a fleet is without a leader, by preset and by the way in which it lost the last one.
+
+use crate::support::{Fleet, NumberCommand, default_settings, on_virtual_time};
+use consort_actors::bus::virtual_bus::LinkModel;
+use consort_actors::raft::RaftSettings;
+use consort_actors::timing::Timing;
+use consort_protocol::ids::NodeId;
+use std::time::Duration;
+use tokio::time::Instant;
+
+/// How long from the leader's end to the first commit by the next, in virtual milliseconds.
+fn takeover(seed: u64, settings: fn(NodeId) -> RaftSettings) -> u128 {
+    on_virtual_time(async {
+        let mut fleet = Fleet::bootstrapped(seed, 5, settings).await;
+        fleet.write(1).await;
+        // At any point of the heartbeat.
+        tokio::time::sleep(Duration::from_millis(500) + Duration::from_micros(seed * 7919 % 75_000)).await;
+        let leader = fleet.leader().await;
+        let killed_at = Instant::now();
+        fleet.kill(&leader);
+        fleet.write(2).await;
+        killed_at.elapsed().as_millis()
+    })
+}
+
+fn with_brisk_elections(node: NodeId) -> RaftSettings {
+    let ms = Duration::from_millis;
+    default_settings(node).with_times(ms(50), ms(150), ms(300))
+}
+
+pub(crate) fn on_wifi(node: NodeId) -> RaftSettings {
+    default_settings(node).with_timing(Timing::Wifi)
+}
+
+/// Median and 99th percentile, by nearest rank.
+pub(crate) fn ranks(mut times: Vec<u128>) -> (u128, u128) {
+    times.sort_unstable();
+    (times[(times.len() - 1) / 2], times[(times.len() * 99).div_ceil(100) - 1])
+}
+
+#[test]
+#[expect(clippy::print_stderr, reason = "the figures are what the test is for")]
+fn a_takeover_takes_less_than_a_second_and_on_bad_links_less_than_four() {
+    for (what, settings, seeds, p50_max, p99_max) in [
+        ("50 / 150-300 ms", with_brisk_elections as fn(NodeId) -> RaftSettings, 200, 250, 400),
+        ("lan", default_settings, 200, 400, 1000),
+        ("wifi", on_wifi, 100, 3000, 4000),
+    ] {
+        let times: Vec<_> = (0..seeds).map(|seed| takeover(seed, settings)).collect();
+        let (p50, p99) = ranks(times);
+        eprintln!("takeover after a kill, {what}, {seeds} seeds: p50 {p50} ms, p99 {p99} ms");
+        assert!(p50 <= p50_max && p99 <= p99_max, "{what}");
+    }
+}
+
+/// A tenth of all messages is lost.
+pub(crate) const LOSSY: LinkModel = LinkModel { loss: 0.1, ..LinkModel::LAN };
+
+#[test]
+#[expect(clippy::print_stderr, reason = "the figures are what the test is for")]
+fn on_links_that_lose_a_tenth_a_healthy_leader_stays_and_a_dead_one_is_replaced_in_four_seconds() {
+    for seed in 0..5 {
+        on_virtual_time(async {
+            let fleet = Fleet::bootstrapped(seed, 5, on_wifi).await;
+            fleet.write(1).await;
+            fleet.network.set_link_model(LOSSY);
+            let leader = fleet.leader().await;
+            let reign = fleet.view(&leader).leader_id;
+            for second in 0..600 {
+                tokio::time::sleep(Duration::from_secs(1)).await;
+                for name in fleet.replicas.keys() {
+                    assert_eq!(fleet.view(name).leader_id, reign, "{name} after {second} s, seed {seed}");
+                }
+                assert!(fleet.view(&leader).is_leader, "the leader doubts itself after {second} s, seed {seed}");
+            }
+        });
+    }
+    let times = (0..100).map(|seed| {
+        on_virtual_time(async {
+            let mut fleet = Fleet::bootstrapped(seed, 5, on_wifi).await;
+            fleet.write(1).await;
+            fleet.network.set_link_model(LOSSY);
+            tokio::time::sleep(Duration::from_millis(500 + seed * 7 % 250)).await;
+            let leader = fleet.leader().await;
+            let killed_at = Instant::now();
+            fleet.kill(&leader);
+            fleet.write(2).await;
+            killed_at.elapsed().as_millis()
+        })
+    });
+    let (p50, p99) = ranks(times.collect());
+    eprintln!("takeover after a kill, wifi, a tenth lost, 100 seeds: p50 {p50} ms, p99 {p99} ms");
+    assert!(p99 <= 4000);
+}
+
+/// The leader's link is cut both ways, or the leader stands still: until the first commit by the next.
+fn silent_takeover(seed: u64, frozen: bool) -> u128 {
+    on_virtual_time(async {
+        let fleet = Fleet::bootstrapped(seed, 5, default_settings).await;
+        fleet.write(1).await;
+        tokio::time::sleep(Duration::from_millis(500) + Duration::from_micros(seed * 7919 % 100_000)).await;
+        let leader = fleet.leader().await;
+        let lost_at = Instant::now();
+        if frozen {
+            fleet.network.pause(&leader);
+        } else {
+            fleet.network.isolate(leader.clone());
+        }
+        loop {
+            let others: Vec<_> = fleet.leaders().into_iter().filter(|name| *name != leader).collect();
+            if let [next] = &others[..]
+                && fleet.replicas[next].propose(NumberCommand::Append(2), Duration::from_millis(500)).await.is_ok()
+            {
+                return lost_at.elapsed().as_millis();
+            }
+            assert!(lost_at.elapsed() < Duration::from_secs(20), "seed {seed}");
+            tokio::time::sleep(Duration::from_millis(1)).await;
+        }
+    })
+}
+
+#[test]
+#[expect(clippy::print_stderr, reason = "the figures are what the test is for")]
+fn a_leader_lost_in_silence_is_replaced_within_five_seconds() {
+    for (what, frozen) in [("link cut both ways", false), ("leader stands still", true)] {
+        let (p50, p99) = ranks((0..100).map(|seed| silent_takeover(seed, frozen)).collect());
+        eprintln!("takeover after silent loss, {what}, lan, 100 seeds: p50 {p50} ms, p99 {p99} ms");
+        assert!(p99 <= 5000, "{what}");
+    }
+}

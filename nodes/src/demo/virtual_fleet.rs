@@ -1,0 +1,136 @@
+//! The whole fleet in this process, on virtual time.
+
+use super::fleet::DemoFleet;
+use super::scenario::DemoScenario;
+use crate::exit::Failure;
+use crate::rendering::RenderFlags;
+use crate::wiring::{self, NodeIncarnation, SkillResources};
+use consort_actors::bus::{LinkModel, SharedBus, VirtualNetwork};
+use consort_actors::clock::Clock;
+use consort_actors::node::{NodeHandle, NodeSettings};
+use consort_actors::store::NodeStore;
+use consort_protocol::count::count;
+use consort_protocol::ids::NodeId;
+use consort_sim::world::SharedWorld;
+use std::collections::BTreeMap;
+use std::sync::Arc;
+use std::time::Duration;
+use tokio::time::Instant;
+
+/// A fleet on virtual time.
+pub(super) struct VirtualFleet {
+    network: VirtualNetwork,
+    client: SharedBus,
+    cast: DemoScenario,
+    equipment: SkillResources,
+    nodes: BTreeMap<NodeId, NodeHandle>,
+    world: SharedWorld,
+    started: Instant,
+    seed: u64,
+    lives: u64,
+}
+
+impl VirtualFleet {
+    /// Starts every node of the cast, with its world rendered as is asked for.
+    pub(super) async fn start(cast: &DemoScenario, seed: u64, render: &RenderFlags) -> Result<VirtualFleet, Failure> {
+        let network = VirtualNetwork::new(seed, LinkModel::LAN);
+        let client = network.bus(NodeId::new("onlooker").expect("a slug"));
+        let (world, shared) = wiring::world_node(&cast.world, &cast.fleet, life(seed, 1, 0))?;
+        render.start_recording(&shared)?;
+        let mut stage = VirtualFleet {
+            client: Arc::new(client),
+            network,
+            cast: cast.clone(),
+            equipment: wiring::fleet_skill_resources(&cast.fleet)?,
+            nodes: BTreeMap::new(),
+            world: shared,
+            started: Instant::now(),
+            seed,
+            lives: 1,
+        };
+        stage.instantiate(world).await?;
+        for node in cast.voters() {
+            stage.restart(&node).await?;
+        }
+        Ok(stage)
+    }
+
+    /// The world, to look at.
+    pub(super) fn world(&self) -> SharedWorld {
+        self.world.clone()
+    }
+
+    fn life(&mut self) -> NodeIncarnation {
+        self.lives += 1;
+        let origin = u64::try_from(self.started.elapsed().as_millis()).unwrap_or(u64::MAX);
+        life(self.seed, self.lives, origin)
+    }
+
+    async fn instantiate(&mut self, settings: NodeSettings) -> Result<(), Failure> {
+        let name = settings.node.clone();
+        let bus = Arc::new(self.network.bus(name.clone()));
+        let node = NodeHandle::start(settings, bus).await;
+        let node = node.map_err(|problem| Failure::Unsuccessful(format!("{name} did not start: {problem}")))?;
+        self.nodes.insert(name, node);
+        Ok(())
+    }
+}
+
+impl DemoFleet for VirtualFleet {
+    fn bus(&self) -> SharedBus {
+        Arc::clone(&self.client)
+    }
+
+    fn description(&self) -> String {
+        let speed = self.cast.world.speed;
+        let nodes = count(self.nodes.len(), "node", "nodes");
+        format!("{nodes} in this process, on virtual time ({speed} world seconds a second)")
+    }
+
+    async fn kill(&mut self, node: &NodeId) -> Result<(), Failure> {
+        self.network.crash(node);
+        if let Some(node) = self.nodes.remove(node) {
+            node.kill().await;
+        }
+        Ok(())
+    }
+
+    async fn restart(&mut self, node: &NodeId) -> Result<(), Failure> {
+        let life = self.life();
+        let robot = self.cast.robots.iter().find(|robot| robot.name.as_str() == node.as_str());
+        let settings = match robot {
+            Some(robot) => wiring::robot_node_with(&self.equipment, robot, &self.cast.fleet, life)?,
+            None => {
+                let station = self.cast.stations.iter().find(|station| station.name == *node);
+                let station = station.ok_or_else(|| Failure::Unsuccessful(format!("{node} is not in the cast")))?;
+                wiring::station_node(station, &self.cast.fleet, life)?
+            }
+        };
+        self.instantiate(settings).await
+    }
+
+    fn unexpected_exit(&mut self) -> Option<String> {
+        None
+    }
+
+    async fn interrupted(&mut self) {
+        // A run takes less time than it takes to change one's mind; the signal's own default ends the process.
+        std::future::pending::<()>().await;
+    }
+
+    async fn shut_down(self) {
+        for node in self.nodes.into_values() {
+            node.kill().await;
+        }
+    }
+
+    fn elapsed(&self) -> Duration {
+        self.started.elapsed()
+    }
+}
+
+/// The life of this number among all, which begins so many milliseconds after the stage was set.
+fn life(seed: u64, number: u64, origin: u64) -> NodeIncarnation {
+    let seed = seed.wrapping_mul(1_000_003).wrapping_add(number);
+    NodeIncarnation { clock: Clock::virtual_at(origin), incarnation: number, seed, store: NodeStore::in_memory(seed) }
+}

@@ -1,0 +1,45 @@
+//! The floor that a picture is drawn on.
+
+use crate::fleet_model::delta;
+use crate::map_loader::LoadedMap;
+use consort_protocol::ids::PlaceId;
+use consort_protocol::pose::Pose;
+use consort_skills::environment::Routes;
+use serde_json::Value;
+use std::collections::BTreeMap;
+
+/// A map to draw, with the ways on it.
+#[derive(Debug, Clone, Default)]
+pub struct FloorPlan {
+    routes: Option<Routes>,
+    places: BTreeMap<PlaceId, Pose>,
+    shown: Value,
+}
+
+impl FloorPlan {
+    /// The plan of a map. One whose ways make no sense is drawn without routes.
+    pub fn new(floor: &LoadedMap) -> FloorPlan {
+        let mut shown = floor.to_json();
+        delta::strip_nulls(&mut shown);
+        FloorPlan { routes: Routes::new(&floor.topology).ok(), places: floor.topology.places.clone(), shown }
+    }
+
+    /// What is drawn, as `view/map` has it.
+    pub(super) fn map_json(&self) -> &Value {
+        &self.shown
+    }
+
+    /// Where a place is.
+    pub(super) fn pose_of(&self, name: &str) -> Option<Pose> {
+        self.places.get(&PlaceId::new(name).ok()?).copied()
+    }
+
+    /// The way of a body that stands at `pose` and passed `passed` last, as points; empty if there is none.
+    pub(super) fn route(&self, passed: &str, pose: Pose, to: &str) -> Vec<(f64, f64)> {
+        let (Some(routes), Ok(passed), Ok(to)) = (&self.routes, PlaceId::new(passed), PlaceId::new(to)) else {
+            return vec![];
+        };
+        let legs = routes.legs(&passed, pose, &to).unwrap_or_default();
+        legs.iter().filter_map(|place| self.places.get(place)).map(|pose| (pose.x, pose.y)).collect()
+    }
+}

@@ -1,0 +1,208 @@
+//! Choosing robots for roles: an exact assignment (Kuhn 1955, Munkres 1957).
+//!
+//! The choice minimises the sum of the bids' times, in whole microseconds. Among choices of equal sum the one with the
+//! smallest sum of robots' ranks (in the order of their names) is taken; what is still equal is settled by the solver,
+//! which sees roles and robots in the order of their names and so always answers alike.
+
+use super::bid::Bid;
+use crate::ids::{RobotId, RoleId};
+use pathfinding::matrix::Matrix;
+use pathfinding::prelude::kuhn_munkres_min;
+use std::borrow::Borrow;
+use std::collections::{BTreeMap, BTreeSet};
+
+/// Why no robots were chosen. Nothing is assigned: a mission is filled whole or not at all.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+pub enum AssignmentError {
+    /// Nobody made a viable bid for some roles; ordinary in a busy fleet.
+    #[error("no viable bid for {}", names(.roles))]
+    NoViableBid {
+        /// Which roles.
+        roles: Vec<RoleId>,
+    },
+    /// Each role has a viable bid, but not by robots that differ.
+    #[error("{} roles cannot be filled by different robots: viable bids came only from {}", .roles.len(), names(.robots))]
+    TooFewRobots {
+        /// The roles.
+        roles: Vec<RoleId>,
+        /// Who bid on any of them.
+        robots: Vec<RobotId>,
+    },
+}
+
+fn names<T: std::fmt::Display>(list: &[T]) -> String {
+    list.iter().map(ToString::to_string).collect::<Vec<_>>().join(", ")
+}
+
+/// Chooses one bid for each role, by index into `bids`, from bids that are all viable. Bids for roles that are not open
+/// are ignored; of several bids by one robot for one role the first counts. Bids may be given or lent.
+///
+/// # Errors
+/// [`NoCoalition`] when not every role can be filled by a robot of its own.
+pub fn optimal_assignment<B: Borrow<Bid>>(
+    roles: &BTreeSet<RoleId>,
+    bids: &[B],
+) -> Result<BTreeMap<RoleId, usize>, AssignmentError> {
+    let bids: Vec<&Bid> = bids.iter().map(Borrow::borrow).collect();
+    let robots: BTreeSet<&RobotId> =
+        bids.iter().filter(|bid| roles.contains(&bid.role)).map(|bid| &bid.robot).collect();
+    let columns: BTreeMap<&RobotId, usize> = robots.iter().enumerate().map(|(rank, robot)| (*robot, rank)).collect();
+    let rows: BTreeMap<&RoleId, usize> = roles.iter().enumerate().map(|(row, role)| (role, row)).collect();
+
+    let mut offers: BTreeMap<(usize, usize), usize> = BTreeMap::new();
+    for (index, bid) in bids.iter().enumerate() {
+        if let Some(&row) = rows.get(&bid.role) {
+            offers.entry((row, columns[&bid.robot])).or_insert(index);
+        }
+    }
+    let bid_for: BTreeSet<usize> = offers.keys().map(|(row, _)| *row).collect();
+    if bid_for.len() < roles.len() {
+        let roles = rows.iter().filter(|(_, row)| !bid_for.contains(row)).map(|(role, _)| (*role).clone()).collect();
+        return Err(AssignmentError::NoViableBid { roles });
+    }
+    let too_few = || AssignmentError::TooFewRobots {
+        roles: roles.iter().cloned().collect(),
+        robots: robots.iter().map(|robot| (*robot).clone()).collect(),
+    };
+    if robots.len() < roles.len() {
+        return Err(too_few());
+    }
+    if roles.is_empty() {
+        return Ok(BTreeMap::new());
+    }
+
+    // Ranks weigh less than one microsecond in sum, and no feasible choice costs as much as one impossible pair.
+    let microsecond = i128::try_from(robots.len() * roles.len() + 1).expect("a fleet fits 128 bits");
+    let cost = |index: usize, column: usize| {
+        (bids[index].time.get() * 1e6).round() as i128 * microsecond + i128::try_from(column).expect("see above")
+    };
+    let dearest = offers.iter().map(|((_, column), index)| cost(*index, *column)).max().unwrap_or(0);
+    let impossible = (dearest + 1) * i128::try_from(roles.len() + 1).expect("see above");
+    let mut weights = Matrix::new(roles.len(), robots.len(), impossible);
+    for (&(row, column), &index) in &offers {
+        weights[(row, column)] = cost(index, column);
+    }
+    let (_, assignment) = kuhn_munkres_min(&weights);
+    roles
+        .iter()
+        .zip(assignment)
+        .enumerate()
+        .map(|(row, (role, column))| offers.get(&(row, column)).map(|index| (role.clone(), *index)).ok_or_else(too_few))
+        .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::ids::PlaceId;
+    use crate::units::{BatteryShare, Seconds};
+    use proptest::prelude::*;
+
+    fn bid(robot: &str, role: &str, time: f64) -> Bid {
+        Bid {
+            robot: RobotId::new(robot).unwrap(),
+            role: RoleId::new(role).unwrap(),
+            time: Seconds::new(time).unwrap(),
+            energy: 0.1,
+            remaining: 0.5,
+            useful_charge: BatteryShare::new(0.08).unwrap(),
+            from: PlaceId::new("dock").unwrap(),
+            age_ms: 0,
+            parts: vec![],
+        }
+    }
+
+    fn roles(names: &[&str]) -> BTreeSet<RoleId> {
+        names.iter().map(|name| RoleId::new(*name).unwrap()).collect()
+    }
+
+    fn chosen(names: &[&str], bids: &[Bid]) -> Result<Vec<String>, AssignmentError> {
+        let picks = optimal_assignment(&roles(names), bids)?;
+        Ok(picks.values().map(|index| bids[*index].robot.to_string()).collect())
+    }
+
+    #[test]
+    fn one_robot_fills_one_role_even_if_it_is_the_fastest_for_both() {
+        let bids = [bid("ada", "r1", 10.0), bid("ada", "r2", 10.0), bid("bob", "r1", 12.0), bid("bob", "r2", 30.0)];
+        assert_eq!(chosen(&["r1", "r2"], &bids).unwrap(), ["bob", "ada"]);
+    }
+
+    #[test]
+    fn a_tie_goes_to_the_robot_first_in_the_alphabet() {
+        let bids = [bid("cyd", "r1", 10.0), bid("bob", "r1", 10.0), bid("ada", "r1", 10.000_001)];
+        assert_eq!(chosen(&["r1"], &bids).unwrap(), ["bob"]);
+    }
+
+    #[test]
+    fn a_mission_is_filled_whole_or_not_at_all() {
+        let bids = [bid("ada", "r1", 10.0), bid("ada", "r2", 10.0)];
+        assert_eq!(
+            chosen(&["r1", "r2"], &bids).unwrap_err().to_string(),
+            "2 roles cannot be filled by different robots: viable bids came only from ada"
+        );
+        assert_eq!(chosen(&["r1", "r3"], &bids).unwrap_err().to_string(), "no viable bid for r3");
+    }
+
+    #[test]
+    fn an_impossible_pair_is_never_chosen() {
+        // bob bids on nothing but r3; ada and cyd on r1 alone: r2 and r3 cannot both be filled.
+        let bids = [bid("ada", "r1", 1.0), bid("bob", "r2", 1.0), bid("bob", "r3", 1.0), bid("cyd", "r1", 2.0)];
+        assert!(matches!(chosen(&["r1", "r2", "r3"], &bids), Err(AssignmentError::TooFewRobots { .. })));
+    }
+
+    #[test]
+    fn a_bid_must_leave_more_than_both_floors() {
+        use crate::auction::{BidLimits, ViabilityError};
+        let mut ada = bid("ada", "r1", 10.0);
+        ada.remaining = 0.08;
+        let floor = BatteryShare::new(0.08).unwrap();
+        assert_eq!(ada.check_viable(&BidLimits::default()), Err(ViabilityError::LowCharge { remaining: 0.08, floor }));
+        ada.remaining = 0.081;
+        assert_eq!(ada.check_viable(&BidLimits::default()), Ok(()));
+        let limit = Seconds::new(9.0).unwrap();
+        let limits = BidLimits { time: Some(limit), ..BidLimits::default() };
+        assert_eq!(ada.check_viable(&limits), Err(ViabilityError::TooSlow { time: ada.time, limit }));
+    }
+
+    /// All ways to give different robots to roles, the cheapest sum of microseconds.
+    fn cheapest(costs: &[Vec<Option<u64>>], row: usize, taken: &mut Vec<bool>) -> Option<u64> {
+        let Some(offers) = costs.get(row) else { return Some(0) };
+        let mut best = None;
+        for (robot, offer) in offers.iter().enumerate() {
+            let Some(cost) = offer.filter(|_| !taken[robot]) else { continue };
+            taken[robot] = true;
+            if let Some(rest) = cheapest(costs, row + 1, taken) {
+                best = Some(best.map_or(cost + rest, |b: u64| b.min(cost + rest)));
+            }
+            taken[robot] = false;
+        }
+        best
+    }
+
+    proptest! {
+        #[test]
+        fn the_choice_is_the_cheapest_of_all(
+            costs in (1usize..4, 1usize..6).prop_flat_map(|(rows, columns)| {
+                prop::collection::vec(prop::collection::vec(prop::option::weighted(0.7, 1u64..50), columns), rows)
+            })
+        ) {
+            let mut bids = vec![];
+            for (row, offers) in costs.iter().enumerate() {
+                for (robot, offer) in offers.iter().enumerate() {
+                    if let Some(seconds) = offer {
+                        bids.push(bid(&format!("robot{robot}"), &format!("role{row}"), *seconds as f64));
+                    }
+                }
+            }
+            let roles = (0..costs.len()).map(|row| RoleId::new(format!("role{row}")).unwrap()).collect();
+            let expected = cheapest(&costs, 0, &mut vec![false; costs[0].len()]);
+            let found = optimal_assignment(&roles, &bids).ok();
+            let total = found.as_ref().map(|picks| picks.values().map(|i| bids[*i].time.get() as u64).sum::<u64>());
+            prop_assert_eq!(total, expected);
+            if let Some(picks) = found {
+                let robots: BTreeSet<_> = picks.values().map(|index| &bids[*index].robot).collect();
+                prop_assert_eq!(robots.len(), picks.len());
+            }
+        }
+    }
+}

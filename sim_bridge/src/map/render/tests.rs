@@ -1,0 +1,157 @@
+//! Pictures of maps: what is drawn, and that it can be looked at.
+
+use super::*;
+use crate::map::{ImportOptions, parse_drawing, read, shipped};
+use roxmltree::{Document, Node};
+
+const CLINIC: &str = include_str!("../../../maps/clinic.drawio");
+const OFFICE: &str = include_str!("../../../maps/office.building.yaml");
+
+fn picture(text: &str, file: &str) -> String {
+    let drawing = parse_drawing(text, file, &ImportOptions::default()).unwrap();
+    svg(&read(text, file).unwrap(), &drawing.items().collect::<Vec<_>>())
+}
+
+fn of_class<'a>(document: &'a Document<'a>, class: &'a str) -> impl Iterator<Item = Node<'a, 'a>> {
+    document.descendants().filter(move |node| node.attribute("class") == Some(class))
+}
+
+/// How often each class stands on the picture.
+fn counts(svg: &str, classes: &[&str]) -> Vec<usize> {
+    let document = Document::parse(svg).unwrap();
+    classes.iter().map(|class| of_class(&document, class).count()).collect()
+}
+
+fn said(svg: &str) -> BTreeSet<String> {
+    let document = Document::parse(svg).unwrap();
+    let texts = document.descendants().filter(|node| node.has_tag_name("text") || node.has_tag_name("title"));
+    texts.filter_map(|node| node.text().map(|text| text.trim().to_owned())).collect()
+}
+
+#[test]
+fn everything_on_a_map_is_on_its_picture() {
+    let map = shipped("hospital").unwrap();
+    let svg = svg(&map, &[]);
+    let expected = [map.places().len(), map.lanes().len(), map.walls().len(), 1, 1];
+    assert_eq!(counts(&svg, &["place", "lane", "wall", "level", "scale"]), expected);
+    let said = said(&svg);
+    for name in ["hospital", "IC Room 1", "PC Room 8", "Laboratory", "Dock", "room", "lab", "2 m"] {
+        assert!(said.contains(name), "{name}: {said:?}");
+    }
+}
+
+#[test]
+fn levels_have_panels_and_doors_lifts_limits_and_robots_are_drawn() {
+    let svg = picture(OFFICE, "office.building.yaml");
+    assert_eq!(counts(&svg, &["level", "door", "lift", "one-way", "body", "place"]), [2, 1, 2, 2, 1, 10]);
+    let said = said(&svg);
+    for name in ["L2 (4.5 m)", "pantry_door", "lift_1", "0.5 m/s", "tiny1", "reception", "charger"] {
+        assert!(said.contains(name), "{name}: {said:?}");
+    }
+    assert!(said.contains("meeting – lobby (L2), 14.58 m, one way, facing backward"), "{said:?}");
+}
+
+#[test]
+fn one_place_of_the_floor_is_at_one_place_of_each_panel() {
+    let svg = picture(OFFICE, "office.building.yaml");
+    let document = Document::parse(&svg).unwrap();
+    let first_wall = |level: Node| {
+        let wall = level.descendants().find(|node| node.attribute("class") == Some("wall")).unwrap();
+        let points = wall.attribute("points").unwrap().split([' ', ',']);
+        let points: Vec<f64> = points.map(|number| number.parse().unwrap()).collect();
+        points.chunks(2).map(|at| (at[0] - points[0], at[1] - points[1])).collect::<Vec<_>>()
+    };
+    let walls: Vec<_> = of_class(&document, "level").map(first_wall).collect();
+    assert_eq!(walls[0].len(), walls[1].len());
+    for (a, b) in walls[0].iter().zip(&walls[1]) {
+        assert!((a.0 - b.0).abs() < 0.25 && (a.1 - b.1).abs() < 0.25, "{a:?} {b:?}");
+    }
+}
+
+#[test]
+fn everything_is_within_the_picture() {
+    for svg in [
+        picture(CLINIC, "clinic.drawio"),
+        picture(OFFICE, "office.building.yaml"),
+        svg(&shipped("hospital").unwrap(), &[]),
+    ] {
+        let document = Document::parse(&svg).unwrap();
+        let number = |node: Node, name| node.attribute(name).unwrap().parse::<f64>().unwrap();
+        let (width, height) = (number(document.root_element(), "width"), number(document.root_element(), "height"));
+        assert!(width <= 1700.0 && height <= 1800.0, "{width} x {height}");
+        for dot in document.descendants().filter(|node| node.has_tag_name("circle")) {
+            let (x, y) = (number(dot, "cx"), number(dot, "cy"));
+            assert!((0.0..=width).contains(&x) && (0.0..=height).contains(&y), "{x} {y}");
+        }
+    }
+}
+
+#[test]
+fn names_do_not_cover_each_other() {
+    let svg = svg(&shipped("hospital").unwrap(), &[]);
+    let document = Document::parse(&svg).unwrap();
+    let names = document.descendants().filter(|node| node.has_tag_name("text") && node.has_attribute("paint-order"));
+    let boxes: Vec<(f64, f64, f64, f64, String)> = names
+        .map(|node| {
+            let number = |name| node.attribute(name).unwrap().parse::<f64>().unwrap();
+            let text = node.text().unwrap().trim().to_owned();
+            let size = number("font-size");
+            (
+                number("x"),
+                number("y") - 0.8 * size,
+                number("x") + labels::width(&text, size),
+                number("y") + 0.25 * size,
+                text,
+            )
+        })
+        .collect();
+    assert!(boxes.len() >= 16, "at least the rooms, the laboratory and the dock: {boxes:?}");
+    for (index, a) in boxes.iter().enumerate() {
+        for b in &boxes[index + 1..] {
+            let shared = a.0.max(b.0) < a.2.min(b.2) - 0.2 && a.1.max(b.1) < a.3.min(b.3) - 0.2;
+            assert!(!shared, "{a:?} {b:?}");
+        }
+    }
+}
+
+#[test]
+fn names_with_markup_are_written_as_they_are() {
+    let text = "{name: odd, places: [{name: '<a & \"b\">', kind: room, x_m: 0, y_m: 0}]}";
+    let svg = svg(&read(text, "odd.yaml").unwrap(), &[]);
+    assert!(said(&svg).contains("<a & \"b\">"), "{svg}");
+}
+
+#[test]
+fn a_map_of_one_place_can_be_drawn() {
+    let text = "{name: one, places: [{name: A, kind: room, x_m: 5, y_m: 5}]}";
+    let picture = svg(&read(text, "one.yaml").unwrap(), &[]);
+    png(&picture).unwrap();
+}
+
+#[test]
+fn a_png_has_the_size_of_the_picture_and_is_not_blank() {
+    for svg in [picture(CLINIC, "clinic.drawio"), svg(&shipped("hospital").unwrap(), &[])] {
+        let png = png(&svg).unwrap();
+        let pixels = resvg::tiny_skia::Pixmap::decode_png(&png).unwrap();
+        let document = Document::parse(&svg).unwrap();
+        let size =
+            ["width", "height"].map(|name| document.root_element().attribute(name).unwrap().parse::<u32>().unwrap());
+        assert_eq!([pixels.width(), pixels.height()], size);
+        let coloured =
+            pixels.pixels().iter().filter(|pixel| (pixel.red(), pixel.green(), pixel.blue()) != (255, 255, 255));
+        let share = coloured.count() as f64 / pixels.pixels().len() as f64;
+        assert!((0.005..0.5).contains(&share), "{share} of the picture is drawn on");
+    }
+}
+
+#[test]
+fn letters_are_drawn_too() {
+    let with = png("<svg xmlns='http://www.w3.org/2000/svg' width='80' height='20'><text y='15' font-family='Hack, monospace'>A</text></svg>").unwrap();
+    let without = png("<svg xmlns='http://www.w3.org/2000/svg' width='80' height='20'/>").unwrap();
+    assert_ne!(with, without);
+}
+
+#[test]
+fn what_is_no_svg_is_refused() {
+    assert!(png("no").unwrap_err().to_string().starts_with("this is no picture: "));
+}

@@ -1,0 +1,112 @@
+//! Words and conditions that systems share: who is where, who is beside whom, whose drawer can be reached into.
+
+use super::components::{CoPresence, DepartureCount, DrawerOpen, SampleLabel, SimRobot};
+use super::location::MapPosition;
+use super::samples::HolderEntity;
+use super::sim_state::SimState;
+use crate::map::PlaceIndex;
+use crate::suggest::did_you_mean;
+use consort_protocol::ids::RobotId;
+use consort_skills::actions::{ActionError, ErrorCode, Goal};
+use hecs::Entity;
+
+/// An error for a robot that asked for what cannot be.
+pub(crate) fn action_error(code: ErrorCode, message: String) -> ActionError {
+    ActionError { code, message }
+}
+
+/// A goal's name for people.
+pub(crate) fn goal_name(goal: &Goal) -> &'static str {
+    match goal {
+        Goal::NavigateToPose { .. } => "navigate_to_pose",
+        Goal::ApproachPerson { .. } => "approach_person",
+        Goal::AuthenticatePerson { .. } => "authenticate_person",
+        Goal::OperateDrawer { .. } => "operate_drawer",
+        Goal::ApproachRobot { .. } => "approach_robot",
+        Goal::PickUp { .. } => "pick_up",
+        Goal::Grasp { .. } => "grasp",
+        Goal::Deposit { .. } => "deposit",
+        Goal::Wait { .. } => "wait",
+        Goal::FollowWaypoints { .. } => "follow_waypoints",
+        Goal::Spin { .. } => "spin",
+        Goal::Dock { .. } => "dock",
+        Goal::Undock => "undock",
+    }
+}
+
+impl SimState {
+    pub(crate) fn check_drawer_accessible(&self, robot: Entity, other: Entity) -> Result<(), ActionError> {
+        self.check_same_place(robot, other)?;
+        let (name, others) = (self.robot_id(robot), self.robot_id(other));
+        if !self.is_beside(robot, other) && !self.is_beside(other, robot) {
+            let message = format!("neither of {name} and {others} has approached the other");
+            return Err(action_error(ErrorCode::OutOfReach, message));
+        }
+        if !self.get::<SimRobot>(other).0.has_drawer {
+            return Err(action_error(ErrorCode::DrawerState, format!("{others} has no drawer")));
+        }
+        if !self.get::<DrawerOpen>(other).0 {
+            return Err(action_error(ErrorCode::DrawerState, format!("the drawer of {others} is closed")));
+        }
+        Ok(())
+    }
+
+    pub(crate) fn check_drawer_space(&self, robot: Entity) -> Result<(), ActionError> {
+        let held = self.held(HolderEntity::Drawer(robot));
+        if held.len() < self.limits.drawer_slots {
+            return Ok(());
+        }
+        let labels: Vec<String> = held.into_iter().map(|sample| self.label(sample)).collect();
+        let message = format!("the drawer of {} is full: it holds {}", self.robot_id(robot), labels.join(", "));
+        Err(action_error(ErrorCode::DrawerState, message))
+    }
+
+    pub(crate) fn is_beside(&self, robot: Entity, other: Entity) -> bool {
+        let departures = self.get::<DepartureCount>(other).0;
+        *self.get::<CoPresence>(robot) == CoPresence::Robot { robot: other, departures }
+    }
+
+    pub(crate) fn check_same_place(&self, robot: Entity, other: Entity) -> Result<(), ActionError> {
+        let place = self.require_place(robot)?;
+        let spot = self.map_position(other);
+        if spot == MapPosition::Place(place) {
+            return Ok(());
+        }
+        let (name, others) = (self.robot_id(robot), self.robot_id(other));
+        let message = format!("{name} is at {}, {others} {}", self.map.place_at(place).id, spot.describe(&self.map));
+        Err(action_error(ErrorCode::OutOfReach, message))
+    }
+
+    pub(crate) fn require_place(&self, robot: Entity) -> Result<PlaceIndex, ActionError> {
+        match self.map_position(robot) {
+            MapPosition::Place(place) => Ok(place),
+            spot @ (MapPosition::Lane { .. } | MapPosition::Floor { .. } | MapPosition::Lift { .. }) => {
+                let message = format!("{} is {}, at no place", self.robot_id(robot), spot.describe(&self.map));
+                Err(action_error(ErrorCode::OutOfReach, message))
+            }
+        }
+    }
+
+    pub(crate) fn require_other_robot(&self, robot: Entity, other: &RobotId) -> Result<Entity, ActionError> {
+        match self.robots.get(other) {
+            Some(found) if *found == robot => {
+                Err(action_error(ErrorCode::Unknown, format!("{other} cannot do this with itself")))
+            }
+            Some(found) => Ok(*found),
+            None => Err(self.unknown_robot_error(other)),
+        }
+    }
+
+    pub(crate) fn unknown_robot_error(&self, id: &RobotId) -> ActionError {
+        let hint = did_you_mean(id.as_str(), self.robots.keys().map(RobotId::as_str));
+        action_error(ErrorCode::Unknown, format!("there is no robot {id} here{hint}"))
+    }
+
+    pub(crate) fn robot_id(&self, robot: Entity) -> RobotId {
+        self.get::<SimRobot>(robot).0.id.clone()
+    }
+
+    pub(crate) fn label(&self, sample: Entity) -> String {
+        self.get::<SampleLabel>(sample).0.to_string()
+    }
+}

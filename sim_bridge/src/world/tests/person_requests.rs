@@ -1,0 +1,146 @@
+//! People: whom an ask concerns, what they wait for, and what they say when it cannot be.
+
+use super::*;
+
+fn approach() -> Goal {
+    Goal::ApproachPerson { role: role("nurse") }
+}
+
+fn open() -> Goal {
+    Goal::OperateDrawer { open: true }
+}
+
+/// A nurse in each of two rooms; r1 beside the second with an open drawer.
+fn ready() -> World {
+    let setup = hospital(3).robot(carrier("r1", "PC Room 2")).person(nurse("Ana", "PC Room 1", "s1")).person(nurse(
+        "Bea",
+        "PC Room 2",
+        "s2",
+    ));
+    let mut world = World::new(setup).unwrap();
+    run_to_success(&mut world, "r1", 1, approach());
+    run_to_success(&mut world, "r1", 2, open());
+    world
+}
+
+fn answer(ask: u64, result: Result<(), ActionError>) -> BackendEvent {
+    BackendEvent::PersonRequestEnded { ask: GoalId(ask), result }
+}
+
+fn keepers(world: &World) -> Vec<SampleHolder> {
+    world.samples().into_iter().map(|sample| sample.keeper).collect()
+}
+
+#[test]
+fn the_nurse_where_the_robot_is_hands_over() {
+    let mut world = ready();
+    world.request_person(GoalId(7), deposit("r1"));
+    world.request_person(GoalId(7), deposit("r1"));
+    let due = world.next_due().unwrap().as_secs() - 4.0;
+    assert!((2.0..=4.0).contains(&due), "she takes 2 to 4 s, not {due}");
+    assert_eq!(world.advance(at(60.0)), [answer(7, Ok(()))]);
+    assert_eq!(keepers(&world), [SampleHolder::Person("Ana".into()), SampleHolder::Drawer(robot("r1"))]);
+    world.request_person(GoalId(7), deposit("r1"));
+    assert_eq!(world.advance(at(99.0)), [], "a repeated ask changes nothing");
+}
+
+#[test]
+fn an_ask_waits_for_the_open_drawer() {
+    let setup = hospital(3).robot(carrier("r1", "PC Room 2")).person(nurse("Bea", "PC Room 2", "s2"));
+    let mut world = World::new(setup).unwrap();
+    world.request_person(GoalId(7), deposit("r1"));
+    assert_eq!(world.advance(at(500.0)), []);
+    run_to_success(&mut world, "r1", 1, approach());
+    assert_eq!(world.advance(at(600.0)), []);
+    run_to_success(&mut world, "r1", 2, open());
+    assert_eq!(world.advance(at(700.0)), [answer(7, Ok(()))]);
+}
+
+#[test]
+fn if_the_robot_leaves_meanwhile_she_keeps_the_sample_and_waits_on() {
+    let mut world = ready();
+    world.request_person(GoalId(7), deposit("r1"));
+    let (out, back) = (drive_goal(&world, "PC Corridor 2"), drive_goal(&world, "PC Room 2"));
+    run_to_success(&mut world, "r1", 3, out);
+    assert_eq!(keepers(&world)[1], SampleHolder::Person("Bea".into()));
+    run_to_success(&mut world, "r1", 4, back);
+    assert_eq!(world.advance(at(100.0)), [], "it has yet to approach her again");
+    run_to_success(&mut world, "r1", 5, approach());
+    assert_eq!(world.advance(at(200.0)), [answer(7, Ok(()))]);
+}
+
+#[test]
+fn a_dismissed_nurse_keeps_her_sample() {
+    let mut world = ready();
+    world.request_person(GoalId(7), deposit("r1"));
+    world.advance(at(5.0));
+    assert_eq!(world.open_person_requests(), [GoalId(7)]);
+    world.cancel_person_request(GoalId(7));
+    assert_eq!(world.open_person_requests(), []);
+    assert_eq!(world.advance(at(99.0)), []);
+    assert_eq!(keepers(&world)[1], SampleHolder::Person("Bea".into()));
+    world.request_person(GoalId(8), deposit("r1"));
+    assert_eq!(world.advance(at(199.0)), [answer(8, Ok(()))]);
+}
+
+#[test]
+fn an_ask_that_was_withdrawn_is_not_served_when_it_comes_late() {
+    let mut world = ready();
+    world.cancel_person_request(GoalId(7));
+    world.request_person(GoalId(7), deposit("r1"));
+    assert_eq!(world.advance(at(99.0)), []);
+    assert!(world.was_person_request_canceled(GoalId(7)));
+    assert_eq!(world.person_result(GoalId(7)), None);
+    world.request_person(GoalId(8), deposit("r1"));
+    assert_eq!(world.advance(at(199.0)), [answer(8, Ok(()))]);
+    world.cancel_person_request(GoalId(8));
+    assert!(!world.was_person_request_canceled(GoalId(8)), "it had ended");
+    assert_eq!(world.person_result(GoalId(8)), Some(Ok(())));
+}
+
+#[test]
+fn what_cannot_be_is_answered_with_a_reason() {
+    let error = |code, message: &str| Err(ActionError { code, message: message.to_owned() });
+    let mut world = ready();
+    let mut dance = deposit("r1");
+    dance.task.task_type = TaskType::new("dance").unwrap();
+    world.request_person(GoalId(1), dance);
+    world.request_person(GoalId(2), PersonRequest { role: role("doctor"), ..deposit("r1") });
+    world.request_person(GoalId(3), deposit("r9"));
+    assert_eq!(
+        world.advance(at(4.0)),
+        [
+            answer(1, error(ErrorCode::Unknown, "a nurse cannot dance; can: deposit")),
+            answer(2, error(ErrorCode::Unknown, "no doctor is here; there is: nurse")),
+            answer(3, error(ErrorCode::Unknown, "no robot here that has a drawer holds role r1")),
+        ]
+    );
+    world.request_person(GoalId(4), deposit("r1"));
+    world.request_person(GoalId(5), deposit("r1"));
+    let full = error(ErrorCode::DrawerState, "the drawer of r1 is full: it holds s2");
+    assert_eq!(world.advance(at(99.0)), [answer(4, Ok(())), answer(5, full)]);
+}
+
+#[test]
+fn one_nurse_serves_two_robots_one_after_the_other() {
+    let mut mia = nurse("Mia", "PC Room 2", "s1");
+    mia.samples.push("s2".into());
+    let setup = hospital(3).robot(carrier("a", "PC Room 2")).robot(carrier("b", "PC Room 2")).person(mia);
+    let mut world = World::new(setup).unwrap();
+    world.request_person(GoalId(1), deposit("b"));
+    world.request_person(GoalId(2), deposit("a"));
+    for goal in [(1, approach()), (2, open())] {
+        world.start(&robot("a"), GoalId(goal.0), goal.1.clone());
+        world.start(&robot("b"), GoalId(goal.0), goal.1);
+        let now = world.now().as_secs();
+        world.advance(at(now + 2.0));
+    }
+    let mut answers = Vec::new();
+    while answers.len() < 2 {
+        let due = world.next_due().unwrap();
+        answers.extend(world.advance(due).into_iter().map(|event| (due.as_secs(), event)));
+    }
+    assert_eq!([&answers[0].1, &answers[1].1], [&answer(2, Ok(())), &answer(1, Ok(()))], "a's drawer was open first");
+    assert!(answers[1].0 >= answers[0].0 + 2.0, "she has two hands and one pace: {answers:?}");
+    assert_eq!(keepers(&world), [SampleHolder::Drawer(robot("a")), SampleHolder::Drawer(robot("b"))]);
+}

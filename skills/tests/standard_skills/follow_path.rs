@@ -1,0 +1,87 @@
+//! Following a path, and the small skills about chargers and tables.
+
+use super::*;
+use consort_protocol::units::{MetresPerSecond, SharePerSecond};
+use consort_skills::actions::Waypoint;
+use consort_skills::descriptor::{DescriptorRegistry, EstimateContext};
+
+fn follow(waypoints: &str) -> TaskSpec {
+    task("follow_path", &[("waypoints", waypoints)])
+}
+
+#[test]
+fn a_path_is_one_goal_whose_poses_face_where_it_goes_on() {
+    let mut body = ScriptedDriver::at("A");
+    assert_eq!(run(&mut skill(&follow("0,5; 3,5;3,1")), &mut body), SkillStatus::Succeeded);
+    let pose = |x, y, yaw| Waypoint { pose: Pose::new(x, y, yaw), place: None };
+    let quarter = std::f64::consts::FRAC_PI_2;
+    let waypoints = vec![pose(0.0, 5.0, 0.0), pose(3.0, 5.0, -quarter), pose(3.0, 1.0, -quarter)];
+    assert_eq!(body.goals(), [Goal::FollowWaypoints { waypoints }]);
+    // A single point is faced as one comes to it: north, from A at the origin.
+    let mut body = ScriptedDriver::at("A");
+    assert_eq!(run(&mut skill(&follow("0,5")), &mut body), SkillStatus::Succeeded);
+    assert_eq!(body.goals(), [Goal::FollowWaypoints { waypoints: vec![pose(0.0, 5.0, quarter)] }]);
+}
+
+#[test]
+fn a_path_that_is_none_is_told_before_the_body_moves() {
+    for (waypoints, cause) in [
+        ("", "HeadAlong: there are no waypoints to follow"),
+        ("1,2; 3", "HeadAlong: \" 3\" is not a point: allowed is `x,y` in metres"),
+        ("1,2; 3,inf", "HeadAlong: \" 3,inf\" is not a point: allowed is `x,y` in metres"),
+    ] {
+        let mut body = ScriptedDriver::at("A");
+        assert_eq!(run(&mut skill(&follow(waypoints)), &mut body), failed(cause));
+        assert!(body.goals().is_empty());
+    }
+}
+
+#[test]
+fn a_halted_path_is_canceled_and_begins_anew() {
+    let mut body = ScriptedDriver::at("A");
+    let mut skill = skill(&follow("0,5;3,5"));
+    assert_eq!(skill.tick(&mut body), SkillStatus::Running);
+    skill.halt(&mut body);
+    assert!(body.is_canceling());
+    body.complete_cancel();
+    assert_eq!(run(&mut skill, &mut body), SkillStatus::Succeeded);
+    assert_eq!(body.sent(), ["follow 2 waypoints", "follow 2 waypoints"]);
+}
+
+#[test]
+fn a_path_is_priced_by_its_length_from_where_the_robot_is() {
+    let estimator = DescriptorRegistry::standard().resolve(environment()).unwrap();
+    let robot = EstimateContext {
+        pose: None,
+        place: place("A"),
+        speed: MetresPerSecond::new(0.5).unwrap(),
+        discharge: SharePerSecond::new(0.001).unwrap(),
+        closed: vec![],
+    };
+    let estimate = estimator.estimate(&follow("0,5;3,5;3,1"), &robot).unwrap();
+    assert_eq!((estimate.time.get(), estimate.ends_at.as_str()), (24.0, "A"), "5 + 3 + 4 m");
+    let away = EstimateContext { pose: Some(Pose::new(0.0, 4.0, 0.0)), ..robot.clone() };
+    assert_eq!(estimator.estimate(&follow("0,5;3,5;3,1"), &away).unwrap().time.get(), 16.0);
+    let error = estimator.estimate(&follow("here"), &robot).unwrap_err().to_string();
+    assert!(error.starts_with("the follow_path task has `waypoints` = \"here\": \"here\" is not a point"), "{error}");
+}
+
+#[test]
+fn docking_and_grasping_ask_the_body_for_what_the_task_says() {
+    let charger = Some(place("A"));
+    for (task, goal) in [
+        (task("dock", &[]), Goal::Dock { charger: None }),
+        (task("dock", &[("charger", "A")]), Goal::Dock { charger }),
+        (task("undock", &[]), Goal::Undock),
+        (task("grasp", &[("object", "tray-1")]), Goal::Grasp { object: "tray-1".to_owned() }),
+    ] {
+        let mut body = ScriptedDriver::at("A");
+        assert_eq!(run(&mut skill(&task), &mut body), SkillStatus::Succeeded);
+        assert_eq!(body.goals(), [goal]);
+    }
+    // A thing is taken once.
+    let object = "tray-1".to_owned();
+    let mut body = ScriptedDriver::at("A").with_completed(Goal::Grasp { object });
+    assert_eq!(run(&mut skill(&task("grasp", &[("object", "tray-1")])), &mut body), SkillStatus::Succeeded);
+    assert!(body.goals().is_empty());
+}

@@ -1,0 +1,147 @@
+//! A body that does what a script says, and otherwise what it is asked.
+
+use super::{PlaceId, Pose, place};
+use consort_protocol::units::{BatteryShare, Metres, Seconds, WorldTime};
+use consort_skills::actions::{ActionError, ErrorCode, Feedback, Goal, GoalId, GoalStatus, RobotActions, Telemetry};
+use std::collections::VecDeque;
+
+/// Does one goal at a time, and is slow to stop: a canceled goal ends only when the test says so.
+pub(crate) struct ScriptedDriver {
+    telemetry: Telemetry,
+    /// How goals end, in order; those after the last succeed.
+    script: VecDeque<Result<(), ActionError>>,
+    goals: Vec<(Goal, GoalStatus)>,
+    canceling: Option<GoalId>,
+    /// What an earlier attempt has done.
+    done: Vec<Goal>,
+}
+
+impl ScriptedDriver {
+    pub(crate) fn at(name: &str) -> ScriptedDriver {
+        let x = match name {
+            "A" => 0.0,
+            "B" => 10.0,
+            _ => 20.0,
+        };
+        let telemetry = Telemetry {
+            time: WorldTime::ZERO,
+            pose: Pose::new(x, 0.0, 0.0),
+            place: place(name),
+            battery: BatteryShare::FULL,
+            able: true,
+            closed: vec![],
+        };
+        ScriptedDriver { telemetry, script: VecDeque::new(), goals: Vec::new(), canceling: None, done: vec![] }
+    }
+
+    /// The same body, whose goals end like this.
+    pub(crate) fn with_results(mut self, script: impl IntoIterator<Item = Result<(), ActionError>>) -> ScriptedDriver {
+        self.script.extend(script);
+        self
+    }
+
+    /// The same body, which did this in an earlier attempt.
+    pub(crate) fn with_completed(mut self, goal: Goal) -> ScriptedDriver {
+        self.done.push(goal);
+        self
+    }
+
+    /// Everything it was asked for, places and robots by name.
+    pub(crate) fn sent(&self) -> Vec<String> {
+        let shown = |(goal, _): &(Goal, GoalStatus)| match goal {
+            Goal::NavigateToPose { place: Some(place), pose } => format!("drive {place} {}", pose.x),
+            Goal::NavigateToPose { place: None, .. } => "drive".to_owned(),
+            Goal::ApproachPerson { role } => format!("approach person {role}"),
+            Goal::AuthenticatePerson { role } => format!("authenticate {role}"),
+            Goal::OperateDrawer { open } => format!("drawer {open}"),
+            Goal::ApproachRobot { robot } => format!("approach robot {robot}"),
+            Goal::PickUp { from } => format!("pick up from {from}"),
+            Goal::Grasp { object } => format!("grasp {object}"),
+            Goal::Deposit { into: Some(robot) } => format!("deposit into {robot}"),
+            Goal::Deposit { into: None } => "deposit".to_owned(),
+            Goal::Wait { time } => format!("wait {time}"),
+            Goal::FollowWaypoints { waypoints } => format!("follow {} waypoints", waypoints.len()),
+            Goal::Spin { angle_rad } => format!("spin {angle_rad}"),
+            Goal::Dock { .. } => "dock".to_owned(),
+            Goal::Undock => "undock".to_owned(),
+        };
+        self.goals.iter().map(shown).collect()
+    }
+
+    /// The same as they were asked for.
+    pub(crate) fn goals(&self) -> Vec<Goal> {
+        self.goals.iter().map(|(goal, _)| goal.clone()).collect()
+    }
+
+    /// Ends the goal under way as the script says.
+    pub(crate) fn end_goal(&mut self) {
+        let Some((goal, status)) = self.goals.last_mut().filter(|(_, status)| !status.is_final()) else { return };
+        *status = match self.script.pop_front().unwrap_or(Ok(())) {
+            Err(error) => {
+                if let (ErrorCode::Blocked, Goal::NavigateToPose { place: Some(to), .. }) = (error.code, &*goal) {
+                    self.telemetry.closed.push((self.telemetry.place.clone(), to.clone()));
+                }
+                GoalStatus::Aborted(error)
+            }
+            Ok(()) => {
+                if let Goal::NavigateToPose { pose, place: Some(place) } = goal {
+                    (self.telemetry.pose, self.telemetry.place) = (*pose, place.clone());
+                }
+                GoalStatus::Succeeded
+            }
+        };
+    }
+
+    /// Puts it somewhere, on the way from `passed`.
+    pub(crate) fn set_position(&mut self, x: f64, passed: PlaceId) {
+        self.telemetry.pose.x = x;
+        self.telemetry.place = passed;
+    }
+
+    /// Whether it was asked to cancel what it does.
+    pub(crate) fn is_canceling(&self) -> bool {
+        self.canceling.is_some()
+    }
+
+    /// Comes to a stop after a cancel.
+    pub(crate) fn complete_cancel(&mut self) {
+        let goal = self.canceling.take().expect("it was asked to stop");
+        self.goals[goal.0 as usize].1 = GoalStatus::Canceled;
+    }
+
+    /// Forgets every goal, as a body that was started anew.
+    pub(crate) fn forget_goals(&mut self) {
+        self.goals.clear();
+    }
+}
+
+impl RobotActions for ScriptedDriver {
+    fn send_goal(&mut self, goal: Goal) -> GoalId {
+        let busy = self.goals.last().is_some_and(|(_, status)| !status.is_final());
+        let feedback = Feedback::remaining(Metres::ZERO, Seconds::ZERO);
+        let status = if busy {
+            GoalStatus::Aborted(ActionError { code: ErrorCode::Busy, message: "at work".to_owned() })
+        } else {
+            GoalStatus::Executing(feedback)
+        };
+        self.goals.push((goal, status));
+        GoalId(self.goals.len() as u64 - 1)
+    }
+
+    fn status(&self, goal: GoalId) -> Option<GoalStatus> {
+        self.goals.get(goal.0 as usize).map(|(_, status)| status.clone())
+    }
+
+    fn cancel(&mut self, goal: GoalId) {
+        self.canceling = Some(goal);
+    }
+
+    fn telemetry(&self) -> Option<&Telemetry> {
+        Some(&self.telemetry)
+    }
+
+    fn take_completed(&mut self, goal: &Goal) -> bool {
+        let done = self.done.iter().position(|done| done == goal);
+        done.map(|index| self.done.remove(index)).is_some()
+    }
+}

@@ -1,0 +1,32 @@
+//! What does not hold is found, and cut down to what it takes.
+
+use crate::{jobs, once};
+use consort_protocol::mutants::Mutant;
+use consort_tests::chaos::mutants::{MUTANT_CHECKS, check_mutant};
+use consort_tests::chaos::{ChaosAction, ChaosFleet, FaultKind, RunConfig, generate, shrink};
+
+#[test]
+fn every_mutant_is_found_within_its_number_of_seeds() {
+    let mut missed = vec![];
+    for wanted in MUTANT_CHECKS {
+        let found = check_mutant(wanted, jobs(), || ()).expect("tests are built with mutants");
+        if found.seeds.is_none() {
+            missed.push(found);
+        }
+    }
+    assert!(missed.is_empty(), "not found: {missed:?}");
+}
+
+#[test]
+fn a_violation_is_cut_down_to_the_steps_that_it_takes() {
+    let order = RunConfig { seed: 3, nodes: 5, minutes: 1.0, closed: false };
+    let schedule = generate(order.seed, &ChaosFleet::of(5), order.minutes, &FaultKind::FAULTS);
+    let fails = |schedule: &_| {
+        let violation = once(&order, schedule, Some(Mutant::WaitSkipped)).violation;
+        violation.is_some_and(|violation| violation.invariant == "signals")
+    };
+    assert!(fails(&schedule), "{schedule}");
+    let smallest = shrink(&schedule, 60, fails);
+    // A mission is all it takes to pass a wait too early.
+    assert!(matches!(&smallest.steps[..], [step] if matches!(step.action, ChaosAction::Submit { .. })), "{smallest}");
+}

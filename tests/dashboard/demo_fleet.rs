@@ -1,0 +1,341 @@
+//! The demo's fleet on the page: what is seen, what is asked for, and what is said when it is lost.
+
+use crate::browser::{Browser, SOON};
+use crate::support::{Folder, Program, until};
+use serde_json::Value;
+use std::time::Duration;
+
+/// How long a mission may take.
+const MISSION: Duration = Duration::from_secs(180);
+
+/// What the keys are called in WebDriver.
+const TAB: &str = "\u{e004}";
+pub(crate) const ENTER: &str = "\u{e007}";
+const RIGHT: &str = "\u{e014}";
+const DOWN: &str = "\u{e015}";
+const HOME: &str = "\u{e011}";
+const END: &str = "\u{e010}";
+
+/// The address that a demo prints.
+fn address(demo: &Program) -> String {
+    until("the address of the dashboard", SOON, || {
+        let said = demo.stdout();
+        let events = said.lines().filter_map(|line| serde_json::from_str::<Value>(line).ok());
+        let url = events
+            .filter(|event| event["event"] == "demo_dashboard")
+            .find_map(|event| Some(event["url"].as_str()?.to_owned()));
+        url.or_else(|| {
+            assert!(!demo.stderr().contains("consort:"), "{}", demo.stderr());
+            None
+        })
+    })
+}
+
+/// What everybody who uses the page without eyes or mouse relies on, and what is missing of it.
+const ACCESS: &str = r"(() => {
+    const faults = [];
+    const seen = (one) => one.checkVisibility() && !one.closest('[hidden], .unseen');
+    const name = (one) => (one.getAttribute('aria-label') ?? one.labels?.[0]?.innerText ?? one.innerText ?? '').trim();
+    for (const one of document.querySelectorAll('button, a, input, select, [tabindex=\'0\']')) {
+        if (seen(one) && !name(one) && !one.getAttribute('aria-labelledby')) faults.push(`no name: ${one.outerHTML.slice(0, 80)}`);
+    }
+    let level = 0;
+    for (const one of document.querySelectorAll('h1, h2, h3, h4')) {
+        if (!one.checkVisibility()) continue;
+        const now = Number(one.tagName[1]);
+        if (now > level + 1) faults.push(`heading ${one.innerText} of level ${now} after level ${level}`);
+        level = now;
+    }
+    for (const one of document.querySelectorAll('table')) if (!one.caption?.textContent) faults.push(`no caption: ${one.id}`);
+    for (const tag of ['main', 'header.top', 'h1', '[aria-live]', 'a.skip']) if (!document.querySelector(tag)) faults.push(`no ${tag}`);
+    const ids = [...document.querySelectorAll('[id]')].map((one) => one.id);
+    for (const [index, id] of ids.entries()) if (ids.indexOf(id) !== index) faults.push(`twice: #${id}`);
+    return faults;
+})()";
+
+/// Texts that do not stand out from what is behind them as much as WCAG 2 (AA) asks.
+const CONTRAST: &str = r"(() => {
+    const numbers = (colour) => (colour.match(/[\d.]+/g) ?? []).map(Number);
+    const light = ([r, g, b]) => [r, g, b].map((c) => c / 255).map((c) => (c <= 0.04045 ? c / 12.92 : ((c + 0.055) / 1.055) ** 2.4))
+        .reduce((sum, c, index) => sum + c * [0.2126, 0.7152, 0.0722][index], 0);
+    const behind = (one) => {
+        for (let at = one; at; at = at.parentElement) {
+            const [r, g, b, a = 1] = numbers(getComputedStyle(at).backgroundColor);
+            if (a > 0) return [r, g, b];
+        }
+        return [255, 255, 255];
+    };
+    const faults = new Set();
+    for (const one of document.querySelectorAll('body *')) {
+        const own = [...one.childNodes].some((node) => node.nodeType === 3 && node.data.trim());
+        if (!own || !one.checkVisibility() || one.closest('.unseen, .skip, svg, canvas, option')) continue;
+        const style = getComputedStyle(one);
+        const [a, b] = [light(numbers(style.color)), light(behind(one))];
+        const ratio = (Math.max(a, b) + 0.05) / (Math.min(a, b) + 0.05);
+        const large = parseFloat(style.fontSize) >= 24;
+        if (ratio < (large ? 3 : 4.5)) faults.add(`${ratio.toFixed(2)}: ${one.tagName}.${one.className} ${one.innerText.slice(0, 30)}`);
+    }
+    return [...faults];
+})()";
+
+pub(crate) fn check_access(browser: &Browser, when: &str) {
+    for check in [ACCESS, CONTRAST] {
+        let faults = browser.value(check);
+        assert_eq!(faults.as_array().map(Vec::len), Some(0), "{when}: {faults:#}");
+    }
+}
+
+/// Presses Tab until something is focused, as a person does who has no mouse.
+pub(crate) fn tab_to(browser: &Browser, selector: &str) {
+    for _ in 0..80 {
+        if browser.value(&format!("document.activeElement.matches({selector:?})")) == true {
+            let outline = browser.value("getComputedStyle(document.activeElement).outlineStyle");
+            assert_eq!(outline, "solid", "the focus on {selector} is seen");
+            return;
+        }
+        browser.press(TAB);
+    }
+    panic!("{selector} is not reached by Tab");
+}
+
+fn state_of(mission: &str) -> String {
+    format!("consort.line.picture.missions[{mission:?}]?.state")
+}
+
+#[test]
+fn the_demo_is_followed_and_asked_for_more_without_a_mouse() {
+    let folder = Folder::new();
+    let Some(browser) = Browser::start(&folder) else { return };
+    let demo =
+        Program::start(&folder, "demo", &["demo", "--json", "--keep-running", "--missions", "2", "--speed", "6"]);
+    browser.open(&address(&demo));
+    // It is gone if the page is ever loaded again.
+    browser.value("window.loadedOnce = true");
+
+    // The fleet is there, and a mission runs.
+    browser.wait_until("eight robots", "document.querySelectorAll('#robots tbody tr').length >= 8");
+    browser.wait_until("who coordinates", "/term \\d/.test(document.querySelector('#coordinator').innerText)");
+    browser.wait_until("missions", "document.querySelectorAll('#missions tbody tr').length === 2");
+    browser.wait_until("nurses", "document.querySelectorAll('#people tbody tr').length === 2");
+    browser.wait_until("a way ahead", "Object.values(consort.line.picture.robots).some((robot) => robot.route.length)");
+
+    // The demo kills the coordinator; the page says who took over.
+    browser.wait_until("a takeover", "consort.line.picture.takeovers.some((one) => one.from)");
+    browser.wait_until(
+        "the new coordinator",
+        "document.querySelector('#coordinator').innerText.startsWith(consort.line.picture.takeovers.at(-1).node)",
+    );
+    browser.wait_until("takeovers are counted", "/Takeovers\\s*[1-9]/.test(document.querySelector('#kpis').innerText)");
+    assert_eq!(browser.value("window.loadedOnce"), true);
+    browser.wait_until("tasks on the chart", "document.querySelectorAll('#mission .gantt rect').length >= 5");
+    browser.wait_until("the tree", "document.querySelectorAll('#mission .tree li').length >= 11");
+    browser.documentation_screenshot("console");
+    check_access(&browser, "missions");
+
+    look_at_the_schedule(&browser);
+
+    // Tabs by arrows. The auction has every bid with its parts.
+    tab_to(&browser, "#tab-missions");
+    browser.press(RIGHT);
+    browser.press(RIGHT);
+    browser.wait_until("the auction", "document.querySelectorAll('#auction tr.won').length >= 1");
+    browser.wait_until("bids with parts", "document.querySelectorAll('#auction .parts tbody tr').length >= 5");
+    let auction = browser.text("#auction");
+    assert!(auction.contains("lacks") && auction.contains("won"), "{auction}");
+    check_access(&browser, "auctions");
+    browser.value("document.querySelector('#auction details').open = true");
+    browser.documentation_screenshot("auction");
+    browser.press(RIGHT);
+    browser.wait_until(
+        "why somebody is no member",
+        "document.querySelector('#ensembles').innerText.includes('is false for')",
+    );
+    check_access(&browser, "ensembles");
+    browser.press(RIGHT);
+    browser.wait_until("voters and takeovers", "document.querySelectorAll('#coordination table tbody tr').length >= 9");
+    check_access(&browser, "coordination");
+    browser.screenshot("coordination");
+    browser.press(RIGHT);
+    browser.wait_until("events", "document.querySelectorAll('#log tbody tr').length > 20");
+    browser.click("#log-text");
+    browser.press("deposit");
+    browser.wait_until(
+        "only what was looked for",
+        "[...document.querySelectorAll('#log tbody tr')].length > 0 && [...document.querySelectorAll('#log tbody tr')].every((row) => row.innerText.includes('deposit'))",
+    );
+    check_access(&browser, "log");
+    browser.screenshot("log");
+
+    // Both end well, and the history says so.
+    browser.wait_until_within(MISSION, "both missions completed", "consort.line.picture.kpis.completed === 2");
+    tab_to(&browser, "[role=tab][aria-selected=true]");
+    browser.press(END);
+    browser.wait_until("the history", "document.querySelectorAll('#history tbody tr').length === 2");
+    let table = browser.value("fetch('/api/history.csv').then((answer) => answer.text())");
+    let table = table.as_str().expect("text");
+    assert_eq!(
+        table.lines().filter(|line| line.starts_with("lab-samples-") && line.contains(",completed,")).count(),
+        2,
+        "{table}"
+    );
+    check_access(&browser, "history");
+
+    ask_for_one_by_keyboard_and_withdraw_it(&browser);
+    in_the_dark_and_on_a_phone(&browser);
+    assert_eq!(browser.console(), Vec::<String>::new());
+    assert_eq!(browser.value("window.loadedOnce"), true);
+}
+
+/// The chart of all missions: a bar for each role, one stop for Tab, and a table that says the same.
+fn look_at_the_schedule(browser: &Browser) {
+    tab_to(browser, "#tab-missions");
+    browser.press(RIGHT);
+    browser.wait_until("four roles", "document.querySelectorAll('#schedule-chart .bar').length >= 4");
+    browser.wait_until("the same as a table", "document.querySelectorAll('#schedule tbody tr').length === document.querySelectorAll('#schedule-chart .bar').length");
+    browser.wait_until("what was planned", "document.querySelectorAll('#schedule-chart .planned').length >= 4");
+    browser.wait_until(
+        "a row for each robot",
+        "document.querySelectorAll('#schedule-chart text[text-anchor=end]').length >= 8",
+    );
+    let bars =
+        "[...document.querySelectorAll('#schedule-chart .bar')].map((bar) => bar.getAttribute('aria-label')).join()";
+    let said = browser.value(bars);
+    let said = said.as_str().expect("text");
+    assert!(
+        said.contains("r1 of lab-samples-1: ") && said.contains("r1 of lab-samples-2: ") && said.contains(", planned "),
+        "{said}"
+    );
+    check_access(browser, "the schedule");
+    browser.documentation_screenshot("schedule");
+    tab_to(browser, "#schedule-chart .bar");
+    assert_eq!(browser.value("document.querySelectorAll('#schedule-chart .bar[tabindex=\"0\"]').length"), 1);
+    browser.press(HOME);
+    let first = browser.value("document.activeElement.dataset.key");
+    browser.press(DOWN);
+    browser.wait_until(
+        "another bar has the focus",
+        &format!("document.activeElement.matches('.bar') && document.activeElement.dataset.key !== {first}"),
+    );
+    let chosen = browser.value("document.activeElement.dataset.key.split('#')[0]");
+    browser.press(ENTER);
+    browser.wait_until("its mission", &format!("document.querySelector('#mission h3').innerText === {chosen}"));
+    browser.wait_until(
+        "its panel",
+        "!document.querySelector('#panel-missions').hidden && document.activeElement.id === 'mission'",
+    );
+}
+
+fn ask_for_one_by_keyboard_and_withdraw_it(browser: &Browser) {
+    browser.value("document.activeElement.blur()");
+    tab_to(browser, "#new-mission");
+    browser.press(ENTER);
+    browser.wait_until(
+        "the form",
+        "document.querySelector('#order').open && document.activeElement.id === 'order-mission'",
+    );
+    browser.wait_until("its parameters", "document.querySelectorAll('[data-parameter]').length === 2");
+    check_access(browser, "the form");
+    browser.screenshot("form");
+    // Chosen as in any list: by the first letters of its name.
+    tab_to(browser, "[data-parameter=room]");
+    browser.press("PC Room 8");
+    tab_to(browser, "#order-priority");
+    browser.press("\u{e009}a\u{e000}5");
+    tab_to(browser, "#order-send");
+    browser.press(ENTER);
+    browser.wait_until("the form is closed", "!document.querySelector('#order').open");
+    browser.wait_until("the new mission", &state_of("lab-samples-3"));
+    browser.wait_until("it is looked at", "document.querySelector('#mission h3').innerText === 'lab-samples-3'");
+    assert_eq!(browser.value("consort.line.picture.missions['lab-samples-3'].parameters.room"), "PC Room 8");
+    browser.wait_until("its priority", "consort.line.picture.missions['lab-samples-3'].priority === 5");
+
+    tab_to(browser, "#mission .danger");
+    browser.press(ENTER);
+    browser.accept();
+    browser.wait_until("it is canceled", "consort.line.picture.missions['lab-samples-3'].state === 'canceled'");
+    browser.wait_until(
+        "that is said",
+        "document.querySelector('#mission').innerText.includes('by the dashboard of demo')",
+    );
+
+    // What makes no sense is refused, in the words of the coordinator.
+    let refused = browser.value(
+        "fetch('/api/missions', { method: 'POST', headers: { 'content-type': 'application/json' }, body: '{\"mission\": \"dance\"}' }).then(async (answer) => [answer.status, (await answer.json()).error])",
+    );
+    assert_eq!(refused[0], 400);
+    assert!(refused[1].as_str().expect("words").contains("no mission \"dance\" is shipped"), "{refused}");
+    // That is what the browser's console has to say about it.
+    let said = browser.console();
+    assert!(said.iter().all(|line| line.contains("/api/missions") && line.contains("400")), "{said:#?}");
+}
+
+fn in_the_dark_and_on_a_phone(browser: &Browser) {
+    browser.prefers("dark");
+    browser.wait_until("dark colours", "document.documentElement.dataset.theme === 'dark'");
+    check_access(browser, "in the dark");
+    browser.documentation_screenshot("dark");
+    browser.click("#theme");
+    browser.wait_until("light by the switch", "document.documentElement.dataset.theme === 'light'");
+    browser.click("#theme");
+    browser.screen(360, 740);
+    for tab in ["missions", "schedule", "auctions", "ensembles", "coordination", "log", "history"] {
+        browser.value(&format!("document.querySelector('#tab-{tab}').click()"));
+        browser.wait_until("its panel", &format!("!document.querySelector('#panel-{tab}').hidden"));
+        let width = browser.value("document.documentElement.scrollWidth");
+        assert_eq!(width, 360, "{tab}: nothing is wider than the phone");
+        browser.value("document.querySelector('.tabs').scrollIntoView()");
+        browser.screenshot(&format!("phone-{tab}"));
+    }
+    browser.value("document.querySelector('#tab-missions').click()");
+    browser.value("scrollTo(0, 0)");
+    browser.wait_until(
+        "sharp on this screen",
+        "document.querySelector('#map').width === 2 * document.querySelector('#map').clientWidth",
+    );
+    browser.screenshot("phone");
+    check_access(browser, "on a phone");
+}
+
+#[test]
+fn a_page_whose_node_is_cut_off_says_so_and_comes_back_with_it() {
+    let folder = Folder::new();
+    let Some(browser) = Browser::start(&folder) else { return };
+    let mut demo = Program::start(&folder, "demo", &["demo", "--json", "--keep-running", "--no-kill", "--speed", "6"]);
+    let link = until("where the demo's world listens", SOON, || {
+        let said = demo.stdout();
+        let (_, rest) = said.split_once("--connect ")?;
+        Some(rest.split(['"', ' ', '\n']).next()?.to_owned())
+    });
+    let station = |name: &str, dashboard: &str| {
+        let arguments =
+            ["station", "--name", "desk", "--fleet-name", "demo", "--may-vote", "false", "--connect", &link];
+        Program::start(&folder, name, &[&arguments[..], &["--dashboard", dashboard]].concat())
+    };
+    let mut desk = station("desk", "127.0.0.1:0");
+    let url = until("the address of the dashboard", SOON, || {
+        Some(desk.stdout().lines().find_map(|line| line.strip_prefix("dashboard: "))?.to_owned())
+    });
+    browser.open(&url);
+    browser.wait_until("seven robots", "document.querySelectorAll('#robots tbody tr').length === 7");
+    browser.wait_until("a mission", "document.querySelectorAll('#missions tbody tr').length === 1");
+    browser.wait_until("a live fleet", "document.querySelector('#connection').innerText === 'live'");
+    assert_eq!(browser.value("document.querySelector('#banner').hidden"), true);
+
+    // All others are gone: the page shows what was, and says how old it is.
+    demo.kill();
+    browser.wait_until("a banner", "/^desk is cut off.* ago/s.test(document.querySelector('#banner').innerText)");
+    browser.wait_until("grey", "document.body.classList.contains('stale')");
+    assert_eq!(browser.value("document.querySelectorAll('#robots tbody tr').length"), 7);
+    browser
+        .wait_until("ages that grow", "/\\b([6-9]|\\d\\d) s/.test(document.querySelector('#robots tbody').innerText)");
+    check_access(&browser, "cut off");
+    browser.screenshot("cut-off");
+
+    // The node itself dies, and comes back at its address.
+    desk.kill();
+    browser.wait_until("the line is down", "document.querySelector('#banner').innerText.includes('interrupted')");
+    let address = url.trim_start_matches("http://").trim_end_matches('/').to_owned();
+    let _desk = station("desk-again", &address);
+    browser.wait_until_within(Duration::from_secs(60), "the line is up", "consort.line.state === 'open'");
+    browser.wait_until("another picture", "Object.keys(consort.line.picture.missions).length === 0");
+}

@@ -1,0 +1,113 @@
+//! What happened, in words, for whoever asks why a step failed.
+
+use crate::Observation;
+use consort_protocol::event::EventKind;
+use consort_sim::world::{SampleHolder, WorldEvent as InWorld};
+use consort_skills::actions::GoalStatus;
+
+/// What a node told, or the scenario did to it; nothing of what is told too often to be read.
+pub(super) fn node_observation(entry: &Observation) -> Option<String> {
+    let told = match entry {
+        Observation::TestAction { action: what, .. } => format!("*** {what}"),
+        Observation::Published(event) => of(&event.kind)?,
+        Observation::RequestAcknowledged { .. }
+        | Observation::LeadershipChanged { .. }
+        | Observation::EntryApplied { .. } => return None,
+    };
+    Some(format!("{:<12} {told}", entry.node().as_str()))
+}
+
+fn of(what: &EventKind) -> Option<String> {
+    Some(match what {
+        EventKind::Elected { .. } => "coordinates".to_owned(),
+        EventKind::SteppedDown { .. } => "no longer coordinates".to_owned(),
+        EventKind::Submitted { mission, .. } => format!("{mission} is acknowledged"),
+        EventKind::Closed { mission, record } => {
+            let why = record.failure.as_ref().map(|why| format!(": {why}")).unwrap_or_default();
+            format!("the auction for {mission} is closed{why}")
+        }
+        EventKind::Awarded { mission, holders, .. } => {
+            let given: Vec<String> = holders.iter().map(|(role, robot)| format!("{role} to {robot}")).collect();
+            format!("{mission}: gives {}", given.join(", "))
+        }
+        EventKind::Released { mission, role, cause } => format!("{mission}: takes {role} back: {cause}"),
+        EventKind::Mission { mission, state, .. } => format!("{mission} is {}", state.as_str()),
+        EventKind::TaskBegan { role, task, .. } => format!("{role} begins {task}"),
+        EventKind::TaskEnded { role, task, .. } => format!("{role} has ended {task}"),
+        EventKind::TaskFailed { role, task, cause, .. } => format!("{role} failed at {task}: {cause}"),
+        EventKind::TaskRetried { role, task, cause, .. } => format!("{role} tries {task} again: {cause}"),
+        EventKind::Alternative { role, task, .. } => format!("{role} does otherwise what {task} was for"),
+        EventKind::GaveUp { role, cause, .. } => format!("gives {role} up: {cause}"),
+        EventKind::Suspended { role, .. } => format!("{role} stands still: nobody renews its lease"),
+        EventKind::Resumed { role, .. } => format!("{role} goes on"),
+        EventKind::Halted { role, reason, .. } => format!("puts {role} down: {reason:?}"),
+        EventKind::ChargeShort { role, cause, .. } => format!("{role} goes on although {cause}"),
+        EventKind::Foreign { .. }
+        | EventKind::Voters { .. }
+        | EventKind::Joined { .. }
+        | EventKind::Left { .. }
+        | EventKind::Called { .. }
+        | EventKind::Bid { .. }
+        | EventKind::Progress { .. }
+        | EventKind::Started { .. }
+        | EventKind::Sent { .. }
+        | EventKind::Heard { .. }
+        | EventKind::Outdated { .. } => return None,
+    })
+}
+
+/// What happened in the world.
+pub(super) fn world_event(what: &InWorld) -> Option<String> {
+    let line = |who: &str, what: String| Some(format!("{who:<12} ({what})"));
+    match what {
+        InWorld::GoalEnded { robot, status: GoalStatus::Aborted(why), .. } => {
+            line(robot.as_str(), format!("could not: {}", why.message))
+        }
+        InWorld::GoalStarted { .. }
+        | InWorld::GoalEnded { .. }
+        | InWorld::DrawerMoved { .. }
+        | InWorld::HandoverStarted { .. } => None,
+        InWorld::Approached { robot, person, authenticated } => {
+            let how = if *authenticated { "knows who she is" } else { "has approached" };
+            line(robot.as_str(), format!("{how}: {}", person.as_str()))
+        }
+        InWorld::MissionCanceled { person, robot } => {
+            line(person.as_str(), format!("calls the mission of {robot} off"))
+        }
+        InWorld::HandoverDeclined { person, robot } => {
+            line(person.as_str(), format!("declines what {robot} waits for"))
+        }
+        InWorld::PersonLeft { person } => line(person.as_str(), "walks away".to_owned()),
+        InWorld::PersonReturned { person } => line(person.as_str(), "comes back".to_owned()),
+        InWorld::SampleMoved { sample, to, .. } => {
+            let (who, how) = match to {
+                SampleHolder::Table(place) => (place.as_str(), "lies here"),
+                SampleHolder::Drawer(robot) => (robot.as_str(), "is in its drawer"),
+                SampleHolder::Arm(robot) => (robot.as_str(), "is in its arm"),
+                SampleHolder::Person(person) => (person.as_str(), "is with her"),
+            };
+            line(who, format!("{} {how}", sample.as_str()))
+        }
+        InWorld::DoorRequested { robot, door } => line(robot.as_str(), format!("waits at door {door}")),
+        InWorld::DoorEntered { robot, door } => line(robot.as_str(), format!("goes through door {door}")),
+        InWorld::DoorLeft { robot, door } => line(robot.as_str(), format!("has left door {door}")),
+        InWorld::DoorMoved { door, open } => {
+            line(door, if *open { "stands open".to_owned() } else { "is closed".to_owned() })
+        }
+        InWorld::LiftRequested { robot, lift, to, .. } => {
+            line(robot.as_str(), format!("waits at lift {lift} for {to}"))
+        }
+        InWorld::LiftEntered { robot, lift } => line(robot.as_str(), format!("is in lift {lift}")),
+        InWorld::LiftLeft { robot, lift, at } => line(robot.as_str(), format!("is out of lift {lift}, at {at}")),
+        InWorld::LaneBlocked { obstacle, .. } => line("building", format!("{obstacle} is there")),
+        InWorld::LaneCleared { obstacle, .. } => line("building", format!("{obstacle} is gone")),
+        InWorld::Docked { robot, docked } => {
+            line(robot.as_str(), if *docked { "is docked".to_owned() } else { "is not docked any more".to_owned() })
+        }
+        InWorld::Collided { robot, with } => {
+            let with = with.as_ref().map_or("a wall", |other| other.as_str());
+            line(robot.as_str(), format!("ran into {with}"))
+        }
+        InWorld::Stranded { robot } => line(robot.as_str(), "its battery is too low to move".to_owned()),
+    }
+}

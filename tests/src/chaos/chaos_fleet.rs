@@ -1,0 +1,94 @@
+//! Who is in a fleet that chaos is done to.
+
+use crate::RobotSpec;
+
+/// Rooms with a nurse and a sample each, those that are served first at the front.
+pub const ROOMS: [&str; 12] = [
+    "IC Room 6",
+    "PC Room 1",
+    "IC Room 2",
+    "PC Room 5",
+    "IC Room 4",
+    "PC Room 2",
+    "IC Room 1",
+    "PC Room 6",
+    "IC Room 5",
+    "PC Room 3",
+    "IC Room 3",
+    "PC Room 7",
+];
+
+/// The missions that clients ask for: with a branch for the loss of the sample, and without.
+pub const MISSIONS: [&str; 2] = ["lab-samples", "lab-samples-watched"];
+
+const STATIONS: [&str; 6] = ["aster", "basil", "clove", "dill", "elder", "flax"];
+const CARRIERS: [(&str, &str); 6] = [
+    ("garnet", "Dock"),
+    ("hazel", "IC Room 4"),
+    ("indigo", "PC Room 8"),
+    ("jasper", "IC Room 2"),
+    ("kelp", "PC Room 2"),
+    ("linden", "Dock"),
+];
+
+/// The one robot that takes samples out of drawers.
+pub const ARM: &str = "lab-arm";
+
+/// The node that hosts bodies and people; it comes on top of the nodes that are counted.
+pub const WORLD: &str = "world";
+
+/// Fewest nodes that can carry a mission out and survive the loss of one voter.
+pub const NODES_MIN: usize = 4;
+
+/// Most nodes there are names for.
+pub const NODES_MAX: usize = 13;
+
+/// Who is in the fleet: an arm, and carriers and stations in equal parts.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct ChaosFleet {
+    /// Stationary nodes that vote.
+    pub stations: Vec<&'static str>,
+    /// Robots with a drawer.
+    pub carriers: Vec<&'static str>,
+}
+
+impl ChaosFleet {
+    /// A fleet of so many nodes, the host of the world not counted.
+    ///
+    /// # Panics
+    /// When there are not [`NODES_MIN`] to [`NODES_MAX`]: who asks has checked.
+    pub fn of(nodes: usize) -> ChaosFleet {
+        assert!((NODES_MIN..=NODES_MAX).contains(&nodes), "{nodes} nodes");
+        let carriers = (nodes - 1) / 2;
+        let stations = nodes - 1 - carriers;
+        ChaosFleet {
+            stations: STATIONS[..stations].to_vec(),
+            carriers: CARRIERS[..carriers].iter().map(|(name, _)| *name).collect(),
+        }
+    }
+
+    /// All nodes, the host of the world last.
+    pub fn nodes(&self) -> Vec<&'static str> {
+        let robots = self.carriers.iter().chain([&ARM, &WORLD]);
+        self.stations.iter().chain(robots).copied().collect()
+    }
+
+    /// Its first voters: up to five, an odd number, stationary ones before others.
+    pub fn voters(&self) -> Vec<&'static str> {
+        let mut all: Vec<_> = self.stations.iter().copied().chain([ARM]).collect();
+        all.sort_unstable();
+        all.extend(&self.carriers);
+        let most = all.len().min(consort_actors::autopilot::VOTERS);
+        all.truncate(if most % 2 == 0 { most - 1 } else { most });
+        all
+    }
+
+    /// Its robots as the harness starts them.
+    pub fn members(&self) -> Vec<RobotSpec> {
+        let place = |name: &str| CARRIERS.iter().find(|(known, _)| *known == name).map_or("Dock", |(_, place)| place);
+        self.carriers
+            .iter()
+            .map(|name| RobotSpec::carrier(name, place(name)).with_skill("wait").with_charge(1.0))
+            .collect()
+    }
+}

@@ -1,0 +1,322 @@
+//! Does to a fleet what a schedule says.
+
+use super::chaos_fleet::{ChaosFleet, WORLD};
+use super::fault_injector::FaultInjector;
+use super::schedule::{ChaosAction, DiskAfterCrash};
+use crate::{Fleet, Observation, slug};
+use consort_actors::bus::{Bus, BusError, LinkModel, Reply, Stream};
+use consort_protocol::ids::NodeId;
+use consort_protocol::keys::{ApiCall, Key};
+use consort_protocol::units::BatteryShare;
+use serde_json::{Value, json};
+use std::collections::{BTreeMap, BTreeSet};
+use std::time::Duration;
+use tokio::sync::watch;
+
+/// How long a client waits before it asks again.
+const ASK_AGAIN: Duration = Duration::from_millis(700);
+
+/// How often people look whether somebody needs them.
+const RESCUE_EVERY: Duration = Duration::from_secs(10);
+
+/// Acknowledged requests and the missions that they stand for.
+pub(super) type Acknowledged = watch::Sender<BTreeMap<String, String>>;
+
+/// The hand that does it: the faults in force, and what ends each of them.
+pub(super) struct ActionExecutor {
+    cast: ChaosFleet,
+    gear: FaultInjector,
+    acknowledged: Acknowledged,
+    /// Nodes that are down, by the step that will start them again.
+    down: BTreeMap<usize, Vec<String>>,
+    partitions: BTreeMap<usize, Vec<Vec<String>>>,
+    cuts: BTreeMap<usize, Vec<(String, String)>>,
+    weather: BTreeMap<usize, LinkModel>,
+    slow: BTreeMap<usize, (String, u64)>,
+    paused: BTreeMap<usize, String>,
+    /// Robots whose battery ran down.
+    flat: BTreeSet<String>,
+}
+
+impl ActionExecutor {
+    pub(super) fn new(cast: ChaosFleet, gear: FaultInjector) -> ActionExecutor {
+        ActionExecutor {
+            cast,
+            gear,
+            acknowledged: watch::Sender::default(),
+            down: BTreeMap::new(),
+            partitions: BTreeMap::new(),
+            cuts: BTreeMap::new(),
+            weather: BTreeMap::new(),
+            slow: BTreeMap::new(),
+            paused: BTreeMap::new(),
+            flat: BTreeSet::new(),
+        }
+    }
+
+    /// What clients have been promised.
+    pub(super) fn acknowledged(&self) -> BTreeMap<String, String> {
+        self.acknowledged.borrow().clone()
+    }
+
+    /// The same, as it grows.
+    pub(super) fn acknowledged_receiver(&self) -> watch::Receiver<BTreeMap<String, String>> {
+        self.acknowledged.subscribe()
+    }
+
+    /// Begins step `number`.
+    pub(super) async fn begin(&mut self, fleet: &mut Fleet, number: usize, act: &ChaosAction) {
+        match act {
+            ChaosAction::Submit { request, unnamed, mission, room, priority, deadline_s } => {
+                let mut asked = json!({ "mission": mission, "parameters": { "room": room }, "priority": priority });
+                if !unnamed {
+                    asked["request"] = json!(request);
+                }
+                if let Some(seconds) = deadline_s {
+                    asked["deadline_s"] = json!(seconds);
+                }
+                self.submit(fleet, request, asked);
+            }
+            ChaosAction::Cancel { request } => self.cancel(fleet, request),
+            ChaosAction::Crash { node, disk, .. } => {
+                let node = if node == "coordinator" {
+                    let Some(coordinator) = fleet.coordinating() else { return };
+                    coordinator.to_string()
+                } else {
+                    node.clone()
+                };
+                self.crash(fleet, number, &[node], *disk).await;
+            }
+            ChaosAction::Blackout { disk, .. } => {
+                let nodes = fleet.running();
+                self.crash(fleet, number, &nodes, *disk).await;
+            }
+            ChaosAction::Pause { node, .. } => {
+                fleet.network.pause(&slug(node));
+                self.paused.insert(number, node.clone());
+            }
+            ChaosAction::Partition { groups, .. } => {
+                self.partitions.insert(number, groups.clone());
+                self.part(fleet);
+            }
+            ChaosAction::Cut { from, to, .. } => {
+                let links = self.links(from, to);
+                for (from, to) in &links {
+                    fleet.network.cut(slug(from), slug(to));
+                }
+                self.cuts.insert(number, links);
+            }
+            ChaosAction::Weather { loss, duplication, reordering, delay_ms, .. } => {
+                let slowest = Duration::from_millis(*delay_ms);
+                let model = LinkModel {
+                    latency_max: slowest.max(LinkModel::LAN.latency_max),
+                    loss: *loss,
+                    duplication: *duplication,
+                    reordering: *reordering,
+                    reordering_delay: slowest.max(LinkModel::LAN.latency_max) * 2,
+                    ..LinkModel::LAN
+                };
+                self.weather.insert(number, model);
+                self.change_weather(fleet);
+            }
+            ChaosAction::SlowDisk { node, write_ms, .. } => {
+                self.slow.insert(number, (node.clone(), *write_ms));
+                self.change_disks();
+            }
+            ChaosAction::Drift { .. } => {} // in force from the start: see the gear
+            ChaosAction::Battery { robot } => {
+                let charge = BatteryShare::new(0.04).expect("a share");
+                fleet.world.with(|world| world.set_charge(&slug(robot), charge));
+                self.flat.insert(robot.clone());
+            }
+            ChaosAction::Skill { robot, how, times } => self.gear.inject_skill_fault(robot, *how, *times),
+        }
+    }
+
+    /// Ends step `number`, if it was begun and has an end.
+    pub(super) async fn end(&mut self, fleet: &mut Fleet, number: usize) {
+        if let Some(nodes) = self.down.remove(&number) {
+            for node in nodes {
+                self.start(fleet, &node).await;
+            }
+        }
+        if let Some(node) = self.paused.remove(&number)
+            && !self.paused.values().any(|other| *other == node)
+        {
+            fleet.network.resume(&slug(&node));
+        }
+        if self.partitions.remove(&number).is_some() {
+            self.part(fleet);
+        }
+        if let Some(links) = self.cuts.remove(&number) {
+            let still: BTreeSet<_> = self.cuts.values().flatten().collect();
+            for (from, to) in links.iter().filter(|link| !still.contains(link)) {
+                fleet.network.restore(slug(from), slug(to));
+            }
+        }
+        if self.weather.remove(&number).is_some() {
+            self.change_weather(fleet);
+        }
+        if let Some((node, _)) = self.slow.remove(&number) {
+            self.gear.disk(&node).set_slow(None);
+            self.change_disks();
+        }
+    }
+
+    /// Ends all that is in force, and lets every node run.
+    pub(super) async fn end_all_faults(&mut self, fleet: &mut Fleet) {
+        let numbers: BTreeSet<usize> = (self.down.keys().chain(self.paused.keys()))
+            .chain(self.partitions.keys().chain(self.cuts.keys()))
+            .chain(self.weather.keys().chain(self.slow.keys()))
+            .copied()
+            .collect();
+        for number in numbers {
+            self.end(fleet, number).await;
+        }
+        self.gear.clear_skill_faults();
+        // A robot with an empty battery does not refuse for good, and a mission may wait for it.
+        for robot in std::mem::take(&mut self.flat) {
+            fleet.world.with(|world| world.replace_battery(&slug(&robot)));
+        }
+    }
+
+    pub(super) async fn crash(&mut self, fleet: &mut Fleet, number: usize, nodes: &[String], disk: DiskAfterCrash) {
+        for node in nodes {
+            if !fleet.nodes.contains_key(node) {
+                continue; // down already
+            }
+            fleet.kill(node).await;
+            self.gear.disk(node).crash(disk.unsynced_writes());
+            if disk == DiskAfterCrash::Empty {
+                self.gear.lose_disk(node);
+            }
+            self.down.entry(number).or_default().push(node.clone());
+        }
+    }
+
+    /// Starts a node, for the first time or again, and follows what it believes.
+    pub(super) async fn start(&mut self, fleet: &mut Fleet, node: &str) {
+        fleet.event_log.add(Observation::TestAction { node: slug(node), action: "starts again" });
+        let known = self.cast.nodes().into_iter().find(|known| *known == node).expect("a node of the cast");
+        if known == WORLD {
+            fleet.start_world().await;
+        } else if self.cast.stations.contains(&known) {
+            fleet.start_station(known).await;
+        } else {
+            fleet.start_robot(known).await;
+        }
+        // Whoever was frozen before is so again.
+        if self.paused.values().any(|paused| paused == node) {
+            fleet.network.pause(&slug(node));
+        }
+        fleet.record_leadership(node);
+    }
+
+    fn links(&self, from: &str, to: &str) -> Vec<(String, String)> {
+        let all = || self.cast.nodes().into_iter().map(str::to_owned).chain(["client".to_owned()]);
+        let named = |name: &str| if name == "*" { all().collect() } else { vec![name.to_owned()] };
+        let (from, to) = (named(from), named(to));
+        let pairs = from.iter().flat_map(|from| to.iter().map(move |to| (from.clone(), to.clone())));
+        pairs.filter(|(from, to)| from != to).collect()
+    }
+
+    /// The latest partition is the one in force.
+    fn part(&self, fleet: &Fleet) {
+        let groups = self.partitions.values().last().cloned().unwrap_or_default();
+        let named = |group: Vec<String>| group.iter().map(|name| slug(name)).collect::<Vec<NodeId>>();
+        fleet.network.partition(groups.into_iter().map(named));
+    }
+
+    fn change_weather(&self, fleet: &Fleet) {
+        fleet.network.set_link_model(self.weather.values().last().cloned().unwrap_or(LinkModel::LAN));
+    }
+
+    fn change_disks(&self) {
+        for (node, most) in self.slow.values() {
+            let most = Duration::from_millis(*most);
+            self.gear.disk(node).set_slow(Some((most / 4, most)));
+        }
+    }
+
+    /// People come for what is stranded in robots' hands: robots that hold something are given no other work until then.
+    pub(super) fn spawn_resolver(&self, fleet: &Fleet) {
+        let client = fleet.client.clone();
+        let key = |call| fleet.keys.write(&Key::Api(call));
+        let (list, rescued) = (key(ApiCall::List), key(ApiCall::Resolve));
+        tokio::spawn(async move {
+            loop {
+                // Also what was asked for without a name and never acknowledged.
+                let answers = look(&client, &list).await;
+                let mut stranded: Vec<Value> = vec![];
+                for mission in answers.iter().filter_map(|answer| answer["missions"].as_array()).flatten() {
+                    if mission["state"] == "needs_rescue" {
+                        stranded.push(mission["mission"].clone());
+                    }
+                }
+                for mission in stranded {
+                    ask(&client, &rescued, &json!({ "mission": mission, "by": "chaos" })).await;
+                }
+                tokio::time::sleep(RESCUE_EVERY).await;
+            }
+        });
+    }
+
+    fn submit(&self, fleet: &Fleet, request: &str, asked: Value) {
+        let (client, key) = (fleet.client.clone(), fleet.keys.write(&Key::Api(ApiCall::Submit)));
+        let (chronicle, acknowledged, request) =
+            (fleet.event_log.clone(), self.acknowledged.clone(), request.to_owned());
+        let named = asked.get("request").is_some();
+        tokio::spawn(async move {
+            loop {
+                for answer in ask(&client, &key, &asked).await {
+                    if let Some(mission) = answer["mission"].as_str() {
+                        let (node, mission_id) = (slug("client"), slug(mission));
+                        let name = named.then(|| request.clone());
+                        chronicle.add(Observation::RequestAcknowledged { node, request: name, mission: mission_id });
+                        acknowledged.send_modify(|known| drop(known.insert(request, mission.to_owned())));
+                        return;
+                    }
+                }
+                tokio::time::sleep(ASK_AGAIN).await;
+            }
+        });
+    }
+
+    fn cancel(&self, fleet: &Fleet, request: &str) {
+        let (client, key) = (fleet.client.clone(), fleet.keys.write(&Key::Api(ApiCall::Cancel)));
+        let (mut acknowledged, request) = (self.acknowledged.subscribe(), request.to_owned());
+        tokio::spawn(async move {
+            let Ok(mission) =
+                acknowledged.wait_for(|known| known.contains_key(&request)).await.map(|m| m[&request].clone())
+            else {
+                return;
+            };
+            let asked = json!({ "mission": mission, "by": "chaos" });
+            // Any answer will do: it may have ended by itself.
+            while ask(&client, &key, &asked).await.is_empty() {
+                tokio::time::sleep(ASK_AGAIN).await;
+            }
+        });
+    }
+}
+
+/// What whoever coordinates says; several may believe that they do, and none may be heard.
+async fn ask(client: &impl Bus, key: &str, asked: &Value) -> Vec<Value> {
+    hear(client.query(key, asked.to_string().into(), Duration::from_secs(3)).await).await
+}
+
+/// What the nearest node says.
+async fn look(client: &impl Bus, key: &str) -> Vec<Value> {
+    hear(client.query_nearest(key, vec![].into(), Duration::from_secs(3)).await).await
+}
+
+async fn hear(asked: Result<Stream<Reply>, BusError>) -> Vec<Value> {
+    let mut answers = vec![];
+    let Ok(mut replies) = asked else { return answers };
+    while let Some(reply) = replies.recv().await {
+        if let Ok(answer) = reply.payload.map(|payload| serde_json::from_slice(&payload).unwrap_or(Value::Null)) {
+            answers.push(answer);
+        }
+    }
+    answers
+}

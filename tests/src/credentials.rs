@@ -1,0 +1,81 @@
+//! The certificates of a virtual fleet that is closed. All of them follow from its seed, and none is in a file.
+
+use consort_actors::bus::SharedBus;
+use consort_actors::clock::Clock;
+use consort_actors::node::NodeSettings;
+use consort_actors::trust::issue::{
+    CertificateAuthority, IssuedCertificate, KeyMaterial, Validity, create_authority_from,
+};
+use consort_actors::trust::{Keyring, SigningBus};
+use consort_protocol::ids::{FleetId, NodeId};
+use consort_protocol::keys::Keys;
+use consort_protocol::trust::{Identity, NodeRole, Principal};
+use rand::{Rng as _, SeedableRng as _};
+use rand_chacha::ChaCha8Rng;
+use std::collections::BTreeSet;
+use std::sync::Arc;
+use std::time::Duration;
+
+/// From 1970 to 2049: stories begin at the one end, chaos in between.
+const LONG: Validity = Validity { from: Duration::ZERO, until: Duration::from_secs(2_493_072_000) };
+
+/// An authority, and what it issues.
+pub struct Credentials {
+    seed: u64,
+    fleet: FleetId,
+    authority: IssuedCertificate,
+    issuer: CertificateAuthority,
+}
+
+impl Credentials {
+    /// The authority that follows from a seed.
+    pub fn new(fleet: FleetId, seed: u64) -> Credentials {
+        let authority =
+            create_authority_from(&fleet, LONG, draw(seed, "authority")).expect("a certificate can be made");
+        let issuer =
+            CertificateAuthority::from_pem(&authority.certificate, &authority.key).expect("what was just made");
+        Credentials { seed, fleet, authority, issuer }
+    }
+
+    /// What a node of these roles proves itself with, in this life of it.
+    pub fn keyring_of(&self, node: &NodeId, roles: BTreeSet<NodeRole>, life: u64) -> Keyring {
+        let bearer = Principal::Node { name: node.clone(), roles };
+        let identity = Identity { fleet: self.fleet.clone(), principal: bearer };
+        let drawn = draw(self.seed, node.as_str());
+        let issued = self.issuer.issue_from(&identity, LONG, drawn).expect("a certificate can be made");
+        let keyring =
+            Keyring::from_issued(self.fleet.clone(), &self.authority.certificate, &issued, Duration::ZERO, life);
+        keyring.expect("what was just made")
+    }
+
+    /// A node's end of the network, on which what it says is sealed.
+    pub async fn signing_bus(&self, bus: SharedBus, keyring: Keyring, clock: Clock) -> Arc<SigningBus> {
+        let keys = Keys::new(&self.fleet);
+        let sealed = SigningBus::open(bus, keys, Arc::new(keyring), None, clock).await;
+        Arc::new(sealed.expect("a virtual bus"))
+    }
+
+    /// What a node's certificate must let it be.
+    pub(crate) fn roles(settings: &NodeSettings) -> BTreeSet<NodeRole> {
+        let roles = [
+            (settings.robot.is_some(), NodeRole::Robot),
+            (settings.may_vote, NodeRole::Voter),
+            (settings.driver_server.is_some(), NodeRole::Host),
+        ];
+        roles.into_iter().filter_map(|(needed, role)| needed.then_some(role)).collect()
+    }
+}
+
+/// What somebody's key and certificate are drawn from.
+fn draw(seed: u64, name: &str) -> KeyMaterial {
+    let mut from = [0; 32];
+    from[..8].copy_from_slice(&seed.to_be_bytes());
+    for (place, byte) in name.bytes().enumerate() {
+        from[8 + place % 24] ^= byte;
+    }
+    let mut chance = ChaCha8Rng::from_seed(from);
+    let (mut key, mut serial) = ([0; 32], [0; 16]);
+    chance.fill_bytes(&mut key);
+    chance.fill_bytes(&mut serial);
+    KeyMaterial { key, serial }
+}

@@ -1,0 +1,133 @@
+//! Robots of a fleet, before it starts.
+
+use crate::slug;
+use consort_protocol::ids::PlaceId;
+use consort_protocol::knowledge::{Availability, RobotKnowledge};
+use consort_protocol::pose::Pose;
+use consort_protocol::units::{BatteryShare, MetresPerSecond, SharePerSecond};
+use consort_sim::map::Map;
+use consort_sim::world::RobotSetup;
+use consort_skills::library::SkillLibrary;
+
+/// A robot of the fleet, before the fleet starts.
+#[derive(Debug, Clone)]
+pub struct RobotSpec {
+    /// Its name.
+    pub name: String,
+    /// Where it starts.
+    pub place: String,
+    /// Metres per second; `None` for an arm.
+    pub speed: Option<f64>,
+    /// Charge at the start, as a share.
+    pub battery: f64,
+    /// Share of a full charge that it loses in a second at work, as it admits.
+    pub discharge: f64,
+    /// Its skills.
+    pub skills: Vec<String>,
+    /// Changes its skill library before it starts.
+    pub customize_library: Option<fn(&mut SkillLibrary)>,
+    /// Whether its node is started only when the test says so.
+    pub starts_later: bool,
+    /// How many times as fast as it admits its battery empties.
+    pub discharge_factor: f64,
+    /// Seconds that its node's clock counts in one.
+    pub clock_rate: f64,
+}
+
+impl RobotSpec {
+    /// A robot with a drawer, as lab samples need one.
+    pub fn carrier(name: &str, place: &str) -> RobotSpec {
+        let skills = ["navigation", "approach_person", "authenticate_person", "operate_drawer", "approach_robot"];
+        RobotSpec {
+            name: name.to_owned(),
+            place: place.to_owned(),
+            speed: Some(0.6),
+            battery: 0.9,
+            discharge: 0.0004,
+            skills: skills.map(str::to_owned).to_vec(),
+            customize_library: None,
+            starts_later: false,
+            discharge_factor: 1.0,
+            clock_rate: 1.0,
+        }
+    }
+
+    /// An arm that takes samples out of drawers.
+    pub fn arm(name: &str, place: &str) -> RobotSpec {
+        let carrier = RobotSpec::carrier(name, place);
+        RobotSpec { speed: None, battery: 1.0, discharge: 0.0, skills: vec!["pick_up".to_owned()], ..carrier }
+    }
+
+    /// The same robot with another speed, in metres per second.
+    pub fn with_speed(self, speed: f64) -> RobotSpec {
+        RobotSpec { speed: Some(speed), ..self }
+    }
+
+    /// The same robot with another charge.
+    pub fn with_charge(self, battery: f64) -> RobotSpec {
+        RobotSpec { battery, ..self }
+    }
+
+    /// The same robot with other skills.
+    pub fn with_skills(self, skills: &[&str]) -> RobotSpec {
+        RobotSpec { skills: skills.iter().map(|skill| (*skill).to_owned()).collect(), ..self }
+    }
+
+    /// The same robot with one more skill.
+    pub fn with_skill(mut self, skill: &str) -> RobotSpec {
+        self.skills.push(skill.to_owned());
+        self
+    }
+
+    /// The same robot with a skill library of its own.
+    pub fn with_library(self, train: fn(&mut SkillLibrary)) -> RobotSpec {
+        RobotSpec { customize_library: Some(train), ..self }
+    }
+
+    /// The same robot, whose node is started later by the test.
+    pub fn starting_later(self) -> RobotSpec {
+        RobotSpec { starts_later: true, ..self }
+    }
+
+    /// The same robot with a battery that empties so many times as fast as its estimates reckon with.
+    pub fn with_discharge_factor(self, thirst: f64) -> RobotSpec {
+        RobotSpec { discharge_factor: thirst, ..self }
+    }
+
+    /// The same robot, whose node's clock counts so many seconds in one.
+    pub fn with_clock(self, clock_rate: f64) -> RobotSpec {
+        RobotSpec { clock_rate, ..self }
+    }
+
+    pub(crate) fn robot_body(&self) -> RobotSetup {
+        let (id, place) = (slug(&self.name), slug(&self.place));
+        match self.speed {
+            Some(speed) => {
+                let speed = MetresPerSecond::new(speed).expect("a speed");
+                let battery = BatteryShare::new(self.battery).expect("a share");
+                let discharge = SharePerSecond::new(self.discharge().get() * self.discharge_factor).expect("a rate");
+                RobotSetup::carrier(id, place, speed, battery, discharge)
+            }
+            None => RobotSetup::arm(id, place),
+        }
+    }
+
+    fn discharge(&self) -> SharePerSecond {
+        SharePerSecond::new(self.discharge).expect("a rate")
+    }
+
+    pub(crate) fn worker(&self, map: &Map) -> RobotKnowledge {
+        let place: PlaceId = slug(&self.place);
+        RobotKnowledge {
+            skills: self.skills.iter().map(|skill| slug(skill)).collect(),
+            pose: map.place(&place).map_or(Pose::default(), |place| place.pose),
+            place,
+            battery: BatteryShare::new(self.battery).expect("a share"),
+            discharge: self.discharge(),
+            useful_charge: BatteryShare::new(0.08).expect("a share"),
+            speed: self.speed.map(|speed| MetresPerSecond::new(speed).expect("a speed")),
+            availability: Availability::Free,
+            estimator: "1".to_owned(),
+        }
+    }
+}

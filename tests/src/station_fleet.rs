@@ -1,0 +1,235 @@
+//! A fleet of stations on virtual time: enough to see who keeps the ledger and who coordinates.
+
+use crate::slug;
+use crate::ward::ward;
+use consort_actors::autopilot::VOTERS;
+use consort_actors::bus::{Bus as _, LinkModel, VirtualBus, VirtualNetwork};
+use consort_actors::clock::Clock;
+use consort_actors::node::{FleetSettings, NodeHandle, NodeSettings};
+use consort_actors::raft::LeadershipView;
+use consort_actors::store::NodeStore;
+use consort_protocol::event::{Event, EventKind};
+use consort_protocol::ids::{ClusterId, NodeId};
+use consort_protocol::keys::{ApiCall, Key, Keys};
+use serde_json::{Value, json};
+use std::collections::{BTreeMap, BTreeSet};
+use std::sync::{Arc, Mutex};
+use std::time::Duration;
+use tokio::time::Instant;
+
+/// Stations, each with a store that outlives it.
+pub struct StationFleet {
+    /// What its randomness comes from; name it in every failed assertion.
+    pub seed: u64,
+    /// Faults are made here.
+    pub network: VirtualNetwork,
+    /// Those that run.
+    pub nodes: BTreeMap<String, NodeHandle>,
+    keys: Keys,
+    settings: FleetSettings,
+    stores: BTreeMap<String, NodeStore>,
+    events: Arc<Mutex<Vec<Event>>>,
+    lives: u64,
+}
+
+impl StationFleet {
+    /// A network and nobody on it. `expect` nodes are to meet before the ledger is founded.
+    pub fn empty(seed: u64, expect: usize) -> StationFleet {
+        let settings = ward(&["pick_up"], expect);
+        StationFleet {
+            seed,
+            network: VirtualNetwork::new(seed, LinkModel::LAN),
+            nodes: BTreeMap::new(),
+            keys: Keys::new(&settings.fleet),
+            settings,
+            stores: BTreeMap::new(),
+            events: Arc::default(),
+            lives: 0,
+        }
+    }
+
+    /// These stations, which found a ledger together.
+    pub async fn founded(seed: u64, names: &[&str]) -> StationFleet {
+        let mut fleet = StationFleet::empty(seed, names.len());
+        for name in names {
+            fleet.start(name).await;
+        }
+        let voters = if names.len().is_multiple_of(2) { names.len() - 1 } else { names.len() }.min(VOTERS);
+        fleet.wait_until("the first voters to agree", |fleet| fleet.voters().len() == voters).await;
+        fleet
+    }
+
+    /// Aims at so many voters; concerns nodes that are started from now on.
+    pub fn set_voter_target(&mut self, voters: usize) {
+        self.settings.voters = voters;
+    }
+
+    /// Starts a station with the store it had, if it had one.
+    pub async fn start(&mut self, name: &str) {
+        self.start_as(name, true).await;
+    }
+
+    /// Starts a node that moves about on a battery, with the store it had.
+    pub async fn start_mobile(&mut self, name: &str) {
+        self.start_as(name, false).await;
+    }
+
+    /// Starts a station whose store is empty.
+    pub async fn start_empty(&mut self, name: &str) {
+        self.stores.remove(name);
+        self.start(name).await;
+    }
+
+    async fn start_as(&mut self, name: &str, fixed: bool) {
+        self.lives += 1;
+        let seed = self.seed.wrapping_mul(1_000_003).wrapping_add(self.lives);
+        let store = self.stores.entry(name.to_owned()).or_insert_with(|| NodeStore::in_memory(seed)).clone();
+        let settings = NodeSettings {
+            fleet: self.settings.clone(),
+            node: slug(name),
+            incarnation: self.lives,
+            seed,
+            store,
+            clock: Clock::virtual_at(0),
+            may_vote: true,
+            stationary: fixed,
+            mains_powered: fixed,
+            robot: None,
+            driver_server: None,
+            observer: None,
+            record_signer: None,
+        };
+        let bus = Arc::new(self.network.bus(slug(name)));
+        self.listen_at(&bus).await;
+        let node = NodeHandle::start(settings, bus).await.expect("a virtual node starts");
+        self.nodes.insert(name.to_owned(), node);
+    }
+
+    async fn listen_at(&self, bus: &VirtualBus) {
+        let mut heard = bus.subscribe(&self.keys.write(&Key::Events(bus.node().clone()))).await.expect("a virtual bus");
+        let (events, node) = (Arc::clone(&self.events), bus.node().clone());
+        tokio::spawn(async move {
+            while let Some(sample) = heard.recv().await {
+                let event: Event = serde_json::from_slice(&sample.payload).expect("an event");
+                if event.node == node {
+                    events.lock().expect("no panic while it is held").push(event);
+                }
+            }
+        });
+    }
+
+    /// Ends a node as SIGKILL would.
+    pub async fn kill(&mut self, name: &str) {
+        self.network.crash(&slug(name));
+        self.nodes.remove(name).expect("a node that runs").kill().await;
+    }
+
+    /// What a node believes.
+    pub fn leadership_view(&self, name: &str) -> LeadershipView {
+        self.nodes[name].replica.as_ref().expect("a station keeps the ledger").leadership().borrow().clone()
+    }
+
+    /// Who count themselves leader at this moment.
+    pub fn leaders(&self) -> Vec<String> {
+        self.nodes.keys().filter(|name| self.leadership_view(name).is_leader).cloned().collect()
+    }
+
+    /// The names of the voters, as the only leader knows them; nobody while there is no leader or a change is under way.
+    pub fn voters(&self) -> BTreeSet<String> {
+        let [leader] = &self.leaders()[..] else { return BTreeSet::new() };
+        let believed = self.leadership_view(leader);
+        if believed.pending_voters.is_some() {
+            return BTreeSet::new();
+        }
+        believed.voters.values().map(ToString::to_string).collect()
+    }
+
+    /// Which cluster a node belongs to.
+    pub fn cluster(&self, name: &str) -> Option<ClusterId> {
+        self.nodes[name].membership.cluster()
+    }
+
+    /// Waits until somebody coordinates, and says who.
+    pub async fn wait_for_coordinator(&self) -> String {
+        self.wait_until("there is one coordinator", |fleet| fleet.leaders().len() == 1).await;
+        self.leaders().remove(0)
+    }
+
+    /// Waits until `done`, looking every two virtual milliseconds. At no moment may two lead one cluster.
+    ///
+    /// # Panics
+    /// When it has not happened within two minutes, or two lead.
+    pub async fn wait_until(&self, what: &str, mut done: impl FnMut(&StationFleet) -> bool) {
+        let began = Instant::now();
+        while !done(self) {
+            let waited = began.elapsed();
+            assert!(
+                waited < Duration::from_secs(120),
+                "seed {}: waited in vain for {what}; voters {:?}\n{:#?}",
+                self.seed,
+                self.voters(),
+                self.events()
+            );
+            self.one_leader_per_cluster();
+            tokio::time::sleep(Duration::from_millis(2)).await;
+        }
+    }
+
+    /// Lets virtual time pass.
+    pub async fn advance(&self, time: Duration) {
+        let end = Instant::now() + time;
+        self.wait_until("time to pass", |_| Instant::now() >= end).await;
+    }
+
+    fn one_leader_per_cluster(&self) {
+        let leaders = self.leaders();
+        // Until its first command is committed, a ledger does not say which it is.
+        let clusters: Vec<_> = leaders.iter().filter_map(|name| self.cluster(name)).collect();
+        let distinct: BTreeSet<_> = clusters.iter().collect();
+        assert_eq!(distinct.len(), clusters.len(), "seed {}: {leaders:?} lead at once", self.seed);
+    }
+
+    /// All that nodes told, in order.
+    pub fn events(&self) -> Vec<EventKind> {
+        self.events.lock().expect("no panic while it is held").iter().map(|event| event.kind.clone()).collect()
+    }
+
+    /// Why voters were changed, each time.
+    pub fn voter_change_reasons(&self) -> Vec<String> {
+        let reason = |what: EventKind| match what {
+            EventKind::Voters { reason, .. } => Some(reason),
+            _ => None,
+        };
+        self.events().into_iter().filter_map(reason).collect()
+    }
+
+    /// Submits a mission, asked on the bus of `at`, until it is acknowledged.
+    pub async fn submit(&self, at: &str, request: &str) -> Value {
+        let asked = json!({ "mission": "lab-samples", "parameters": { "room": "IC Room 6" }, "request": request });
+        for _ in 0..400 {
+            let answers = self.query(at, &Key::Api(ApiCall::Submit), &asked, Duration::from_secs(1)).await;
+            if let Some(answer) = answers.into_iter().find(|answer| answer["mission"].is_string()) {
+                return answer;
+            }
+            tokio::time::sleep(Duration::from_millis(50)).await;
+        }
+        panic!("seed {}: request {request} was not acknowledged", self.seed);
+    }
+
+    /// Everything that is answered to a question put on the bus of `at`.
+    pub async fn query(&self, at: &str, key: &Key, asked: &Value, limit: Duration) -> Vec<Value> {
+        let bus = self.network.bus(slug(at));
+        let payload = asked.to_string().into_bytes().into();
+        let mut replies = bus.query(&self.keys.write(key), payload, limit).await.expect("a virtual bus");
+        let mut answers = vec![];
+        while let Some(reply) = replies.recv().await {
+            answers.push(serde_json::from_slice(&reply.payload.expect("an answer")).expect("JSON"));
+        }
+        answers
+    }
+
+    /// Where a node's key is, for whoever asks it directly.
+    pub fn leave_key(name: &str) -> Key {
+        Key::Leave(slug::<NodeId>(name))
+    }
+}

@@ -1,0 +1,102 @@
+//! A robot is lost with the sample in its drawer.
+
+use crate::support::task_began;
+use consort_protocol::event::EventKind;
+use consort_protocol::ids::MissionId;
+use consort_protocol::keys::ApiCall;
+use consort_protocol::lease::EndReason;
+use consort_protocol::ledger::MissionState;
+use consort_tests::{Fleet, RobotSpec, for_each_seed, slug};
+use serde_json::json;
+use std::time::Duration;
+
+const ROOM: &str = "IC Room 6";
+const SOON: Duration = Duration::from_secs(60);
+const SKILLS: [&str; 6] =
+    ["navigation", "approach_person", "authenticate_person", "operate_drawer", "approach_robot", "wait"];
+
+/// `amber` drives to the laboratory with the sample, and is killed.
+async fn lost_on_its_way(seed: u64, kind: &str) -> (Fleet, MissionId) {
+    let robots = vec![
+        RobotSpec::carrier("amber", "IC Room 4").with_skills(&SKILLS),
+        RobotSpec::carrier("birch", "Dock").with_skills(&SKILLS),
+    ];
+    let mut fleet = Fleet::hospital(seed, robots, &["post-1", "post-2", "post-3", "post-4"], &[ROOM]).await;
+    fleet.wait_for_coordinator().await;
+    let asked = json!({ "mission": kind, "parameters": { "room": ROOM }, "request": "a" });
+    let mission =
+        slug(fleet.request_answered(ApiCall::Submit, &asked).await["mission"].as_str().expect("acknowledged"));
+    fleet.wait_until("the way to the laboratory", SOON, |fleet| fleet.has_event(task_began("navto_lab"))).await;
+    fleet.kill("amber").await;
+    (fleet, mission)
+}
+
+#[test]
+fn a_mission_with_a_recovery_branch_sends_another_robot_to_stand_by_the_sample() {
+    for_each_seed([601, 602], async |seed| {
+        let (mut fleet, mission) = lost_on_its_way(seed, "lab-samples-watched").await;
+        fleet.wait_until("somebody to stand by", SOON, |fleet| fleet.has_event(task_began("stand_by"))).await;
+        assert_eq!(fleet.holder(&mission, "watch").expect("held").as_str(), "birch", "seed {seed}");
+        let (x, y) = (fleet.position("amber"), fleet.position("birch"));
+        let apart = ((x.0 - y.0).powi(2) + (x.1 - y.1).powi(2)).sqrt();
+        assert!(apart < 30.0, "seed {seed}: {apart} m apart\n{}", fleet.event_log_text());
+        let replaced = |what: &EventKind| matches!(what, EventKind::Halted { reason: EndReason::Replaced, .. });
+        assert_eq!(fleet.event_log.count(replaced), 1, "seed {seed}: the arm\n{}", fleet.event_log_text());
+
+        let MissionState::NeedsRescue { cause, items } = fleet.wait_for_end(&mission).await else {
+            panic!("seed {seed}: it ended otherwise\n{}", fleet.event_log_text())
+        };
+        assert!(cause.starts_with("the recovery branch was carried out; the sample is with amber at "), "{cause}");
+        let kept: Vec<_> = items.iter().map(|kept| (kept.robot.as_str(), kept.certain)).collect();
+        assert_eq!(kept, [("amber", true)], "seed {seed}");
+        let views = fleet.view(&format!("mission/{mission}")).await;
+        let view = &views[&format!("mission/{mission}")];
+        assert_eq!((&view["branch"], &view["released"]), (&json!("recovery"), &json!(1)), "seed {seed}: {view}");
+        assert_eq!(view["items"][0]["robot"], "amber", "seed {seed}: {view}");
+        fleet.assert_exclusive_roles();
+    });
+}
+
+#[test]
+fn only_a_person_closes_a_mission_that_needs_rescue() {
+    for_each_seed([611, 612], async |seed| {
+        let (mut fleet, mission) = lost_on_its_way(seed, "lab-samples").await;
+        let MissionState::NeedsRescue { cause, items } = fleet.wait_for_end(&mission).await else {
+            panic!("seed {seed}: it ended otherwise\n{}", fleet.event_log_text())
+        };
+        assert!(
+            cause.starts_with("amber was lost as r1 and has the sample: amber silent for "),
+            "seed {seed}: {cause}"
+        );
+        assert_eq!(items.len(), 1, "seed {seed}: {items:?}");
+        assert!(items[0].certain && items[0].place.is_some(), "seed {seed}: {items:?}");
+        let halted = |what: &EventKind| matches!(what, EventKind::Halted { reason: EndReason::Rescue, .. });
+        fleet.wait_until("the arm to put its role down", SOON, |fleet| fleet.has_event(halted)).await;
+
+        // It survives a takeover, and the robot gets no role when it is back, until somebody has closed the mission.
+        fleet.kill("lab-arm").await;
+        fleet.wait_for_coordinator().await;
+        fleet.start_robot("lab-arm").await;
+        fleet.start_robot("amber").await;
+        fleet.kill("birch").await;
+        let next = fleet.submit("b", ROOM).await;
+        let why = |fleet: &Fleet| {
+            let said = |what| match what {
+                EventKind::Closed { mission, record } if mission == next => serde_json::to_string(&record).ok(),
+                _ => None,
+            };
+            fleet.events().into_iter().filter_map(said).next_back().unwrap_or_default()
+        };
+        fleet.wait_until("amber to be refused", SOON, |fleet| why(fleet).contains("hands_full")).await;
+        let answer = fleet.request_answered(ApiCall::Resolve, &json!({ "mission": mission, "by": "Nia" })).await;
+        let cause = format!("{cause}; rescued by Nia");
+        assert_eq!(answer["state"], json!({ "failed": { "cause": cause } }), "seed {seed}");
+        fleet.wait_until("amber to be given work", SOON, |fleet| fleet.holder(&next, "r1").is_some()).await;
+        // Asked once more for want of an answer, it has been heard; by another it is too late.
+        let answer = fleet.request_answered(ApiCall::Resolve, &json!({ "mission": mission, "by": "Nia" })).await;
+        assert_eq!(answer["state"], json!({ "failed": { "cause": cause } }), "seed {seed}");
+        let answer = fleet.request_answered(ApiCall::Resolve, &json!({ "mission": mission, "by": "Tom" })).await;
+        let error = answer["error"].as_str().expect("an error");
+        assert!(error.contains("is failed; only one that needs rescue can be closed"), "seed {seed}: {error}");
+    });
+}

@@ -1,0 +1,200 @@
+//! Skills that fail, crash or come to no end are tried again before anybody else is asked for help.
+
+use crate::support::task_began;
+use consort_protocol::event::EventKind;
+use consort_skills::bt::{Cause, Leaf, LeafContext, NodeKind, NodeManifest, NodeStatus};
+use consort_skills::library::SkillLibrary;
+use consort_skills::skill::TaskContext;
+use consort_tests::{Fleet, RobotSpec, for_each_seed};
+use std::cell::RefCell;
+use std::time::Duration;
+
+const ROOM: &str = "IC Room 6";
+const SOON: Duration = Duration::from_secs(60);
+
+/// What goes wrong at one attempt.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(super) enum SkillFault {
+    /// None at all.
+    Passes,
+    Fails,
+    Crashes,
+    Stalls,
+}
+
+thread_local! {
+    /// What is yet to go wrong: of this thread, and so of this test, alone.
+    static MISHAPS: RefCell<Vec<SkillFault>> = const { RefCell::new(vec![]) };
+}
+
+/// Goes wrong as often as it is to, and then no more.
+struct Stumble {
+    stalled: bool,
+}
+
+impl Leaf for Stumble {
+    fn tick(&mut self, _: &mut LeafContext<'_, '_>) -> Result<NodeStatus, Cause> {
+        if self.stalled {
+            return Ok(NodeStatus::Running);
+        }
+        match MISHAPS.with(|mishaps| mishaps.borrow_mut().pop()) {
+            None | Some(SkillFault::Passes) => Ok(NodeStatus::Success),
+            Some(SkillFault::Fails) => Err(Cause::new("nobody stands there")),
+            Some(SkillFault::Crashes) => panic!("tripped over a cable"),
+            Some(SkillFault::Stalls) => {
+                self.stalled = true;
+                Ok(NodeStatus::Running)
+            }
+        }
+    }
+
+    fn halt(&mut self, _: &mut LeafContext<'_, '_>) {
+        self.stalled = false;
+    }
+}
+
+/// These go wrong from now on, the first first.
+pub(super) fn set_faults(list: &[SkillFault]) {
+    MISHAPS.with(|mishaps| *mishaps.borrow_mut() = list.iter().rev().copied().collect());
+}
+
+/// Drives go wrong at their end.
+pub(super) fn fails_as_listed(library: &mut SkillLibrary) {
+    let leaves = r#"<PlanRoute to="{to}" legs="{legs}"/>
+        <LoopString queue="{legs}" value="{leg}" if_empty="SUCCESS"><NavigateToPose place="{leg}"/></LoopString>"#;
+    stumbles_after(library, &[("navigation", leaves)]);
+}
+
+/// Approaching a person or a robot goes wrong at its end.
+pub(super) fn fails_with_others(library: &mut SkillLibrary) {
+    let person = r#"<FindPerson person_role="{person_role}" role="{role}"/><ApproachPerson role="{role}"/>"#;
+    let robot = r#"<FindHolder role="{robot_role}" robot="{robot}"/><ApproachRobot robot="{robot}"/>"#;
+    stumbles_after(library, &[("approach_person", person), ("approach_robot", robot)]);
+}
+
+/// Skills of these names, each after these leaves.
+fn stumbles_after(library: &mut SkillLibrary, skills: &[(&str, &str)]) {
+    library
+        .extend(|registry| {
+            let manifest = NodeManifest::new("Stumble", NodeKind::Action, []);
+            registry.register(manifest, |_: &TaskContext| Box::new(Stumble { stalled: false }))
+        })
+        .expect("a name of its own");
+    for (skill, leaves) in skills {
+        let tree = format!(
+            r#"<root BTCPP_format="4" main_tree_to_execute="{skill}">
+            <BehaviorTree ID="{skill}"><Sequence>{leaves}<Stumble/></Sequence></BehaviorTree></root>"#
+        );
+        library.register_xml(skill.parse().expect("a slug"), "stumbling.xml", &tree).expect("a sound tree");
+    }
+}
+
+fn retried(what: &EventKind) -> Option<(String, u8, String)> {
+    match what {
+        EventKind::TaskRetried { task, attempt, cause, .. } => Some((task.to_string(), *attempt, cause.clone())),
+        _ => None,
+    }
+}
+
+/// The first drive goes wrong once; what the robot made of it.
+fn one_mishap(mishap: SkillFault, cause: &'static str) {
+    for_each_seed([201, 202], async |seed| {
+        set_faults(&[mishap]);
+        let robots = vec![RobotSpec::carrier("gorse", "IC Room 4").with_library(fails_as_listed)];
+        let mut fleet = Fleet::hospital(seed, robots, &["aster"], &[ROOM]).await;
+        fleet.wait_for_coordinator().await;
+        let mission = fleet.submit("a", ROOM).await;
+        fleet.assert_completes(&mission).await;
+        let retries: Vec<_> = fleet.events().iter().filter_map(retried).collect();
+        let story = format!("seed {seed}: {retries:?}\n{}", fleet.event_log_text());
+        assert!(matches!(&retries[..], [(task, 1, why)] if task == "navto_room" && why.contains(cause)), "{story}");
+        assert_eq!(fleet.task_counts(&mission)["navto_room"], (2, 1), "{story}");
+        fleet.assert_sample_delivered(ROOM);
+        let unwanted = |what: &EventKind| matches!(what, EventKind::TaskFailed { .. } | EventKind::Released { .. });
+        assert!(!fleet.has_event(unwanted), "{story}");
+    });
+}
+
+#[test]
+fn a_skill_that_fails_is_tried_again() {
+    one_mishap(SkillFault::Fails, "nobody stands there");
+}
+
+#[test]
+fn a_skill_that_crashes_is_tried_again() {
+    one_mishap(SkillFault::Crashes, "tripped over a cable");
+}
+
+#[test]
+fn a_task_that_comes_to_no_end_is_broken_off_and_tried_again() {
+    one_mishap(SkillFault::Stalls, "no end after");
+}
+
+#[test]
+fn a_crash_takes_nothing_down_with_it_and_the_robot_wins_again() {
+    for_each_seed([203, 204], async |seed| {
+        set_faults(&[SkillFault::Crashes]);
+        let robots = vec![RobotSpec::carrier("gorse", "IC Room 4").with_library(fails_as_listed)];
+        let mut fleet = Fleet::hospital(seed, robots, &["aster"], &[ROOM, "PC Room 1"]).await;
+        fleet.wait_for_coordinator().await;
+        for (request, room) in [("a", ROOM), ("b", "PC Room 1")] {
+            let mission = fleet.submit(request, room).await;
+            fleet.assert_completes(&mission).await;
+            assert_eq!(fleet.holder(&mission, "r1").expect("who did it").as_str(), "gorse", "seed {seed}");
+            fleet.assert_sample_delivered(room);
+        }
+    });
+}
+
+#[test]
+fn a_canceled_mission_leaves_the_body_at_rest_and_the_drawer_as_it_was() {
+    use consort_protocol::keys::ApiCall;
+    use consort_sim::world::WorldEvent as InWorld;
+    // At each of these the mission is canceled while the skill is at work.
+    for (number, task) in (0..).zip(["navto_room", "approach_nurse", "open_drawer_for_nurse", "close_drawer_nurse"]) {
+        for_each_seed([210 + number], async |seed| {
+            let robots = vec![RobotSpec::carrier("gorse", "IC Room 4")];
+            let mut fleet = Fleet::hospital(seed, robots, &["aster"], &[ROOM]).await;
+            fleet.wait_for_coordinator().await;
+            let mission = fleet.submit("a", ROOM).await;
+            let at_it = task_began(task);
+            fleet.wait_until(task, SOON, |fleet| fleet.has_event(&at_it)).await;
+            let answer =
+                fleet.request_answered(ApiCall::Cancel, &serde_json::json!({ "mission": mission, "by": "test" })).await;
+            let put_down = |what: &EventKind| matches!(what, EventKind::Halted { mission: of, .. } if *of == mission);
+            fleet
+                .wait_until(&format!("both to put their roles down ({answer})"), SOON, |fleet| {
+                    fleet.event_log.count(put_down) == 2
+                })
+                .await;
+            // A canceled goal ends within a crossing of the network.
+            let goals = |fleet: &Fleet| {
+                fleet.journal().iter().fold((0, 0), |(began, ended), entry| match entry.event {
+                    InWorld::GoalStarted { .. } => (began + 1, ended),
+                    InWorld::GoalEnded { .. } => (began, ended + 1),
+                    _ => (began, ended),
+                })
+            };
+            let at_rest = |fleet: &Fleet| goals(fleet).0 == goals(fleet).1;
+            fleet.wait_until("the body to be at rest", Duration::from_secs(1), at_rest).await;
+            let (place, begun) = (fleet.position("gorse"), goals(&fleet).0);
+            fleet.assert_never("another goal", Duration::from_secs(10), |fleet| goals(fleet).0 != begun).await;
+            assert_eq!(fleet.position("gorse"), place, "seed {seed}\n{}", fleet.event_log_text());
+            // A drawer is open or closed: what was under way had no effect, or had it whole.
+            let opened =
+                fleet.journal().iter().filter(|entry| matches!(entry.event, InWorld::DrawerMoved { .. })).count();
+            let least = usize::from(task == "close_drawer_nurse");
+            assert!(opened == least || opened == least + 1, "seed {seed}: {opened}\n{}", fleet.event_log_text());
+            // With the sample in its drawer, somebody has to come for that first.
+            let state = if least == 0 { "canceled" } else { "needs_rescue" };
+            assert_eq!(fleet.state(&mission).as_deref(), Some(state), "seed {seed}\n{}", fleet.event_log_text());
+
+            if state == "needs_rescue" {
+                return; // and until then it is given nothing else
+            }
+            let next = fleet.submit("b", ROOM).await;
+            fleet.assert_completes(&next).await;
+            assert_eq!(fleet.holder(&next, "r1").expect("held").as_str(), "gorse", "seed {seed}: it wins again");
+        });
+    }
+}
